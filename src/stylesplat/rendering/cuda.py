@@ -1,0 +1,37 @@
+"""Rendering on NVIDIA GPUs, through gsplat 1.5.3."""
+
+import gsplat
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.rendering import constants as const
+from stylesplat.rendering.reference import Info
+
+
+def spherical_harmonics(
+    degree: int, dirs: Float[Tensor, "N 3"], sh: Float[Tensor, "N K 3"]
+) -> Float[Tensor, "N 3"]:
+    """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+    return (gsplat.spherical_harmonics(degree, dirs, sh) + 0.5).clamp(min=0)
+
+
+def rasterize(
+    means: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "C N D"],
+    viewmats: Float[Tensor, "C 4 4"],
+    Ks: Float[Tensor, "C 3 3"],
+    width: int,
+    height: int,
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+    """Render activated Gaussians; see `reference.rasterize`."""
+    render_colors, render_alphas, info = gsplat.rasterization(
+        *(means, quats, scales, opacities, colors, viewmats, Ks, width, height),
+        near_plane=const.NEAR_PLANE,
+        far_plane=const.FAR_PLANE,
+        eps2d=const.EPS2D,
+        packed=False,
+    )
+    return render_colors, render_alphas, info

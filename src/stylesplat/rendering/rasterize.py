@@ -1,0 +1,87 @@
+"""The one way to an image: activate the splats, pick a backend, render."""
+
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.reference import Info
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+Backend = Literal["auto", "reference", "cpu", "cuda"]
+
+
+def rasterize(
+    splats: Splats,
+    cameras: Cameras,
+    *,
+    features: Float[Tensor, "N F"] | None = None,
+    background: Float[Tensor, " 3"] | None = None,
+    sh_degree: int | None = None,
+    backend: Backend = "auto",
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+    """Render splats from cameras of one size, differentiably.
+
+    Args:
+        splats: The Gaussians, as stored; they are activated here.
+        cameras: One or more cameras that share an image size.
+        features: More channels to composite in the same pass, such as the identities; they
+            follow the three colours.
+        background: RGB behind everything; black by default. Features have 0 behind them.
+        sh_degree: How many bands of colour to use; all of them by default.
+        backend: `auto` takes `cuda` for tensors on a GPU and `cpu` for the others.
+
+    Returns:
+        The image, linear in the features and not clamped above 1; the coverage; and gsplat's
+        `means2d` [C,N,2], `conics` [C,N,3], `depths` [C,N] and `radii` [C,N,2] (0 = not seen).
+
+    Raises:
+        StyleSplatError: If the cameras differ in size or gsplat is not installed.
+    """
+    width, height = cameras.size
+    cameras = cameras.to(splats.device)
+    module = _module(backend, splats.device)
+    sh = torch.cat([splats.sh0, splats.shN], dim=1)
+    degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
+    positions = cameras.positions.to(splats.means)
+    colors = torch.stack(
+        [module.spherical_harmonics(degree, splats.means - origin, sh) for origin in positions]
+    )  # [C, N, 3]
+    if features is not None:
+        colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
+    render_colors, render_alphas, info = module.rasterize(
+        *(splats.means, splats.quats, splats.scales.exp(), torch.sigmoid(splats.opacities)),
+        *(colors, cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)),
+        *(width, height),
+    )
+    if background is not None:
+        padding = background.new_zeros(colors.shape[-1] - 3)
+        behind = torch.cat([background, padding]).to(render_colors)
+        render_colors = render_colors + (1 - render_alphas) * behind
+    return render_colors, render_alphas, info
+
+
+def _module(backend: Backend, device: torch.device) -> ModuleType:
+    if backend == "auto":
+        backend = "cuda" if device.type == "cuda" else "cpu"
+    if backend == "reference":
+        from stylesplat.rendering import reference
+
+        return reference
+    if backend == "cpu":
+        from stylesplat.rendering import cpu
+
+        return cpu
+    if find_spec("gsplat") is None:
+        raise StyleSplatError(
+            "Rendering on a GPU needs gsplat, which is not installed. "
+            "Run `pip install stylesplat[cuda]`, or choose the cpu device."
+        )
+    from stylesplat.rendering import cuda
+
+    return cuda

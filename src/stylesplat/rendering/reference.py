@@ -1,0 +1,161 @@
+"""The rasteriser's specification: plain torch, any dtype, autograd for the gradients.
+
+Slow by design; every other backend is tested against it. Semantics are those of gsplat 1.5.3
+(`rasterization`, classic mode).
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.rendering import constants as const
+from stylesplat.rendering.sh import sh_colors
+
+PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
+
+Info = dict[str, Tensor]
+
+spherical_harmonics = sh_colors
+
+
+def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
+    """Rotation matrices of wxyz quaternions of any norm."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
+    rows = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
+
+
+def perspective_jacobian(
+    means_c: Float[Tensor, "N 3"], K: Float[Tensor, "3 3"], width: int, height: int
+) -> Float[Tensor, "N 2 3"]:
+    """Derivative of pixel by camera position, held constant far outside the image."""
+    x, y, z = means_c.unbind(-1)
+    zero = torch.zeros_like(z)
+
+    def clamped(t: Tensor, focal: Tensor, centre: Tensor, size: int) -> Tensor:
+        margin = const.FOV_MARGIN * 0.5 * size / focal
+        low, high = -(centre / focal + margin), (size - centre) / focal + margin
+        return z * torch.minimum(torch.maximum(t / z, low), high)
+
+    x = clamped(x, K[0, 0], K[0, 2], width)
+    y = clamped(y, K[1, 1], K[1, 2], height)
+    row_x = torch.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], dim=-1)
+    row_y = torch.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], dim=-1)
+    return torch.stack([row_x, row_y], dim=-2)
+
+
+def project(
+    means: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    opacities: Float[Tensor, " N"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    *,
+    width: int,
+    height: int,
+) -> Info:
+    """Elliptical weighted average projection of one camera's Gaussians.
+
+    Returns:
+        `means2d` [N,2] and `conics` [N,3] (inverse covariance xx, xy, yy) in pixels, `depths`
+        [N], and `radii` [N,2] in whole pixels, 0 for Gaussians that this camera does not see.
+    """
+    rotation = viewmat[:3, :3]
+    means_c = means @ rotation.T + viewmat[:3, 3]
+    axes = rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [N, 3, 3]
+    depths = means_c[:, 2]
+    in_range = (depths > const.NEAR_PLANE) & (depths < const.FAR_PLANE)
+    means_c = torch.where(in_range[:, None], means_c, means_c.new_tensor([0.0, 0.0, 1.0]))
+    axes2d = perspective_jacobian(means_c, K, width, height) @ axes  # [N, 2, 3]
+    eye = torch.eye(2, dtype=means.dtype, device=means.device)
+    covars2d = axes2d @ axes2d.mT + const.EPS2D * eye
+    conics = torch.linalg.inv(covars2d).flatten(1)[:, [0, 1, 3]]
+    means2d = torch.stack(
+        [
+            K[0, 0] * means_c[:, 0] / means_c[:, 2] + K[0, 2],
+            K[1, 1] * means_c[:, 1] / means_c[:, 2] + K[1, 2],
+        ],
+        dim=-1,
+    )
+    radii = _radii(covars2d, opacities)
+    low, high = means2d - radii, means2d + radii
+    size = means2d.new_tensor([width, height])
+    on_screen = ((high > 0) & (low < size)).all(dim=-1)
+    seen = in_range & on_screen & (opacities >= const.MIN_ALPHA)
+    radii = torch.where(seen[:, None], radii, 0).to(torch.int32)
+    return {"means2d": means2d, "conics": conics, "depths": depths, "radii": radii}
+
+
+@torch.no_grad()
+def _radii(covars2d: Tensor, opacities: Tensor) -> Tensor:
+    fade = 2 * torch.log(opacities.clamp(min=const.MIN_ALPHA) / const.MIN_ALPHA)
+    extent = fade.sqrt().clamp(max=const.MAX_EXTENT)[:, None]
+    return (extent * covars2d.diagonal(dim1=-2, dim2=-1).sqrt()).ceil()
+
+
+def blend(
+    info: Info,
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "N D"],
+    *,
+    width: int,
+    height: int,
+) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
+    """Composite one camera's projected Gaussians front to back."""
+    seen = (info["radii"] > 0).all(dim=-1).nonzero()[:, 0]
+    order = seen[torch.argsort(info["depths"][seen], stable=True)]
+    means2d, conics = info["means2d"][order], info["conics"][order]
+    ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d) + 0.5  # [P, 2]
+    parts = []
+    for chunk in pixels.split(PIXELS_AT_ONCE):
+        weights = _blend_weights(chunk, means2d, conics, opacities[order])  # [P, M]
+        alphas = weights.sum(dim=1, keepdim=True)
+        parts.append(torch.cat([weights @ colors[order], alphas], dim=1))
+    image = torch.cat(parts).reshape(height, width, -1)
+    return image[..., :-1], image[..., -1:]
+
+
+def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: Tensor) -> Tensor:
+    dx, dy = (pixels[:, None] - means2d[None]).unbind(-1)  # [P, M]
+    a, b, c = conics.unbind(-1)
+    sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+    alphas = (opacities * torch.exp(-sigma)).clamp(max=const.MAX_ALPHA)
+    alphas = torch.where((sigma >= 0) & (alphas >= const.MIN_ALPHA), alphas, 0)
+    live = torch.cumprod(1 - alphas, dim=1) > const.MIN_TRANSMITTANCE
+    alphas = torch.where(live, alphas, 0)
+    after = torch.cumprod(1 - alphas, dim=1)
+    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
+    return alphas * before
+
+
+def rasterize(
+    means: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "C N D"],
+    viewmats: Float[Tensor, "C 4 4"],
+    Ks: Float[Tensor, "C 3 3"],
+    width: int,
+    height: int,
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+    """Render activated Gaussians; see `rendering.rasterize` for what users call."""
+    infos, images, alphas = [], [], []
+    for camera in range(len(viewmats)):
+        info = project(
+            *(means, quats, scales, opacities, viewmats[camera], Ks[camera]),
+            width=width,
+            height=height,
+        )
+        image, alpha = blend(info, opacities, colors[camera], width=width, height=height)
+        infos.append(info)
+        images.append(image)
+        alphas.append(alpha)
+    info = {key: torch.stack([i[key] for i in infos]) for key in infos[0]}
+    return torch.stack(images), torch.stack(alphas), info

@@ -1,0 +1,89 @@
+"""The `Cameras` noun: undistorted pinhole cameras with names."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """C pinhole cameras in OpenCV axes; pixel centres lie at +0.5."""
+
+    viewmats: Float[Tensor, "C 4 4"]
+    """World to camera."""
+    Ks: Float[Tensor, "C 3 3"]
+    """Intrinsics in pixels."""
+    sizes: Int[Tensor, "C 2"]
+    """Width and height in pixels."""
+    names: tuple[str, ...]
+    """The image's file name of each camera."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int | slice | Sequence[int]) -> "Cameras":
+        if isinstance(index, int):
+            index = [index]
+        picked = range(len(self))[index] if isinstance(index, slice) else index
+        rows = [range(len(self))[i] for i in picked]
+        return Cameras(
+            viewmats=self.viewmats[rows],
+            Ks=self.Ks[rows],
+            sizes=self.sizes[rows],
+            names=tuple(self.names[i] for i in rows),
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The width and height that all cameras share.
+
+        Raises:
+            StyleSplatError: If the cameras differ in size.
+        """
+        sizes = {(w, h) for w, h in self.sizes.tolist()}
+        if len(sizes) != 1:
+            raise StyleSplatError(
+                f"Expected cameras of one size, got {sorted(sizes)}. Render them one by one."
+            )
+        return sizes.pop()
+
+    @property
+    def positions(self) -> Float[Tensor, "C 3"]:
+        """Camera centres in the world."""
+        rotations = self.viewmats[:, :3, :3]
+        return -torch.einsum("cji,cj->ci", rotations, self.viewmats[:, :3, 3])
+
+    def index(self, name: str) -> int:
+        """The row of the camera of this file name, the extension optional.
+
+        Raises:
+            StyleSplatError: If no camera, or more than one, has that name.
+        """
+        if name in self.names:
+            return self.names.index(name)
+        stems = [n for n in self.names if n.rsplit(".", 1)[0] == name]
+        if len(stems) == 1:
+            return self.names.index(stems[0])
+        raise StyleSplatError(
+            f"No view is called {name!r}. Views: {', '.join(self.names[:8])}"
+            f"{', ...' if len(self) > 8 else ''}."
+        )
+
+    def downscale(self, factor: float) -> "Cameras":
+        """The same cameras for images `factor` times smaller, sizes rounded to whole pixels."""
+        if factor == 1:
+            return self
+        sizes = (self.sizes / factor).round().clamp(min=1)
+        ratio = sizes / self.sizes  # [C, 2]
+        Ks = self.Ks.clone()
+        Ks[:, :2] *= ratio[:, :, None].to(Ks)
+        return replace(self, Ks=Ks, sizes=sizes.to(self.sizes.dtype))
+
+    def to(self, device: torch.device | str) -> "Cameras":
+        """The same cameras on another device; `sizes` stay on the CPU."""
+        return replace(self, viewmats=self.viewmats.to(device), Ks=self.Ks.to(device))

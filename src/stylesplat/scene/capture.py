@@ -1,0 +1,39 @@
+"""The `Capture` noun: posed photos, with label maps if there are any."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Posed photos. Photos and label maps are sequences that may load on access."""
+
+    cameras: Cameras
+    """One per photo, of the photo's size."""
+    photos: Sequence[UInt8[Tensor, "H W 3"]]
+    """Undistorted photos, sRGB."""
+    label_maps: Sequence[Int[Tensor, "H W"] | None] | None = None
+    """Per photo the label id of each pixel, 0 = background; None where a photo has none."""
+    points: Float[Tensor, "M 3"] | None = None
+    """Sparse points in the world, to start training from."""
+    point_colors: UInt8[Tensor, "M 3"] | None = None
+    """Colours of `points`."""
+    path: Path | None = None
+    """The folder that this was read from."""
+
+    def __post_init__(self) -> None:
+        for what, items in (("photos", self.photos), ("label maps", self.label_maps)):
+            if items is not None and len(items) != len(self.cameras):
+                raise StyleSplatError(
+                    f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
+                )
+
+    def __len__(self) -> int:
+        return len(self.cameras)

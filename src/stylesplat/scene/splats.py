@@ -1,0 +1,86 @@
+"""The `Splats` noun: a set of 3D Gaussians, with the objects they belong to."""
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+IDENTITY_SIZE = 16  # numbers per Gaussian that encode its object (Gaussian Grouping)
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """Linear decoder from identities to the label ids of a capture."""
+
+    weight: Float[Tensor, "K 16"]
+    """One row per class."""
+    bias: Float[Tensor, " K"]
+    """One number per class."""
+    ids: tuple[int, ...]
+    """The user's label id of each class; 0 is background."""
+
+    def logits(self, identities: Float[Tensor, "*B 16"]) -> Float[Tensor, "*B K"]:
+        """Class scores before the softmax, one column per entry of `ids`."""
+        return identities @ self.weight.T + self.bias
+
+    def to(self, device: torch.device | str) -> "Classifier":
+        """The same classifier on another device."""
+        return replace(self, weight=self.weight.to(device), bias=self.bias.to(device))
+
+
+@dataclass(frozen=True)
+class Splats:
+    """N Gaussians as they are stored: scales are log, opacities logit, quats any norm.
+
+    The spherical harmonics follow gsplat: `sh0` is the constant band, `shN` the others, in the
+    order of the INRIA code. Colour is `0.5 + sum(sh * basis)`, clamped at 0.
+    """
+
+    means: Float[Tensor, "N 3"]
+    """Centres in the capture's world frame."""
+    quats: Float[Tensor, "N 4"]
+    """Rotations, wxyz."""
+    scales: Float[Tensor, "N 3"]
+    """Logarithms of the standard deviations along the axes."""
+    opacities: Float[Tensor, " N"]
+    """Logits."""
+    sh0: Float[Tensor, "N 1 3"]
+    """Constant colour band."""
+    shN: Float[Tensor, "N _ 3"]
+    """Higher colour bands: 0, 3, 8 or 15 of them."""
+    identities: Float[Tensor, "N 16"] | None = None
+    """What object each Gaussian belongs to, to be read by `classifier`."""
+    classifier: Classifier | None = None
+    """Decoder of `identities`; None without label maps."""
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def __getitem__(self, index: Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "Splats":
+        return replace(self, **{name: t[index] for name, t in self.tensors().items()})
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors live."""
+        return self.means.device
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics stored, 0 to 3."""
+        return int((self.shN.shape[1] + 1) ** 0.5) - 1
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The per-Gaussian tensors that are present, by field name."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, Tensor)}
+
+    def to(self, device: torch.device | str) -> "Splats":
+        """The same splats on another device."""
+        moved = {name: t.to(device) for name, t in self.tensors().items()}
+        classifier = self.classifier.to(device) if self.classifier else None
+        return replace(self, **moved, classifier=classifier)
+
+    def detach(self) -> "Splats":
+        """The same values, cut from any autograd graph."""
+        return replace(self, **{name: t.detach() for name, t in self.tensors().items()})
