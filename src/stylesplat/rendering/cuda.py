@@ -1,6 +1,7 @@
 """Rendering on NVIDIA GPUs, through gsplat 1.5.3."""
 
 import gsplat
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -9,9 +10,13 @@ from stylesplat.rendering.reference import Info
 
 
 def spherical_harmonics(
-    degree: int, dirs: Float[Tensor, "N 3"], sh: Float[Tensor, "N K 3"]
+    degree: int,
+    dirs: Float[Tensor, "N 3"],
+    sh0: Float[Tensor, "N 1 3"],
+    shN: Float[Tensor, "N _ 3"],
 ) -> Float[Tensor, "N 3"]:
     """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+    sh = torch.cat([sh0, shN], dim=1)
     return (gsplat.spherical_harmonics(degree, dirs, sh) + 0.5).clamp(min=0)
 
 

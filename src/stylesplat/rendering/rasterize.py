@@ -46,11 +46,13 @@ def rasterize(
     width, height = cameras.size
     cameras = cameras.to(splats.device)
     module = _module(backend, splats.device)
-    sh = torch.cat([splats.sh0, splats.shN], dim=1)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     positions = cameras.positions.to(splats.means)
     colors = torch.stack(
-        [module.spherical_harmonics(degree, splats.means - origin, sh) for origin in positions]
+        [
+            module.spherical_harmonics(degree, splats.means - origin, splats.sh0, splats.shN)
+            for origin in positions
+        ]
     )  # [C, N, 3]
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)

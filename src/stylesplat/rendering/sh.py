@@ -48,17 +48,20 @@ def sh_basis(degree: int, dirs: Float[Tensor, "N 3"]) -> Float[Tensor, "N K"]:
 def sh_colors(
     degree: int,
     dirs: Float[Tensor, "N 3"],
-    sh: Float[Tensor, "N B 3"],
+    sh0: Float[Tensor, "N 1 3"],
+    shN: Float[Tensor, "N _ 3"],
 ) -> Float[Tensor, "N 3"]:
     """Colours of Gaussians seen along `dirs`, clamped at 0.
 
     Args:
-        degree: How many bands to use; `sh` may hold more.
+        degree: How many bands to use; `shN` may hold more.
         dirs: From the camera to the Gaussians, any norm.
-        sh: `sh0` and `shN`, concatenated.
+        sh0: Constant band.
+        shN: Higher bands.
     """
     basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
-    colors = torch.einsum("nk,nkc->nc", basis, sh[:, : basis.shape[1]])
+    sh = torch.cat([sh0, shN], dim=1)[:, : basis.shape[1]]
+    colors = torch.einsum("nk,nkc->nc", basis, sh)
     return (colors + 0.5).clamp(min=0)
 
 

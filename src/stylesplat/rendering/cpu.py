@@ -1,0 +1,149 @@
+"""Rendering on the CPU: numba kernels behind three differentiable functions.
+
+Float32 by construction. Gradients reach means, quats, scales, opacities and colours; cameras are
+taken as fixed.
+"""
+
+import torch
+from jaxtyping import Float
+from numba import get_num_threads
+from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
+
+from stylesplat.rendering.kernels import blend, project, sh, tiles
+from stylesplat.rendering.reference import Info
+from stylesplat.rendering.sh import sh_bases
+
+
+def _plain(*tensors: Tensor) -> list[Tensor]:
+    return [t.detach().contiguous() for t in tensors]
+
+
+def _arrays(*tensors: Tensor) -> list:
+    return [t.numpy() for t in tensors]
+
+
+class _SphericalHarmonics(Function):
+    @staticmethod
+    def forward(ctx, bases, dirs, sh0, shN):
+        inputs = _plain(dirs, sh0, shN)
+        out = torch.empty_like(inputs[0])
+        sh.colors(bases, *_arrays(*inputs, out))
+        ctx.bases = bases
+        ctx.save_for_backward(*inputs, out)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_out):
+        *inputs, out = ctx.saved_tensors
+        gradients = [torch.zeros_like(t) for t in inputs]
+        arrays = _arrays(*inputs, out, *_plain(v_out), *gradients)
+        sh.colors_backward(ctx.bases, *arrays, get_num_threads())
+        return None, *gradients
+
+
+class _Project(Function):
+    @staticmethod
+    def forward(ctx, means, quats, scales, opacities, viewmat, K, width, height):
+        means, quats, scales, opacities, viewmat, K = _plain(
+            means, quats, scales, opacities, viewmat, K
+        )
+        n = len(means)
+        means2d, conics, depths = means.new_zeros(n, 2), means.new_zeros(n, 3), means.new_zeros(n)
+        radii = torch.zeros(n, 2, dtype=torch.int32)
+        project.project(
+            *_arrays(means, quats, scales, opacities, viewmat, K),
+            *(width, height),
+            *_arrays(means2d, conics, depths, radii),
+        )
+        ctx.size = width, height
+        ctx.save_for_backward(means, quats, scales, viewmat, K, conics, radii)
+        ctx.mark_non_differentiable(depths, radii)
+        return means2d, conics, depths, radii
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_means2d, v_conics, v_depths, v_radii):
+        means, quats, scales, viewmat, K, conics, radii = ctx.saved_tensors
+        gradients = [torch.zeros_like(t) for t in (means, quats, scales)]
+        project.project_backward(
+            *_arrays(means, quats, scales, viewmat, K),
+            *ctx.size,
+            *_arrays(conics, radii, *_plain(v_means2d, v_conics), *gradients),
+        )
+        return *gradients, None, None, None, None, None
+
+
+class _Blend(Function):
+    @staticmethod
+    def forward(ctx, means2d, conics, opacities, colors, depths, radii, width, height):
+        inputs = _plain(means2d, conics, opacities, colors)
+        channels = colors.shape[1]
+        order = tiles.depth_order(*_arrays(depths, radii))
+        rows = means2d.new_zeros(len(order), tiles.row_stride(channels))
+        tiles.pack_rows(order, *_arrays(*inputs, rows))
+        lists = tiles.tile_lists(order, *_arrays(rows, radii), width, height, get_num_threads())
+        image = means2d.new_empty(height, width, channels)
+        transmittances = means2d.new_empty(height, width)
+        flat_rows = rows.view(-1).numpy(), rows.shape[1]
+        outputs = _arrays(image, transmittances)
+        blend.blend((0,) * channels, *flat_rows, *lists, *outputs, get_num_threads())
+        ctx.order, ctx.lists = order, lists
+        ctx.save_for_backward(*inputs, rows, image, transmittances)
+        return image, (1 - transmittances)[..., None]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_image, v_alphas):
+        *inputs, rows, image, transmittances = ctx.saved_tensors
+        channels = image.shape[-1]
+        stride = blend.gradient_stride(channels)
+        partial = rows.new_zeros(get_num_threads(), len(rows), stride)
+        blend.blend_backward(
+            (0,) * channels,
+            *(rows.view(-1).numpy(), rows.shape[1]),
+            *ctx.lists,
+            *_arrays(image, transmittances, *_plain(v_image, v_alphas[..., 0])),
+            partial.view(len(partial), -1).numpy(),
+        )
+        gradients = [torch.zeros_like(t) for t in inputs]
+        blend.collect_gradients(ctx.order, *_arrays(rows, partial, *gradients))
+        return *gradients, None, None, None, None
+
+
+def spherical_harmonics(
+    degree: int,
+    dirs: Float[Tensor, "N 3"],
+    sh0: Float[Tensor, "N 1 3"],
+    shN: Float[Tensor, "N _ 3"],
+) -> Float[Tensor, "N 3"]:
+    """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+    return _SphericalHarmonics.apply(sh_bases(degree), dirs, sh0, shN)  # pyright: ignore
+
+
+def rasterize(
+    means: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "C N D"],
+    viewmats: Float[Tensor, "C 4 4"],
+    Ks: Float[Tensor, "C 3 3"],
+    width: int,
+    height: int,
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+    """Render activated Gaussians; see `reference.rasterize`."""
+    images, alphas, infos = [], [], []
+    for viewmat, K, camera_colors in zip(viewmats, Ks, colors, strict=True):
+        projected = _Project.apply(means, quats, scales, opacities, viewmat, K, width, height)
+        means2d, conics, depths, radii = projected
+        image, alpha = _Blend.apply(
+            means2d, conics, opacities, camera_colors, depths, radii, width, height
+        )
+        images.append(image)
+        alphas.append(alpha)
+        infos.append({"means2d": means2d, "conics": conics, "depths": depths, "radii": radii})
+    info = {key: torch.stack([i[key] for i in infos]) for key in infos[0]}
+    return torch.stack(images), torch.stack(alphas), info

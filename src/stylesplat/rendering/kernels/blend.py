@@ -1,0 +1,257 @@
+"""Compositing tiles front to back, and the gradients of everything that goes in.
+
+Inside a tile the state of each 4 x 4 block is a few vectors of 16 pixels. A pixel's transmittance
+turns negative when the pixel is finished (or lies outside the image): its magnitude still holds
+the value, its sign stops the blending.
+"""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from stylesplat.rendering import constants as const
+from stylesplat.rendering.kernels import vec, vecs
+from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
+
+BLOCKS = 16
+PIXELS = 16  # in a block: the lanes of a vector
+AHEAD = 6  # entries by which rows are prefetched
+MOMENTS = 6  # gradient numbers of the ellipse, in front of the colours'
+MOMENT_CHANNELS = (0,) * MOMENTS
+
+
+@no_type_check
+@numba.njit(cache=True)
+def gradient_stride(channels):
+    """Length of a row of gradients: a multiple of 16 floats."""
+    return -(-(MOMENTS + channels) // vec.LANES) * vec.LANES
+
+
+@no_type_check
+@numba.njit(cache=True)
+def pixel_place(block, lane, tile_x, tile_y):
+    """Column and row in the image of one lane of one block."""
+    x = TILE * tile_x + BLOCK * (block % 4) + lane % 4
+    return x, TILE * tile_y + BLOCK * (block // 4) + lane // 4
+
+
+@no_type_check
+@numba.njit(cache=True)
+def offsets(rows, row, block, tile_x, tile_y):
+    """Distance in x and y from a Gaussian's centre to the pixel centres of a block."""
+    left = np.float32(TILE * tile_x + BLOCK * (block % 4)) + np.float32(0.5)
+    top = np.float32(TILE * tile_y + BLOCK * (block // 4)) + np.float32(0.5)
+    dx = vec.grid(np.float32(1), np.float32(0)) + (left - rows[row])
+    dy = vec.grid(np.float32(0), np.float32(1)) + (top - rows[row + 1])
+    return dx, dy
+
+
+@no_type_check
+@numba.njit(cache=True)
+def exponents(rows, row, dx, dy):
+    """Logarithm of a Gaussian's falloff at some pixels."""
+    x_part = dx * (dx * (rows[row + 2] * np.float32(-0.5)) - dy * rows[row + 3])
+    return vec.fma(dy * dy, rows[row + 4] * np.float32(-0.5), x_part)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def visible(rows, row, s, transmittance):
+    """Lanes that are unfinished and in which the Gaussian reaches the least alpha."""
+    inside = vec.both(vec.greater_equal(s, rows[row + 5]), vec.greater_equal(np.float32(0), s))
+    return vec.both(inside, vec.greater(transmittance, np.float32(0)))
+
+
+@no_type_check
+@numba.njit(cache=True)
+def pass_light(rows, row, s, hit, transmittance):
+    """Composite one Gaussian over some pixels.
+
+    Returns:
+        Unclamped alpha, alpha and weight (0 where it is not drawn), and the new transmittance.
+    """
+    raw = vec.select(hit, vec.exp(s) * rows[row + 6], np.float32(0))
+    alpha = vec.minimum(raw, np.float32(const.MAX_ALPHA))
+    after = transmittance - alpha * transmittance
+    drawn = vec.greater(after, np.float32(const.MIN_TRANSMITTANCE))
+    weight = vec.select(drawn, alpha * transmittance, np.float32(0))
+    finished = vec.both(hit, vec.greater_equal(np.float32(const.MIN_TRANSMITTANCE), after))
+    after = vec.select(finished, transmittance * np.float32(-1), after)
+    return raw, alpha, vec.select(hit, weight, np.float32(0)), after
+
+
+@no_type_check
+@numba.njit(cache=True)
+def open_tile(state, stride, tile_x, tile_y, width, height):
+    """Transmittance 1 inside the image, -1 outside; every other number 0."""
+    state[:] = 0
+    for block in range(BLOCKS):
+        for lane in range(PIXELS):
+            x, y = pixel_place(block, lane, tile_x, tile_y)
+            state[block * stride + lane] = 1 if x < width and y < height else -1
+
+
+@no_type_check
+@numba.njit(cache=True)
+def close_tile(state, stride, tile_x, tile_y, image, transmittances):
+    """Write the colours and transmittances of a tile's state to the image."""
+    height, width, channels = image.shape
+    for block in range(BLOCKS):
+        for lane in range(PIXELS):
+            x, y = pixel_place(block, lane, tile_x, tile_y)
+            if x < width and y < height:
+                place = block * stride + lane
+                transmittances[y, x] = abs(state[place])
+                for c in range(channels):
+                    image[y, x, c] = state[place + (c + 1) * PIXELS]
+
+
+@no_type_check
+@numba.njit(cache=True)
+def blend_entry(channels, rows, row, block, tile_x, tile_y, state, place):
+    """Composite one Gaussian into one block; True if the block has unfinished pixels left."""
+    dx, dy = offsets(rows, row, block, tile_x, tile_y)
+    transmittance = vec.load(state, place)
+    s = exponents(rows, row, dx, dy)
+    hit = visible(rows, row, s, transmittance)
+    if vec.bits(hit) == 0:
+        return True
+    _, _, weight, after = pass_light(rows, row, s, hit, transmittance)
+    vec.store(state, place, after)
+    sums = vecs.load_vecs(state, place + PIXELS, channels)
+    sums = vecs.add_scaled_row(sums, weight, rows, row + ROW_COLORS)
+    vecs.store_vecs(state, place + PIXELS, sums)
+    return vec.bits(vec.greater(after, np.float32(0))) != 0
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def blend(channels, rows, row_stride, starts, ranks, masks, image, transmittances, threads):
+    """Fill the image [H,W,D] and the transmittance that is left [H,W].
+
+    Blocks that are finished are struck from the masks of the entries behind, so that the backward
+    pass visits just what this one has drawn. `channels` is a tuple of length D.
+    """
+    height, width, _ = image.shape
+    tiles_x = -(-width // TILE)
+    stride = PIXELS * (len(channels) + 1)
+    for thread in numba.prange(threads):
+        state = np.empty(BLOCKS * stride, np.float32)
+        for tile in range(thread, starts.shape[0] - 1, threads):
+            tile_x, tile_y = tile % tiles_x, tile // tiles_x
+            open_tile(state, stride, tile_x, tile_y, width, height)
+            live = (1 << BLOCKS) - 1
+            for entry in range(starts[tile], starts[tile + 1]):
+                ahead = min(entry + AHEAD, ranks.shape[0] - 1)
+                vec.prefetch(rows, ranks[ahead] * row_stride)
+                todo = np.int64(masks[entry]) & live
+                masks[entry] = todo
+                while todo != 0:
+                    block = vec.lowest_bit(todo)
+                    todo &= todo - 1
+                    row = ranks[entry] * row_stride
+                    place = block * stride
+                    if not blend_entry(channels, rows, row, block, tile_x, tile_y, state, place):
+                        live &= ~(1 << block)
+            close_tile(state, stride, tile_x, tile_y, image, transmittances)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def open_gradients(state, stride, tile_x, tile_y, image, transmittances, v_image, v_alphas):
+    """Per block: transmittance, the gradient-weighted light still to come, pixel gradients."""
+    height, width, channels = image.shape
+    open_tile(state, stride, tile_x, tile_y, width, height)
+    for block in range(BLOCKS):
+        for lane in range(PIXELS):
+            x, y = pixel_place(block, lane, tile_x, tile_y)
+            if x < width and y < height:
+                place = block * stride + lane
+                rest = -transmittances[y, x] * v_alphas[y, x]
+                for c in range(channels):
+                    gradient = v_image[y, x, c]
+                    rest += gradient * image[y, x, c]
+                    state[place + (c + 2) * PIXELS] = gradient
+                state[place + PIXELS] = rest
+
+
+@no_type_check
+@numba.njit(cache=True)
+def entry_gradients(rows, row, dx, dy, state, place, moments, sums):
+    """Add one block's share to a Gaussian's gradients; see `blend_backward`."""
+    transmittance = vec.load(state, place)
+    s = exponents(rows, row, dx, dy)
+    hit = visible(rows, row, s, transmittance)
+    if vec.bits(hit) == 0:
+        return moments, sums
+    raw, alpha, weight, after = pass_light(rows, row, s, hit, transmittance)
+    gradients = vecs.load_vecs(state, place + 2 * PIXELS, sums)
+    gain = weight * vecs.dot_row(gradients, rows, row + ROW_COLORS)
+    rest = vec.load(state, place + PIXELS) - gain
+    vec.store(state, place, after)
+    vec.store(state, place + PIXELS, rest)
+    drawn = vec.both(
+        vec.greater(weight, np.float32(0)),
+        vec.greater_equal(np.float32(const.MAX_ALPHA), raw),
+    )
+    v_s = vec.select(drawn, gain - alpha * rest / (np.float32(1) - alpha), np.float32(0))
+    moments = vecs.add_products(moments, v_s, vecs.monomials(dx, dy))
+    return moments, vecs.add_products(sums, weight, gradients)
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def blend_backward(
+    channels, rows, row_stride, starts, ranks, masks, image, transmittances, v_image, v_alphas, out
+):
+    """Add each thread's gradients to its own rows `out` [threads, M * stride].
+
+    A row holds the moments sum(v_s), of 1, x, y, x x, x y, y y, where v_s is the gradient of the
+    exponent at a pixel and x, y its offset from the Gaussian; then the gradients of the colours.
+    """
+    tiles_x = -(-image.shape[1] // TILE)
+    stride = PIXELS * (len(channels) + 2)
+    out_stride = gradient_stride(len(channels))
+    threads = out.shape[0]
+    for thread in numba.prange(threads):
+        state = np.empty(BLOCKS * stride, np.float32)
+        mine = out[thread]
+        for tile in range(thread, starts.shape[0] - 1, threads):
+            x, y = tile % tiles_x, tile // tiles_x
+            open_gradients(state, stride, x, y, image, transmittances, v_image, v_alphas)
+            for entry in range(starts[tile], starts[tile + 1]):
+                ahead = ranks[min(entry + AHEAD, ranks.shape[0] - 1)]
+                vec.prefetch(rows, ahead * row_stride)
+                vec.prefetch(mine, ahead * out_stride)
+                todo = np.int64(masks[entry])
+                if todo == 0:
+                    continue
+                row = ranks[entry] * row_stride
+                moments, sums = vecs.zeros(MOMENT_CHANNELS), vecs.zeros(channels)
+                while todo != 0:
+                    block = vec.lowest_bit(todo)
+                    todo &= todo - 1
+                    dx, dy = offsets(rows, row, block, x, y)
+                    moments, sums = entry_gradients(
+                        rows, row, dx, dy, state, block * stride, moments, sums
+                    )
+                vecs.add_lane_sums(mine, ranks[entry] * out_stride, moments, sums)
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def collect_gradients(order, rows, partial, v_means2d, v_conics, v_opacities, v_colors):
+    """Sum the threads' rows [threads, M, stride] into the gradients of the Gaussians drawn."""
+    for rank in numba.prange(order.shape[0]):
+        i = order[rank]
+        total = partial[0, rank]
+        for thread in range(1, partial.shape[0]):
+            total += partial[thread, rank]
+        a, b, c = rows[rank, 2], rows[rank, 3], rows[rank, 4]
+        v_means2d[i, 0] = a * total[1] + b * total[2]
+        v_means2d[i, 1] = b * total[1] + c * total[2]
+        v_conics[i, 0], v_conics[i, 1], v_conics[i, 2] = -0.5 * total[3], -total[4], -0.5 * total[5]
+        v_opacities[i] = total[0] / rows[rank, 6]
+        for channel in range(v_colors.shape[1]):
+            v_colors[i, channel] = total[MOMENTS + channel]

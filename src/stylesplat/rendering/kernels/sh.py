@@ -1,0 +1,110 @@
+"""Spherical harmonics on the CPU, with gradients of coefficients and directions.
+
+The basis is `rendering.sh.sh_basis`'s: same order, same signs.
+"""
+
+from math import sqrt
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from stylesplat.rendering.sh import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL
+
+A2, B2, C2 = SH_C2
+A3, B3, C3 = SH_C3
+ZONAL, TESSERAL = SH_C3_ZONAL
+
+
+@no_type_check
+@numba.njit(cache=True)
+def basis(x, y, z):
+    """The 16 basis functions at a unit direction."""
+    xx, yy, zz = x * x, y * y, z * z
+    return (
+        SH_C0,
+        -SH_C1 * y,
+        SH_C1 * z,
+        -SH_C1 * x,
+        A2 * x * y,
+        -A2 * y * z,
+        B2 * (3 * zz - 1),
+        -A2 * x * z,
+        C2 * (xx - yy),
+        -A3 * y * (3 * xx - yy),
+        B3 * x * y * z,
+        -C3 * y * (5 * zz - 1),
+        ZONAL * z * (5 * zz - 3),
+        -C3 * x * (5 * zz - 1),
+        TESSERAL * z * (xx - yy),
+        -A3 * x * (xx - 3 * yy),
+    )
+
+
+@no_type_check
+@numba.njit(cache=True)
+def basis_gradient(x, y, z, s):
+    """The gradient by direction of the sum of `s[k]` times basis function k.
+
+    `s` holds 16 numbers, 0 for the bands that are not in use.
+    """
+    xx, yy, zz = x * x, y * y, z * z
+    v_x = -SH_C1 * s[3] + A2 * (y * s[4] - z * s[7]) + 2 * C2 * x * s[8]
+    v_y = -SH_C1 * s[1] + A2 * (x * s[4] - z * s[5]) - 2 * C2 * y * s[8]
+    v_z = SH_C1 * s[2] - A2 * (y * s[5] + x * s[7]) + 6 * B2 * z * s[6]
+    v_x += -6 * A3 * x * y * s[9] + B3 * y * z * s[10] - C3 * (5 * zz - 1) * s[13]
+    v_x += 2 * TESSERAL * x * z * s[14] - 3 * A3 * (xx - yy) * s[15]
+    v_y += -3 * A3 * (xx - yy) * s[9] + B3 * x * z * s[10] - C3 * (5 * zz - 1) * s[11]
+    v_y += -2 * TESSERAL * y * z * s[14] + 6 * A3 * x * y * s[15]
+    v_z += B3 * x * y * s[10] - 10 * C3 * z * (y * s[11] + x * s[13])
+    v_z += 3 * ZONAL * (5 * zz - 1) * s[12] + TESSERAL * (xx - yy) * s[14]
+    return v_x, v_y, v_z
+
+
+@no_type_check
+@numba.njit(cache=True)
+def unit(direction):
+    """A direction of norm 1, and the inverse of the norm that it had."""
+    x, y, z = direction[0], direction[1], direction[2]
+    inverse = 1 / max(sqrt(x * x + y * y + z * z), 1e-12)
+    return x * inverse, y * inverse, z * inverse, inverse
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def colors(bases, dirs, sh0, shN, out):
+    """Fill `out` [N,3] with the colours, clamped at 0; `bases` is 1, 4, 9 or 16."""
+    for i in numba.prange(dirs.shape[0]):
+        x, y, z, _ = unit(dirs[i])
+        values = basis(x, y, z)
+        for c in range(3):
+            total = 0.5 + values[0] * sh0[i, 0, c]
+            for k in range(1, bases):
+                total += values[k] * shN[i, k - 1, c]
+            out[i, c] = max(total, 0.0)
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def colors_backward(bases, dirs, sh0, shN, out, v_out, v_dirs, v_sh0, v_shN, threads):
+    """Fill the gradients of directions and coefficients; rows without gradient stay 0."""
+    n = dirs.shape[0]
+    for t in numba.prange(threads):
+        sums = np.empty(16)
+        for i in range(t * n // threads, (t + 1) * n // threads):
+            if v_out[i, 0] == 0 and v_out[i, 1] == 0 and v_out[i, 2] == 0:
+                continue
+            x, y, z, inverse = unit(dirs[i])
+            values = basis(x, y, z)
+            sums[:] = 0
+            for c in range(3):
+                v = v_out[i, c] if out[i, c] > 0 else 0.0
+                v_sh0[i, 0, c] = values[0] * v
+                for k in range(1, bases):
+                    v_shN[i, k - 1, c] = values[k] * v
+                    sums[k] += shN[i, k - 1, c] * v
+            v_x, v_y, v_z = basis_gradient(x, y, z, sums)
+            radial = v_x * x + v_y * y + v_z * z
+            v_dirs[i, 0] = (v_x - radial * x) * inverse
+            v_dirs[i, 1] = (v_y - radial * y) * inverse
+            v_dirs[i, 2] = (v_z - radial * z) * inverse

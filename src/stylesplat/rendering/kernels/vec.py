@@ -1,0 +1,236 @@
+"""Sixteen float32 lanes as one value inside numba kernels.
+
+LLVM lowers `<16 x float>` to AVX-512, two AVX2 or four NEON registers. Plain loops that numba
+vectorises by itself were several times slower here. `Vec` has `+ - * /` with another `Vec` or a
+number, fused multiply-add, comparisons that give a 16-lane mask, and exp; `vecs.py` adds tuples
+of vectors. numba does not notice edits of these two files in the caches of their callers: after
+an edit, delete `__pycache__` in this folder.
+"""
+
+import operator
+from typing import no_type_check
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, overload, register_jitable, register_model
+
+LANES = 16
+F32 = ir.FloatType()
+I32 = ir.IntType(32)
+VEC = ir.VectorType(F32, LANES)
+MASK = ir.VectorType(ir.IntType(1), LANES)
+
+
+class VecType(types.Type):
+    """Type of 16 float32 lanes."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Vec")
+
+
+class MaskType(types.Type):
+    """Type of 16 booleans."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Mask")
+
+
+vec, mask = VecType(), MaskType()
+
+
+@register_model(VecType)
+class _VecModel(models.PrimitiveModel):
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, VEC)
+
+
+@register_model(MaskType)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, MASK)
+
+
+def emit_broadcast(builder, scalar):
+    """All lanes set to a scalar."""
+    first = builder.insert_element(ir.Constant(VEC, ir.Undefined), scalar, ir.Constant(I32, 0))
+    zeros = ir.Constant(ir.VectorType(I32, LANES), [0] * LANES)
+    return builder.shuffle_vector(first, ir.Constant(VEC, ir.Undefined), zeros)
+
+
+def emit_address(context, builder, array_type, array, index):
+    """Pointer to an element of a flat array."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(data, [index])
+
+
+def emit_load(builder, address):
+    """Sixteen floats from memory of any alignment."""
+    return builder.load(builder.bitcast(address, VEC.as_pointer()), align=4)
+
+
+def emit_store(builder, value, address):
+    """Sixteen floats to memory of any alignment."""
+    builder.store(value, builder.bitcast(address, VEC.as_pointer()), align=4)
+
+
+def emit_call(builder, name, result, args):
+    """Call of an LLVM intrinsic."""
+    signature = ir.FunctionType(result, [a.type for a in args])
+    function = cgutils.get_or_insert_function(builder.module, signature, name)
+    return builder.call(function, args)
+
+
+def emit_fma(builder, a, b, c):
+    """a b + c, rounded once."""
+    return emit_call(builder, "llvm.fma.v16f32", VEC, [a, b, c])
+
+
+def _lanes(builder, types_, args):
+    return [
+        emit_broadcast(builder, a) if isinstance(t, types.Float) else a
+        for t, a in zip(types_, args, strict=True)
+    ]
+
+
+def _lane_op(arity, emit, result=vec):
+    """An intrinsic of Vecs or masks; float arguments are broadcast to all lanes."""
+
+    def typed(*operands):
+        operands = [types.float32 if isinstance(o, types.Float) else o for o in operands]
+
+        def codegen(context, builder, signature, args):
+            return emit(builder, *_lanes(builder, signature.args, args))
+
+        return result(*operands), codegen
+
+    if arity == 1:
+        return intrinsic(no_type_check(lambda typingctx, a: typed(a)))
+    if arity == 2:
+        return intrinsic(no_type_check(lambda typingctx, a, b: typed(a, b)))
+    return intrinsic(no_type_check(lambda typingctx, a, b, c: typed(a, b, c)))
+
+
+def _overload_operator(symbol, name):
+    operation = _lane_op(2, lambda builder, a, b: getattr(builder, name)(a, b))
+
+    @overload(symbol)
+    @no_type_check
+    def implementation(a, b):
+        operands = isinstance(a, (VecType, types.Float)), isinstance(b, (VecType, types.Float))
+        if all(operands) and (a is vec or b is vec):
+            return lambda a, b: operation(a, b)
+
+
+_overload_operator(operator.add, "fadd")
+_overload_operator(operator.sub, "fsub")
+_overload_operator(operator.mul, "fmul")
+_overload_operator(operator.truediv, "fdiv")
+
+fma = _lane_op(3, emit_fma)
+"""`a * b + c`, rounded once."""
+minimum = _lane_op(2, lambda b, x, y: emit_call(b, "llvm.minnum.v16f32", VEC, [x, y]))
+maximum = _lane_op(2, lambda b, x, y: emit_call(b, "llvm.maxnum.v16f32", VEC, [x, y]))
+greater = _lane_op(2, lambda b, x, y: b.fcmp_ordered(">", x, y), mask)
+greater_equal = _lane_op(2, lambda b, x, y: b.fcmp_ordered(">=", x, y), mask)
+both = _lane_op(2, lambda b, x, y: b.and_(x, y), mask)
+select = _lane_op(3, lambda b, m, x, y: b.select(m, x, y))
+"""Lanes of the second argument where the mask holds, else of the third."""
+absolute = _lane_op(1, lambda b, x: emit_call(b, "llvm.fabs.v16f32", VEC, [x]))
+
+
+@intrinsic
+@no_type_check
+def load(typingctx, array, index):
+    """The 16 numbers of a flat float32 array that start at `index`."""
+
+    def codegen(context, builder, signature, args):
+        return emit_load(builder, emit_address(context, builder, signature.args[0], *args))
+
+    return vec(array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def store(typingctx, array, index, value):
+    """Write 16 numbers to a flat float32 array, starting at `index`."""
+
+    def codegen(context, builder, signature, args):
+        emit_store(builder, args[2], emit_address(context, builder, signature.args[0], *args[:2]))
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp, vec), codegen
+
+
+@intrinsic
+@no_type_check
+def prefetch(typingctx, array, index):
+    """Ask for the cache line of `array[index]`."""
+
+    def codegen(context, builder, signature, args):
+        byte = ir.IntType(8).as_pointer()
+        address = emit_address(context, builder, signature.args[0], *args)
+        hints = [ir.Constant(I32, n) for n in (0, 3, 1)]  # read, keep, data
+        arguments = [builder.bitcast(address, byte), *hints]
+        emit_call(builder, "llvm.prefetch.p0", ir.VoidType(), arguments)
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def bits(typingctx, lanes):
+    """A mask as an integer, lane 0 in the lowest bit."""
+
+    def codegen(context, builder, signature, args):
+        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), ir.IntType(64))
+
+    return types.int64(lanes), codegen
+
+
+@intrinsic
+@no_type_check
+def lowest_bit(typingctx, integer):
+    """Position of the lowest set bit of an integer that is not 0."""
+
+    def codegen(context, builder, signature, args):
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), codegen
+
+
+@intrinsic
+@no_type_check
+def grid(typingctx, step_x, step_y):
+    """Lane l holds `step_x * (l % 4) + step_y * (l // 4)`: the offsets of a 4 x 4 block."""
+
+    def codegen(context, builder, signature, args):
+        column = ir.Constant(VEC, [float(lane % 4) for lane in range(LANES)])
+        row = ir.Constant(VEC, [float(lane // 4) for lane in range(LANES)])
+        x, y = (emit_broadcast(builder, a) for a in args)
+        return builder.fadd(builder.fmul(column, x), builder.fmul(row, y))
+
+    return vec(types.float32, types.float32), codegen
+
+
+# Minimax polynomial of exp on -0.7..0, relative error 2e-7 before the eighth power.
+EXP_TERMS = (
+    *(0.9999999403953552, 0.9999925494194031, 0.4998825788497925),
+    *(0.1659739762544632, 0.039772555232048035, 0.005846756976097822),
+)
+
+
+@register_jitable
+@no_type_check
+def exp(x):
+    """exp(x) for -5.6 <= x <= 0, to 2e-6 relative: a polynomial in x / 8, to the eighth power."""
+    y = x * 0.125
+    p = fma(y, EXP_TERMS[5], y * 0.0 + EXP_TERMS[4])
+    p = fma(p, y, EXP_TERMS[3])
+    p = fma(p, y, EXP_TERMS[2])
+    p = fma(p, y, EXP_TERMS[1])
+    p = fma(p, y, EXP_TERMS[0])
+    p = p * p
+    p = p * p
+    return p * p

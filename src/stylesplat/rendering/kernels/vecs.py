@@ -1,0 +1,204 @@
+"""Tuples of vectors, one per channel, held in registers: see `vec.py`.
+
+`Vecs[n]` is n values of type `Vec`. n is the length of a tuple that the caller passes, hence known
+to the compiler, so each number of channels has its own unrolled code.
+"""
+
+from typing import no_type_check
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, models, register_model
+
+from stylesplat.rendering.kernels.vec import (
+    I32,
+    LANES,
+    VEC,
+    emit_address,
+    emit_broadcast,
+    emit_fma,
+    emit_load,
+    emit_store,
+    vec,
+)
+
+
+class VecsType(types.Type):
+    """Type of `count` vectors."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        super().__init__(name=f"Vecs[{count}]")
+
+
+@register_model(VecsType)
+class _VecsModel(models.PrimitiveModel):
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, ir.ArrayType(VEC, fe_type.count))
+
+
+def _count(like):
+    return like.count if isinstance(like, VecsType) else len(like)
+
+
+def _unpack(builder, vecs, count):
+    return [builder.extract_value(vecs, i) for i in range(count)]
+
+
+def _pack(builder, values):
+    packed = ir.Constant(ir.ArrayType(VEC, len(values)), ir.Undefined)
+    for i, value in enumerate(values):
+        packed = builder.insert_value(packed, value, i)
+    return packed
+
+
+@intrinsic
+@no_type_check
+def zeros(typingctx, channels):
+    """`Vecs` of zeros, one per element of the tuple `channels`."""
+
+    def codegen(context, builder, signature, args):
+        return _pack(builder, [ir.Constant(VEC, None)] * len(channels))
+
+    return VecsType(len(channels))(channels), codegen
+
+
+@intrinsic
+@no_type_check
+def load_vecs(typingctx, array, index, like):
+    """`Vecs` from consecutive memory, as many as the `Vecs` or tuple `like`."""
+
+    def codegen(context, builder, signature, args):
+        first = emit_address(context, builder, signature.args[0], *args[:2])
+        step = [builder.gep(first, [ir.Constant(I32, LANES * i)]) for i in range(_count(like))]
+        return _pack(builder, [emit_load(builder, address) for address in step])
+
+    return VecsType(_count(like))(array, types.intp, like), codegen
+
+
+@intrinsic
+@no_type_check
+def store_vecs(typingctx, array, index, vecs):
+    """Write `Vecs` to consecutive memory."""
+
+    def codegen(context, builder, signature, args):
+        first = emit_address(context, builder, signature.args[0], *args[:2])
+        for i, value in enumerate(_unpack(builder, args[2], vecs.count)):
+            emit_store(builder, value, builder.gep(first, [ir.Constant(I32, LANES * i)]))
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp, vecs), codegen
+
+
+def _scalars(context, builder, array_type, array, index, count):
+    first = emit_address(context, builder, array_type, array, index)
+    return [builder.load(builder.gep(first, [ir.Constant(I32, i)])) for i in range(count)]
+
+
+@intrinsic
+@no_type_check
+def add_scaled_row(typingctx, vecs, weight, array, index):
+    """`vecs[i] + weight * array[index + i]` for every i."""
+
+    def codegen(context, builder, signature, args):
+        row = _scalars(context, builder, signature.args[2], *args[2:], vecs.count)
+        sums = _unpack(builder, args[0], vecs.count)
+        pairs = zip(sums, row, strict=True)
+        return _pack(
+            builder, [emit_fma(builder, args[1], emit_broadcast(builder, r), s) for s, r in pairs]
+        )
+
+    return vecs(vecs, vec, array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def dot_row(typingctx, vecs, array, index):
+    """The sum over i of `vecs[i] * array[index + i]`."""
+
+    def codegen(context, builder, signature, args):
+        row = _scalars(context, builder, signature.args[1], *args[1:], vecs.count)
+        total = ir.Constant(VEC, None)
+        for value, scalar in zip(_unpack(builder, args[0], vecs.count), row, strict=True):
+            total = emit_fma(builder, value, emit_broadcast(builder, scalar), total)
+        return total
+
+    return vec(vecs, array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def add_products(typingctx, vecs, weight, others):
+    """`vecs[i] + weight * others[i]` for every i."""
+
+    def codegen(context, builder, signature, args):
+        pairs = zip(*(_unpack(builder, args[i], vecs.count) for i in (0, 2)), strict=True)
+        return _pack(builder, [emit_fma(builder, args[1], o, s) for s, o in pairs])
+
+    return vecs(vecs, vec, others), codegen
+
+
+@intrinsic
+@no_type_check
+def dot(typingctx, vecs, others):
+    """The sum over i of `vecs[i] * others[i]`."""
+
+    def codegen(context, builder, signature, args):
+        total = ir.Constant(VEC, None)
+        pairs = zip(*(_unpack(builder, a, vecs.count) for a in args), strict=True)
+        for value, other in pairs:
+            total = emit_fma(builder, value, other, total)
+        return total
+
+    return vec(vecs, others), codegen
+
+
+@intrinsic
+@no_type_check
+def monomials(typingctx, x, y):
+    """`Vecs` of 1, x, y, x x, x y and y y."""
+
+    def codegen(context, builder, signature, args):
+        x, y = args
+        squares = [builder.fmul(x, x), builder.fmul(x, y), builder.fmul(y, y)]
+        return _pack(builder, [ir.Constant(VEC, [1.0] * LANES), x, y, *squares])
+
+    return VecsType(6)(vec, vec), codegen
+
+
+def _sum_16(builder, values):
+    """One vector whose lane i is the sum over the lanes of `values[i]`, by 15 pairwise sums."""
+    for step in (1, 2, 4, 8):
+        low = [lane + (LANES - step if lane & step else 0) for lane in range(LANES)]
+        high = [lane + (LANES if lane & step else step) for lane in range(LANES)]
+        pairs = zip(values[::2], values[1::2], strict=True)
+        values = [
+            builder.fadd(_shuffle(builder, a, b, low), _shuffle(builder, a, b, high))
+            for a, b in pairs
+        ]
+    return values[0]
+
+
+def _shuffle(builder, a, b, lanes):
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(I32, LANES), lanes))
+
+
+@intrinsic
+@no_type_check
+def add_lane_sums(typingctx, array, index, moments, vecs):
+    """Add the sum over the lanes of each of `moments` and then `vecs` to consecutive numbers.
+
+    The memory is read and written in whole vectors: rows are padded to a multiple of 16.
+    """
+
+    def codegen(context, builder, signature, args):
+        first = emit_address(context, builder, signature.args[0], *args[:2])
+        values = _unpack(builder, args[2], moments.count) + _unpack(builder, args[3], vecs.count)
+        values += [ir.Constant(VEC, None)] * (-len(values) % LANES)
+        for start in range(0, len(values), LANES):
+            address = builder.gep(first, [ir.Constant(I32, start)])
+            sums = _sum_16(builder, values[start : start + LANES])
+            emit_store(builder, builder.fadd(emit_load(builder, address), sums), address)
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp, moments, vecs), codegen
