@@ -78,7 +78,8 @@ class _Project(Function):
 
 class _Blend(Function):
     @staticmethod
-    def forward(ctx, means2d, conics, opacities, colors, depths, radii, width, height):
+    def forward(ctx, means2d, conics, opacities, colors, depths, radii, size, geometry_channels):
+        width, height = size
         inputs = _plain(means2d, conics, opacities, colors)
         channels = colors.shape[1]
         order = tiles.depth_order(*_arrays(depths, radii))
@@ -90,7 +91,7 @@ class _Blend(Function):
         flat_rows = rows.view(-1).numpy(), rows.shape[1]
         outputs = _arrays(image, transmittances)
         blend.blend((0,) * channels, *flat_rows, *lists, *outputs, get_num_threads())
-        ctx.order, ctx.lists = order, lists
+        ctx.order, ctx.lists, ctx.geometry_channels = order, lists, geometry_channels
         ctx.save_for_backward(*inputs, rows, image, transmittances)
         return image, (1 - transmittances)[..., None]
 
@@ -100,12 +101,16 @@ class _Blend(Function):
         *inputs, rows, image, transmittances = ctx.saved_tensors
         channels = image.shape[-1]
         stride = blend.gradient_stride(channels)
+        if ctx.geometry_channels < channels:
+            rows = rows.clone()
+            rows[:, tiles.ROW_COLORS + ctx.geometry_channels :] = 0
         partial = rows.new_zeros(get_num_threads(), len(rows), stride)
         blend.blend_backward(
             (0,) * channels,
             *(rows.view(-1).numpy(), rows.shape[1]),
             *ctx.lists,
             *_arrays(image, transmittances, *_plain(v_image, v_alphas[..., 0])),
+            ctx.geometry_channels,
             partial.view(len(partial), -1).numpy(),
         )
         gradients = [torch.zeros_like(t) for t in inputs]
@@ -133,6 +138,7 @@ def rasterize(
     Ks: Float[Tensor, "C 3 3"],
     width: int,
     height: int,
+    geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render activated Gaussians; see `reference.rasterize`."""
     images, alphas, infos = [], [], []
@@ -140,7 +146,8 @@ def rasterize(
         projected = _Project.apply(means, quats, scales, opacities, viewmat, K, width, height)
         means2d, conics, depths, radii = projected
         image, alpha = _Blend.apply(
-            means2d, conics, opacities, camera_colors, depths, radii, width, height
+            *(means2d, conics, opacities, camera_colors, depths, radii),
+            *((width, height), geometry_channels),
         )
         images.append(image)
         alphas.append(alpha)

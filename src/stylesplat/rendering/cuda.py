@@ -30,13 +30,21 @@ def rasterize(
     Ks: Float[Tensor, "C 3 3"],
     width: int,
     height: int,
+    geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render activated Gaussians; see `reference.rasterize`."""
-    render_colors, render_alphas, info = gsplat.rasterization(
-        *(means, quats, scales, opacities, colors, viewmats, Ks, width, height),
-        near_plane=const.NEAR_PLANE,
-        far_plane=const.FAR_PLANE,
-        eps2d=const.EPS2D,
-        packed=False,
-    )
-    return render_colors, render_alphas, info
+    options = {
+        "near_plane": const.NEAR_PLANE,
+        "far_plane": const.FAR_PLANE,
+        "eps2d": const.EPS2D,
+        "packed": False,
+    }
+    geometry = (means, quats, scales, opacities)
+    camera = (viewmats, Ks, width, height)
+    moving, other = colors.tensor_split([geometry_channels], dim=-1)
+    image, alphas, info = gsplat.rasterization(*geometry, moving, *camera, **options)
+    if other.shape[-1] > 0:
+        frozen = (t.detach() for t in geometry)
+        rest, _, _ = gsplat.rasterization(*frozen, other, *camera, **options)
+        image = torch.cat([image, rest], dim=-1)
+    return image, alphas, info

@@ -21,6 +21,7 @@ def rasterize(
     cameras: Cameras,
     *,
     features: Float[Tensor, "N F"] | None = None,
+    features_move_geometry: bool = True,
     background: Float[Tensor, " 3"] | None = None,
     sh_degree: int | None = None,
     backend: Backend = "auto",
@@ -32,6 +33,7 @@ def rasterize(
         cameras: One or more cameras that share an image size.
         features: More channels to composite in the same pass, such as the identities; they
             follow the three colours.
+        features_move_geometry: Whether gradients of these channels reach more than `features`.
         background: RGB behind everything; black by default. Features have 0 behind them.
         sh_degree: How many bands of colour to use; all of them by default.
         backend: `auto` takes `cuda` for tensors on a GPU and `cpu` for the others.
@@ -59,7 +61,7 @@ def rasterize(
     render_colors, render_alphas, info = module.rasterize(
         *(splats.means, splats.quats, splats.scales.exp(), torch.sigmoid(splats.opacities)),
         *(colors, cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)),
-        *(width, height),
+        *(width, height, colors.shape[-1] if features_move_geometry else 3),
     )
     if background is not None:
         padding = background.new_zeros(colors.shape[-1] - 3)

@@ -105,8 +105,9 @@ def blend(
     *,
     width: int,
     height: int,
+    geometry_channels: int,
 ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
-    """Composite one camera's projected Gaussians front to back."""
+    """Composite one camera's projected Gaussians front to back; see `rasterize`."""
     seen = (info["radii"] > 0).all(dim=-1).nonzero()[:, 0]
     order = seen[torch.argsort(info["depths"][seen], stable=True)]
     means2d, conics = info["means2d"][order], info["conics"][order]
@@ -116,7 +117,8 @@ def blend(
     for chunk in pixels.split(PIXELS_AT_ONCE):
         weights = _blend_weights(chunk, means2d, conics, opacities[order])  # [P, M]
         alphas = weights.sum(dim=1, keepdim=True)
-        parts.append(torch.cat([weights @ colors[order], alphas], dim=1))
+        moving, other = colors[order].tensor_split([geometry_channels], dim=1)
+        parts.append(torch.cat([weights @ moving, weights.detach() @ other, alphas], dim=1))
     image = torch.cat(parts).reshape(height, width, -1)
     return image[..., :-1], image[..., -1:]
 
@@ -144,8 +146,12 @@ def rasterize(
     Ks: Float[Tensor, "C 3 3"],
     width: int,
     height: int,
+    geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render activated Gaussians; see `rendering.rasterize` for what users call."""
+    """Render activated Gaussians; see `rendering.rasterize` for what users call.
+
+    Gradients of the channels from `geometry_channels` on reach `colors` only.
+    """
     infos, images, alphas = [], [], []
     for camera in range(len(viewmats)):
         info = project(
@@ -153,7 +159,12 @@ def rasterize(
             width=width,
             height=height,
         )
-        image, alpha = blend(info, opacities, colors[camera], width=width, height=height)
+        image, alpha = blend(
+            *(info, opacities, colors[camera]),
+            width=width,
+            height=height,
+            geometry_channels=geometry_channels,
+        )
         infos.append(info)
         images.append(image)
         alphas.append(alpha)

@@ -159,7 +159,9 @@ def blend(channels, rows, row_stride, starts, ranks, masks, image, transmittance
 
 @no_type_check
 @numba.njit(cache=True)
-def open_gradients(state, stride, tile_x, tile_y, image, transmittances, v_image, v_alphas):
+def open_gradients(
+    state, stride, tile_x, tile_y, image, transmittances, v_image, v_alphas, geometry_channels
+):
     """Per block: transmittance, the gradient-weighted light still to come, pixel gradients."""
     height, width, channels = image.shape
     open_tile(state, stride, tile_x, tile_y, width, height)
@@ -171,7 +173,8 @@ def open_gradients(state, stride, tile_x, tile_y, image, transmittances, v_image
                 rest = -transmittances[y, x] * v_alphas[y, x]
                 for c in range(channels):
                     gradient = v_image[y, x, c]
-                    rest += gradient * image[y, x, c]
+                    if c < geometry_channels:
+                        rest += gradient * image[y, x, c]
                     state[place + (c + 2) * PIXELS] = gradient
                 state[place + PIXELS] = rest
 
@@ -203,12 +206,24 @@ def entry_gradients(rows, row, dx, dy, state, place, moments, sums):
 @no_type_check
 @numba.njit(cache=True, parallel=True)
 def blend_backward(
-    channels, rows, row_stride, starts, ranks, masks, image, transmittances, v_image, v_alphas, out
+    channels,
+    rows,
+    row_stride,
+    starts,
+    ranks,
+    masks,
+    image,
+    transmittances,
+    v_image,
+    v_alphas,
+    geometry_channels,
+    out,
 ):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
 
     A row holds the moments sum(v_s), of 1, x, y, x x, x y, y y, where v_s is the gradient of the
     exponent at a pixel and x, y its offset from the Gaussian; then the gradients of the colours.
+    Channels from `geometry_channels` on do not count for v_s; their colours in `rows` must be 0.
     """
     tiles_x = -(-image.shape[1] // TILE)
     stride = PIXELS * (len(channels) + 2)
@@ -219,7 +234,9 @@ def blend_backward(
         mine = out[thread]
         for tile in range(thread, starts.shape[0] - 1, threads):
             x, y = tile % tiles_x, tile // tiles_x
-            open_gradients(state, stride, x, y, image, transmittances, v_image, v_alphas)
+            open_gradients(
+                state, stride, x, y, image, transmittances, v_image, v_alphas, geometry_channels
+            )
             for entry in range(starts[tile], starts[tile + 1]):
                 ahead = ranks[min(entry + AHEAD, ranks.shape[0] - 1)]
                 vec.prefetch(rows, ahead * row_stride)

@@ -1,0 +1,45 @@
+"""Settings of training."""
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How to train. Everything scheduled is a share of the run, so any length works."""
+
+    steps: int = 5000
+    """Optimiser steps, one photo each."""
+    max_seconds: float | None = None
+    """Train for this long instead of for a number of steps."""
+    max_gaussians: int = 100_000
+    """The number of Gaussians grows up to here."""
+    test_every: int = 8
+    """Every this many photos one is held out to measure quality; 0 trains on all."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics, 0 to 3."""
+    seed: int = 0
+    """Seed of everything random; the same seed and thread count reproduce a run."""
+    coarse_to_fine: bool = True
+    """Start on photos of a quarter, then half the size."""
+    growth_end: float = 0.5
+    """Share of the run after which no Gaussians are added."""
+    refine_every: int = 100
+    """Steps between moving dead Gaussians and adding new ones."""
+    identity_pixels: int | None = 16_384
+    """Pixels per step that the identity loss looks at; None = all."""
+    identity_geometry: bool = False
+    """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
+
+
+PRESETS = {
+    "default": TrainConfig(),
+    "paper": replace(
+        TrainConfig(),
+        steps=30_000,
+        max_gaussians=1_000_000,
+        coarse_to_fine=False,
+        identity_pixels=None,
+        identity_geometry=True,
+    ),
+}
+"""Named settings: `paper` follows StyleSplat and Gaussian Grouping."""

@@ -1,0 +1,118 @@
+"""The Gaussians that training starts from."""
+
+from dataclasses import replace
+from math import log
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+
+OPACITY = 0.1  # of every first Gaussian (official)
+NEIGHBORS = 3  # their mean distance is the first radius (official)
+RANDOM_POINTS = 20_000  # where a capture has no points
+MIN_VIEWS = 0.3  # share of the cameras that see a random point
+
+
+def first_splats(
+    capture: Capture, *, sh_degree: int, max_gaussians: int, generator: torch.Generator
+) -> Splats:
+    """One small round Gaussian per point of the capture, or per random point if it has none.
+
+    With label maps the Gaussians get random identities and an untrained classifier of the ids
+    that occur.
+
+    Raises:
+        StyleSplatError: If there are no points and no space that several cameras see.
+    """
+    points, colors = _points(capture, generator)
+    if len(points) > max_gaussians:
+        keep = torch.randperm(len(points), generator=generator)[:max_gaussians]
+        points, colors = points[keep], colors[keep]
+    n = len(points)
+    splats = Splats(
+        means=points,
+        quats=torch.nn.functional.normalize(torch.randn(n, 4, generator=generator), dim=-1),
+        scales=neighbor_distances(points).log()[:, None].repeat(1, 3),
+        opacities=torch.full((n,), log(OPACITY / (1 - OPACITY))),
+        sh0=sh0_from_rgb(colors.float() / 255)[:, None],
+        shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
+    )
+    return splats if capture.label_maps is None else _with_identities(splats, capture, generator)
+
+
+def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+    """Mean distance of each point to its nearest neighbours, positive."""
+    array = points.numpy()
+    count = min(NEIGHBORS, len(array) - 1)
+    distances, _ = cKDTree(array).query(array, k=[*range(2, count + 2)])
+    typical = float(np.median(distances)) or 1.0
+    return torch.from_numpy(distances.mean(axis=1).clip(1e-3 * typical)).float()
+
+
+def scene_extent(cameras: Cameras) -> float:
+    """Radius of the cameras around their mean, the official code's unit of length."""
+    centred = cameras.positions - cameras.positions.mean(dim=0)
+    return 1.1 * float(centred.norm(dim=-1).max()) or 1.0
+
+
+def _points(capture: Capture, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    if capture.points is not None and len(capture.points) > NEIGHBORS:
+        grey = torch.full((len(capture.points), 3), 128, dtype=torch.uint8)
+        return capture.points.float(), grey if (c := capture.point_colors) is None else c
+    points = seen_together(capture.cameras, RANDOM_POINTS, generator)
+    return points, torch.full((len(points), 3), 128, dtype=torch.uint8)
+
+
+def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> Float[Tensor, "N 3"]:
+    """Random points in the space that several cameras see, about as far away as they are apart.
+
+    Raises:
+        StyleSplatError: If the cameras look at no common space.
+    """
+    positions = cameras.positions.float()
+    axes = cameras.viewmats[:, 2, :3].float()
+    # The point nearest to all optical axes: least squares of the distances to these lines.
+    away = torch.eye(3) - axes[:, :, None] * axes[:, None, :]
+    focus = torch.linalg.lstsq(away.sum(dim=0), (away @ positions[..., None]).sum(dim=0)).solution[
+        :, 0
+    ]
+    reach = float((positions - focus).norm(dim=-1).median())
+    points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
+    views = torch.zeros(len(points))
+    for viewmat, K, size in zip(cameras.viewmats, cameras.Ks, cameras.sizes, strict=True):
+        points_c = points @ viewmat[:3, :3].T.float() + viewmat[:3, 3].float()
+        pixels = (points_c @ K.T.float())[:, :2] / points_c[:, 2:]
+        views += ((points_c[:, 2:] > 0) & (pixels > 0) & (pixels < size)).all(dim=-1)
+    seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
+    if len(seen) < 100:
+        raise StyleSplatError(
+            "Cannot start training: the capture has no sparse points, and its cameras look at no "
+            "common space. Check the poses, or add points (`ply_file_path` in transforms.json)."
+        )
+    return seen[:count]
+
+
+def label_ids(capture: Capture) -> tuple[int, ...]:
+    """The ids that occur in a capture's label maps, background first."""
+    maps = [m for m in capture.label_maps or [] if m is not None]
+    return tuple(sorted({0}.union(*(m.unique().tolist() for m in maps))))
+
+
+def _with_identities(splats: Splats, capture: Capture, generator: torch.Generator) -> Splats:
+    ids = label_ids(capture)
+    bound = IDENTITY_SIZE**-0.5  # torch.nn.Linear's
+    classifier = Classifier(
+        weight=bound * (2 * torch.rand(len(ids), IDENTITY_SIZE, generator=generator) - 1),
+        bias=torch.zeros(len(ids)),
+        ids=ids,
+    )
+    identities = torch.randn(len(splats), IDENTITY_SIZE, generator=generator)
+    return replace(splats, identities=identities, classifier=classifier)

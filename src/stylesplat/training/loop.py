@@ -1,0 +1,245 @@
+"""Joint training of Gaussians, identities and classifier (StyleSplat section 3.3)."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.reference import Info
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+from stylesplat.training import mcmc, schedule
+from stylesplat.training.adam import adam_step
+from stylesplat.training.config import TrainConfig
+from stylesplat.training.initialize import first_splats, scene_extent
+from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
+from stylesplat.training.progress import progress_bar
+from stylesplat.training.state import State, first_state, load_checkpoint, save_checkpoint
+from stylesplat.training.views import Views, split_views, training_views
+
+# The official code's learning rates; that of the means is times the extent of the scene.
+RATES = {
+    "means": 1.6e-4,
+    "quats": 1e-3,
+    "scales": 5e-3,
+    "opacities": 5e-2,
+    "sh0": 2.5e-3,
+    "shN": 2.5e-3 / 20,
+    "identities": 2.5e-3,
+    "weight": 5e-4,
+    "bias": 5e-4,
+}
+NEIGHBOR_EVERY = 5  # steps between looks at the neighbours in 3D (Gaussian Grouping)
+NEIGHBOR_SAMPLES = 1000
+NEIGHBORS = 5
+CHECKPOINT_SECONDS = 60.0
+REFINE_END = 0.9  # share of the run after which Gaussians are neither moved nor added
+
+
+@dataclass(frozen=True)
+class Run:
+    """What stays the same during training."""
+
+    config: TrainConfig
+    rows: tuple[int, ...]
+    """Photos to train on."""
+    views: Views
+    """Loads them."""
+    sizes: tuple[tuple[int, int], ...]
+    """Width and height of every photo of the capture."""
+    extent: float
+    """Unit of length of the scene."""
+    generator: torch.Generator
+    """Randomness of sampling and noise."""
+
+    def progress(self, state: State) -> float:
+        """The share of the run that is done."""
+        if self.config.max_seconds is not None:
+            return min(state.seconds / self.config.max_seconds, 1.0)
+        return min(state.step / max(self.config.steps, 1), 1.0)
+
+    def row(self, step: int) -> int:
+        """The photo of a step: every photo once, in random order, then all over again."""
+        epoch, place = divmod(step, len(self.rows))
+        shuffle = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
+        return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
+
+
+def fit(
+    capture: Capture,
+    config: TrainConfig,
+    *,
+    device: torch.device | str = "cpu",
+    checkpoint: Path | None = None,
+    on_progress: Callable[[State, float, float], None] | None = None,
+) -> State:
+    """Train until the run is over.
+
+    Args:
+        capture: Photos, and label maps if identities are wanted.
+        config: How to train.
+        device: Where to train.
+        checkpoint: A file to continue from if it exists; written every minute and when
+            interrupted.
+        on_progress: Called after each step with the state, its loss and the photo's PSNR.
+
+    Raises:
+        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint does not fit.
+    """
+    device = torch.device(device)
+    generator = torch.Generator().manual_seed(config.seed)
+    rows, _ = split_views(capture, config.test_every)
+    if not rows:
+        raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
+    state = _begin(capture, config, device, generator, checkpoint)
+    run = Run(
+        config=config,
+        rows=tuple(rows),
+        views=training_views(capture, state.ids, device),
+        sizes=tuple((w, h) for w, h in capture.cameras.sizes.tolist()),
+        extent=scene_extent(capture.cameras),
+        generator=generator,
+    )
+    _gradients(run, state)  # compiles the kernels before the clock starts
+    saved = time.monotonic()
+    try:
+        while run.progress(state) < 1:
+            state = _step(run, state, on_progress)
+            if checkpoint and time.monotonic() - saved > CHECKPOINT_SECONDS:
+                save_checkpoint(checkpoint, state, config, generator.get_state())
+                saved = time.monotonic()
+    except KeyboardInterrupt:
+        if checkpoint:
+            save_checkpoint(checkpoint, state, config, generator.get_state())
+        raise
+    return state
+
+
+def train(
+    capture: Capture,
+    config: TrainConfig | None = None,
+    *,
+    device: torch.device | str = "auto",
+    progress: bool = True,
+    **settings: float | int | bool | None,
+) -> Splats:
+    """Train a splat from posed photos: Gaussians, and identities if there are label maps.
+
+    Follows StyleSplat and Gaussian Grouping, with 3DGS-MCMC densification.
+
+    Args:
+        capture: Posed photos, from `load`.
+        config: How to train; the default preset if not given.
+        device: `auto` takes an NVIDIA GPU where there is one.
+        progress: Whether to show a progress bar.
+        settings: Fields of `TrainConfig` to change, such as `steps=2000`.
+
+    Raises:
+        StyleSplatError: If the capture leaves nothing to train on.
+
+    Example:
+        >>> import stylesplat as ss
+        >>> splats = ss.train(ss.load("garden/"), max_seconds=120)  # doctest: +SKIP
+    """
+    config = replace(config or TrainConfig(), **settings)
+    device = pick_device(device)
+    with progress_bar(config, enabled=progress) as report:
+        return fit(capture, config, device=device, on_progress=report).splats.detach()
+
+
+def _begin(
+    capture: Capture,
+    config: TrainConfig,
+    device: torch.device,
+    generator: torch.Generator,
+    checkpoint: Path | None,
+) -> State:
+    if checkpoint is not None and checkpoint.exists():
+        state, random = load_checkpoint(checkpoint, config, device)
+        generator.set_state(random)
+        return state
+    splats = first_splats(
+        capture,
+        sh_degree=config.sh_degree,
+        max_gaussians=config.max_gaussians,
+        generator=generator,
+    )
+    return first_state(splats.to(device))
+
+
+def _step(
+    run: Run, state: State, on_progress: Callable[[State, float, float], None] | None
+) -> State:
+    start = time.perf_counter()
+    progress, config = run.progress(state), run.config
+    info, loss, psnr = _gradients(run, state)
+    rates = RATES | {"means": RATES["means"] * run.extent * schedule.means_rate(progress)}
+    seen = (info["radii"][0] > 0).all(dim=-1)
+    adam_step(state.params, state.moments, rates, state.step + 1, seen)
+    mcmc.add_noise(state.params, rates["means"], run.generator)
+    params, moments = state.params, state.moments
+    if state.step % config.refine_every == config.refine_every - 1 and progress < REFINE_END:
+        count = schedule.gaussian_count(progress, state.first_count, config)
+        params, moments = mcmc.refine(params, moments, state.names, count, run.generator)
+    seconds = state.seconds + time.perf_counter() - start
+    state = replace(state, params=params, moments=moments, step=state.step + 1, seconds=seconds)
+    if on_progress is not None:
+        on_progress(state, loss, psnr)
+    return state
+
+
+def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
+    """Fill `.grad` of the parameters for one photo; also its loss and PSNR."""
+    progress, config = run.progress(state), run.config
+    row = run.row(state.step)
+    factor = schedule.photo_downscale(progress, run.sizes[row], config)
+    camera, photo, classes = run.views(row, factor)
+    for param in state.params.values():
+        param.grad = None
+    splats = state.splats
+    render, _, info = rasterize(
+        splats,
+        camera,
+        features=None if classes is None else splats.identities,
+        features_move_geometry=config.identity_geometry,
+        sh_degree=schedule.sh_degree(progress, config),
+    )
+    image = render[0, ..., :3]
+    loss = photometric_loss(image, photo) + mcmc.regularizer(state.params)
+    if classes is not None:
+        loss = loss + _identity_losses(run, state, render[0, ..., 3:].flatten(0, 1), classes)
+    loss.backward()
+    error = (image.detach().clamp(0, 1) - photo).square().mean()
+    return info, float(loss.detach()), float(-10 * torch.log10(error.clamp(min=1e-10)))
+
+
+def _identity_losses(run: Run, state: State, rendered: Tensor, classes: Tensor) -> Tensor:
+    count = run.config.identity_pixels
+    if count is not None and count < len(classes):
+        sample = torch.randint(len(classes), (count,), generator=run.generator)
+        sample = sample.to(classes.device)
+        rendered, classes = rendered[sample], classes[sample]
+    splats = state.splats
+    assert splats.identities is not None and splats.classifier is not None
+    loss = identity_loss(rendered, classes, splats.classifier)
+    if state.step % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
+        sample, neighbors = _neighbors(splats.means.detach().cpu(), run.generator)
+        loss = loss + neighbor_loss(
+            splats.identities[sample], splats.identities[neighbors], splats.classifier
+        )
+    return loss
+
+
+def _neighbors(means: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Some Gaussians and the nearest others of each."""
+    sample = torch.randint(len(means), (min(NEIGHBOR_SAMPLES, len(means)),), generator=generator)
+    points = means.numpy()
+    _, nearest = cKDTree(points).query(points[sample.numpy()], k=range(2, NEIGHBORS + 2))
+    return sample, torch.from_numpy(nearest)

@@ -1,0 +1,51 @@
+"""The losses of joint training (StyleSplat section 3.3, Gaussian Grouping)."""
+
+from math import log
+
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
+
+from stylesplat.scene.splats import Classifier
+from stylesplat.training import ssim_cpu
+from stylesplat.training.ssim import ssim
+
+DSSIM_WEIGHT = 0.2
+NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
+
+
+def photometric_loss(
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
+) -> Float[Tensor, ""]:
+    """0.8 L1 + 0.2 (1 - SSIM), the loss of 3D Gaussian splatting."""
+    similarity = ssim_cpu.ssim if image.device.type == "cpu" else ssim
+    dissimilarity = 1 - similarity(image, target)
+    return (1 - DSSIM_WEIGHT) * l1_loss(image, target) + DSSIM_WEIGHT * dissimilarity
+
+
+def identity_loss(
+    render_identities: Float[Tensor, "P 16"],
+    classes: Int[Tensor, " P"],
+    classifier: Classifier,
+) -> Float[Tensor, ""]:
+    """Cross-entropy of the classified render against label classes, over ln K.
+
+    Args:
+        render_identities: Rendered identity features, one row per pixel.
+        classes: Index into `classifier.ids` of each pixel.
+        classifier: Decodes the features.
+    """
+    logits = classifier.logits(render_identities)
+    return cross_entropy(logits, classes) / log(max(len(classifier.ids), 2))
+
+
+def neighbor_loss(
+    identities: Float[Tensor, "S 16"],
+    neighbors: Float[Tensor, "S k 16"],
+    classifier: Classifier,
+) -> Float[Tensor, ""]:
+    """KL divergence between the labels of Gaussians and those of their nearest neighbours."""
+    own = log_softmax(classifier.logits(identities), dim=-1)[:, None]
+    theirs = log_softmax(classifier.logits(neighbors), dim=-1)
+    divergence = kl_div(theirs, own.expand_as(theirs), reduction="none", log_target=True).sum(-1)
+    return NEIGHBOR_WEIGHT * divergence.mean() / len(classifier.ids)

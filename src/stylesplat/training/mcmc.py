@@ -1,0 +1,101 @@
+"""Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
+
+Kheradmand et al. 2024. A Gaussian that is joined by copies is made fainter and smaller so that
+the sum looks as before; noise in proportion to transparency lets Gaussians explore.
+"""
+
+from math import comb
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.training.adam import Moments
+
+DEAD_OPACITY = 0.005
+MAX_COPIES = 51  # of one Gaussian at a time (official)
+NOISE_RATE = 5e5  # official, times the learning rate of the means
+NOISE_SHARPNESS = 100.0
+OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
+SCALE_WEIGHT = 0.01
+
+Params = dict[str, Tensor]
+
+
+def regularizer(params: Params) -> Float[Tensor, ""]:
+    """Pulls opacities and sizes towards 0."""
+    opacity = torch.sigmoid(params["opacities"]).mean()
+    return OPACITY_WEIGHT * opacity + SCALE_WEIGHT * params["scales"].exp().mean()
+
+
+@torch.no_grad()
+def add_noise(params: Params, means_rate: float, generator: torch.Generator) -> None:
+    """Move the means at random, along their own covariance, the fainter the more."""
+    n = len(params["means"])
+    noise = torch.randn(n, 3, generator=generator).to(params["means"])
+    faint = 1 - torch.sigmoid(params["opacities"])
+    gate = torch.sigmoid(NOISE_SHARPNESS * (faint - (1 - DEAD_OPACITY)))
+    axes = rotation_matrices(params["quats"]) * params["scales"].exp()[:, None]
+    step = axes @ (axes.mT @ (noise * gate[:, None])[..., None])
+    params["means"] += NOISE_RATE * means_rate * step[..., 0]
+
+
+@torch.no_grad()
+def refine(
+    params: Params, moments: Moments, names: tuple[str, ...], count: int, generator: torch.Generator
+) -> tuple[Params, Moments]:
+    """Move the dead Gaussians and grow to `count` in all.
+
+    Args:
+        params: Trained tensors.
+        moments: Their optimiser state.
+        names: Which of them have one row per Gaussian.
+        count: Gaussians wanted; fewer than there are changes nothing but the dead.
+        generator: Source of randomness.
+
+    Returns:
+        The new tensors and state; rows that were moved or copied start from zero moments.
+    """
+    opacities = torch.sigmoid(params["opacities"])
+    alive = (opacities > DEAD_OPACITY).nonzero()[:, 0]
+    dead = (opacities <= DEAD_OPACITY).nonzero()[:, 0]
+    n = len(opacities)
+    needed = len(dead) + max(count - n, 0)
+    if needed == 0 or len(alive) == 0:
+        return params, moments
+    weights = opacities[alive].cpu()
+    drawn = torch.multinomial(weights, needed, replacement=True, generator=generator)
+    sources = alive[drawn.to(alive.device)]
+    rows = torch.cat([torch.arange(n, device=sources.device), sources[len(dead) :]])
+    rows[dead] = sources[: len(dead)]
+    params = dict(params) | _shrunk_sources(params, sources)
+    fresh = rows.clone()
+    fresh[dead] = -1
+    fresh[n:] = -1
+    fresh[sources] = -1
+    taken = {name: params[name].detach()[rows].requires_grad_() for name in names}
+    return params | taken, moments.take(fresh, names)
+
+
+def _shrunk_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
+    """Opacities and scales with which a source and its copies together look as before."""
+    copies = torch.bincount(sources, minlength=len(params["opacities"])) + 1
+    copies = copies.clamp(max=MAX_COPIES)[sources]
+    old = torch.sigmoid(params["opacities"][sources])
+    new = 1 - (1 - old) ** (1 / copies)
+    factor = old / _spread(new, copies)
+    opacities, scales = params["opacities"].detach().clone(), params["scales"].detach().clone()
+    opacities[sources] = torch.logit(new.clamp(DEAD_OPACITY, 1 - 1e-6))
+    scales[sources] += factor.log()[:, None]
+    return {"opacities": opacities, "scales": scales}
+
+
+def _spread(opacity: Float[Tensor, " M"], copies: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
+    """Equation 9 of the paper: how much wider n copies spread than one Gaussian."""
+    total = torch.zeros_like(opacity)
+    for i in range(1, int(copies.max()) + 1):
+        for k in range(i):
+            term = comb(i - 1, k) * (-1) ** k / (k + 1) ** 0.5 * opacity ** (k + 1)
+            total += torch.where(copies >= i, term, 0)
+    return total
