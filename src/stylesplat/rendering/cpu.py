@@ -3,6 +3,8 @@
 Float32 by construction. Gradients reach means, quats, scales, opacities and colours; cameras are
 taken as fixed.
 """
+# pyright: reportCallIssue=false, reportIncompatibleMethodOverride=false
+# (it cannot count starred arguments, and torch's own signature of `backward` is (*args))
 
 import torch
 from jaxtyping import Float
@@ -125,7 +127,7 @@ def spherical_harmonics(
     shN: Float[Tensor, "N _ 3"],
 ) -> Float[Tensor, "N 3"]:
     """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
-    return _SphericalHarmonics.apply(sh_bases(degree), dirs, sh0, shN)  # pyright: ignore
+    return _SphericalHarmonics.apply(sh_bases(degree), dirs, sh0, shN)
 
 
 def rasterize(

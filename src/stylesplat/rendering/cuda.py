@@ -1,4 +1,6 @@
 """Rendering on NVIDIA GPUs, through gsplat 1.5.3."""
+# pyright: reportCallIssue=false
+# (it cannot count the arguments of starred lists)
 
 import gsplat
 import torch

@@ -74,7 +74,7 @@ class Cameras:
             f"{', ...' if len(self) > 8 else ''}."
         )
 
-    def downscale(self, factor: float) -> "Cameras":
+    def downscale(self, factor: float | int) -> "Cameras":
         """The same cameras for images `factor` times smaller, sizes rounded to whole pixels."""
         if factor == 1:
             return self

@@ -3,6 +3,8 @@
 Rows whose Gaussian is in no view of a step keep their value and moments, as in gsplat's
 `SelectiveAdam`.
 """
+# pyright: reportCallIssue=false
+# (it cannot count the arguments of starred lists)
 
 from dataclasses import dataclass
 from typing import no_type_check

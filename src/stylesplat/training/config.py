@@ -25,8 +25,8 @@ class TrainConfig:
     """Share of the run after which no Gaussians are added."""
     refine_every: int = 100
     """Steps between moving dead Gaussians and adding new ones."""
-    identity_pixels: int | None = 16_384
-    """Pixels per step that the identity loss looks at; None = all."""
+    identity_stride: int = 3
+    """The identity loss looks at every n-th pixel along x and y, from a random offset."""
     identity_geometry: bool = False
     """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
 
@@ -38,7 +38,7 @@ PRESETS = {
         steps=30_000,
         max_gaussians=1_000_000,
         coarse_to_fine=False,
-        identity_pixels=None,
+        identity_stride=1,
         identity_geometry=True,
     ),
 }

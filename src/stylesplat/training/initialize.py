@@ -6,7 +6,7 @@ from math import log
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -52,7 +52,7 @@ def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
     """Mean distance of each point to its nearest neighbours, positive."""
     array = points.numpy()
     count = min(NEIGHBORS, len(array) - 1)
-    distances, _ = cKDTree(array).query(array, k=[*range(2, count + 2)])
+    distances = KDTree(array).query(array, k=count + 1)[0][:, 1:]  # 0 is the point itself
     typical = float(np.median(distances)) or 1.0
     return torch.from_numpy(distances.mean(axis=1).clip(1e-3 * typical)).float()
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -211,24 +211,21 @@ def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
         features_move_geometry=config.identity_geometry,
         sh_degree=schedule.sh_degree(progress, config),
     )
-    image = render[0, ..., :3]
+    image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
     loss = photometric_loss(image, photo) + mcmc.regularizer(state.params)
     if classes is not None:
-        loss = loss + _identity_losses(run, state, render[0, ..., 3:].flatten(0, 1), classes)
+        loss = loss + _identity_losses(run, state, rendered, classes)
     loss.backward()
     error = (image.detach().clamp(0, 1) - photo).square().mean()
     return info, float(loss.detach()), float(-10 * torch.log10(error.clamp(min=1e-10)))
 
 
 def _identity_losses(run: Run, state: State, rendered: Tensor, classes: Tensor) -> Tensor:
-    count = run.config.identity_pixels
-    if count is not None and count < len(classes):
-        sample = torch.randint(len(classes), (count,), generator=run.generator)
-        sample = sample.to(classes.device)
-        rendered, classes = rendered[sample], classes[sample]
-    splats = state.splats
+    splats, stride = state.splats, run.config.identity_stride
     assert splats.identities is not None and splats.classifier is not None
-    loss = identity_loss(rendered, classes, splats.classifier)
+    y, x = torch.randint(stride, (2,), generator=run.generator).tolist()
+    pixels, targets = rendered[y::stride, x::stride], classes[y::stride, x::stride]
+    loss = identity_loss(pixels.flatten(0, 1), targets.flatten(), splats.classifier)
     if state.step % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
         sample, neighbors = _neighbors(splats.means.detach().cpu(), run.generator)
         loss = loss + neighbor_loss(
@@ -241,5 +238,5 @@ def _neighbors(means: Tensor, generator: torch.Generator) -> tuple[Tensor, Tenso
     """Some Gaussians and the nearest others of each."""
     sample = torch.randint(len(means), (min(NEIGHBOR_SAMPLES, len(means)),), generator=generator)
     points = means.numpy()
-    _, nearest = cKDTree(points).query(points[sample.numpy()], k=range(2, NEIGHBORS + 2))
-    return sample, torch.from_numpy(nearest)
+    _, nearest = KDTree(points).query(points[sample.numpy()], k=NEIGHBORS + 1)
+    return sample, torch.from_numpy(nearest[:, 1:])

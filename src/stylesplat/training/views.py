@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 
-Views = Callable[[int, int], tuple[Cameras, Float[Tensor, "H W 3"], Int[Tensor, " P"] | None]]
+Views = Callable[[int, int], tuple[Cameras, Float[Tensor, "H W 3"], Int[Tensor, "H W"] | None]]
 """From a row of the capture and a downscale to its camera, photo in 0..1 and classes."""
 
 
@@ -34,7 +34,7 @@ def training_views(capture: Capture, ids: tuple[int, ...], device: torch.device)
         if labels is None:
             return camera, torch.from_numpy(photo), None
         nearest = cv2.resize(labels.int().numpy(), size, interpolation=cv2.INTER_NEAREST_EXACT)
-        classes = torch.searchsorted(known, torch.from_numpy(nearest).flatten().long())
+        classes = torch.searchsorted(known, torch.from_numpy(nearest).long())
         return camera, torch.from_numpy(photo), classes.to(torch.int32)
 
     def view(row: int, factor: int) -> tuple[Cameras, Tensor, Tensor | None]:

@@ -3,6 +3,8 @@
 `Vecs[n]` is n values of type `Vec`. n is the length of a tuple that the caller passes, hence known
 to the compiler, so each number of channels has its own unrolled code.
 """
+# pyright: reportCallIssue=false
+# (it cannot count the arguments of starred lists)
 
 from typing import no_type_check
 
