@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -19,6 +20,7 @@ from stylesplat.training import mcmc, schedule
 from stylesplat.training.adam import adam_step
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.initialize import first_splats, scene_extent
+from stylesplat.training.interrupt import deferred_interrupt
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
 from stylesplat.training.progress import progress_bar
 from stylesplat.training.state import State, first_state, load_checkpoint, save_checkpoint
@@ -92,6 +94,7 @@ def fit(
 
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, or the checkpoint does not fit.
+        KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written.
     """
     device = torch.device(device)
     generator = torch.Generator().manual_seed(config.seed)
@@ -107,18 +110,19 @@ def fit(
         extent=scene_extent(capture.cameras),
         generator=generator,
     )
-    _gradients(run, state)  # compiles the kernels before the clock starts
+    _warm_up(run, state)
     saved = time.monotonic()
-    try:
-        while run.progress(state) < 1:
-            state = _step(run, state, on_progress)
-            if checkpoint and time.monotonic() - saved > CHECKPOINT_SECONDS:
+    with deferred_interrupt() as interrupted:
+        while run.progress(state) < 1 and not interrupted():
+            state, loss, psnr = _step(run, state)
+            if on_progress is not None:
+                on_progress(state, loss, psnr)
+            due = interrupted() or time.monotonic() - saved > CHECKPOINT_SECONDS
+            if checkpoint is not None and due:
                 save_checkpoint(checkpoint, state, config, generator.get_state())
                 saved = time.monotonic()
-    except KeyboardInterrupt:
-        if checkpoint:
-            save_checkpoint(checkpoint, state, config, generator.get_state())
-        raise
+    if run.progress(state) < 1:
+        raise KeyboardInterrupt
     return state
 
 
@@ -174,9 +178,14 @@ def _begin(
     return first_state(splats.to(device))
 
 
-def _step(
-    run: Run, state: State, on_progress: Callable[[State, float, float], None] | None
-) -> State:
+def _warm_up(run: Run, state: State) -> None:
+    """Compile the kernels before the clock starts; leaves no trace."""
+    random = run.generator.get_state()
+    _gradients(run, state)
+    run.generator.set_state(random)
+
+
+def _step(run: Run, state: State) -> tuple[State, float, float]:
     start = time.perf_counter()
     progress, config = run.progress(state), run.config
     info, loss, psnr = _gradients(run, state)
@@ -190,9 +199,7 @@ def _step(
         params, moments = mcmc.refine(params, moments, state.names, count, run.generator)
     seconds = state.seconds + time.perf_counter() - start
     state = replace(state, params=params, moments=moments, step=state.step + 1, seconds=seconds)
-    if on_progress is not None:
-        on_progress(state, loss, psnr)
-    return state
+    return state, loss, psnr
 
 
 def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
@@ -238,5 +245,5 @@ def _neighbors(means: Tensor, generator: torch.Generator) -> tuple[Tensor, Tenso
     """Some Gaussians and the nearest others of each."""
     sample = torch.randint(len(means), (min(NEIGHBOR_SAMPLES, len(means)),), generator=generator)
     points = means.numpy()
-    _, nearest = KDTree(points).query(points[sample.numpy()], k=NEIGHBORS + 1)
+    nearest = np.asarray(KDTree(points).query(points[sample.numpy()], k=NEIGHBORS + 1)[1])
     return sample, torch.from_numpy(nearest[:, 1:])
