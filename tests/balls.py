@@ -2,7 +2,6 @@
 
 import math
 
-import pytest
 import torch
 
 from stylesplat.rendering.sh import sh0_from_rgb
@@ -16,9 +15,14 @@ BALLS = {  # label id: centre (x right, y forward, z up) and colour
 }
 BALL_RADIUS = 0.3
 SHARPNESS = 12.0  # logit of a Gaussian's own class; background wins where nothing is
+CLASSIFIER = Classifier(
+    weight=SHARPNESS * torch.eye(IDENTITY_SIZE)[: len(BALLS) + 1],
+    bias=torch.tensor([SHARPNESS / 2] + [0.0] * len(BALLS)),
+    ids=(0, *BALLS),
+)
 
 
-def viewmat_to_origin(position: tuple[float, float, float]) -> torch.Tensor:
+def _viewmat(position: tuple[float, float, float]) -> torch.Tensor:
     """World to camera, OpenCV axes, looking at the origin with z up."""
     origin = torch.tensor(position)
     forward = -origin / origin.norm()
@@ -30,11 +34,10 @@ def viewmat_to_origin(position: tuple[float, float, float]) -> torch.Tensor:
     return viewmat
 
 
-@pytest.fixture
-def ball_cameras() -> Cameras:
+def _cameras() -> Cameras:
     """Eight cameras on a circle of radius 3 at height 1.5, 48x36 pixels."""
     angles = [2 * math.pi * i / 8 for i in range(8)]
-    viewmats = [viewmat_to_origin((-3 * math.sin(a), -3 * math.cos(a), 1.5)) for a in angles]
+    viewmats = [_viewmat((-3 * math.sin(a), -3 * math.cos(a), 1.5)) for a in angles]
     K = torch.tensor([[50.0, 0.0, 24.0], [0.0, 50.0, 18.0], [0.0, 0.0, 1.0]])
     return Cameras(
         viewmats=torch.stack(viewmats),
@@ -44,8 +47,7 @@ def ball_cameras() -> Cameras:
     )
 
 
-@pytest.fixture
-def ball_splats() -> Splats:
+def _splats() -> Splats:
     """A grey table (background) and three balls; class k has the k-th unit vector as identity."""
     generator = torch.Generator().manual_seed(0)
     table = torch.rand(200, 3, generator=generator) * torch.tensor([2.4, 2.4, 0.0]) - 1.2
@@ -58,11 +60,6 @@ def ball_splats() -> Splats:
         classes.append(torch.full((80,), float(number)))
     labels = torch.cat(classes).long()
     count = len(labels)
-    classifier = Classifier(
-        weight=SHARPNESS * torch.eye(IDENTITY_SIZE)[: len(BALLS) + 1],
-        bias=torch.tensor([SHARPNESS / 2] + [0.0] * len(BALLS)),
-        ids=(0, *BALLS),
-    )
     return Splats(
         means=torch.cat(means),
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
@@ -71,5 +68,8 @@ def ball_splats() -> Splats:
         sh0=sh0_from_rgb(torch.cat(colors))[:, None],
         shN=torch.zeros(count, 0, 3),
         identities=torch.eye(IDENTITY_SIZE)[labels],
-        classifier=classifier,
+        classifier=CLASSIFIER,
     )
+
+
+SPLATS, CAMERAS = _splats(), _cameras()

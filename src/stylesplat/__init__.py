@@ -13,8 +13,62 @@ Eight verbs over three nouns (`Capture`, `Cameras`, `Splats`)::
 """
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stylesplat.errors import StyleSplatError
+    from stylesplat.exporter import export
+    from stylesplat.io.load import load
+    from stylesplat.masks.attach import mask
+    from stylesplat.rendering.rasterize import rasterize as render
+    from stylesplat.scene.cameras import Cameras
+    from stylesplat.scene.capture import Capture
+    from stylesplat.scene.splats import Splats
+    from stylesplat.selection.pick import select
+    from stylesplat.stylization.loop import stylize
+    from stylesplat.training.loop import train
+    from stylesplat.viewer.view import view
+
+__all__ = [
+    "Cameras",
+    "Capture",
+    "Splats",
+    "StyleSplatError",
+    "export",
+    "load",
+    "mask",
+    "render",
+    "select",
+    "stylize",
+    "train",
+    "view",
+]
 
 # torch and numba each bring a pool of OpenMP threads. Idle threads that spin take the cores from
 # the other pool: without this line a training step is two to five times slower. It must be set
 # before torch is loaded.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+# Imported on first use, so that `stylesplat --help` need not wait for torch.
+_HOMES = {
+    "Cameras": "scene.cameras",
+    "Capture": "scene.capture",
+    "Splats": "scene.splats",
+    "StyleSplatError": "errors",
+    "export": "exporter",
+    "load": "io.load",
+    "mask": "masks.attach",
+    "render": "rendering.rasterize",
+    "select": "selection.pick",
+    "stylize": "stylization.loop",
+    "train": "training.loop",
+    "view": "viewer.view",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"{__name__}.{_HOMES[name]}")
+    return getattr(module, "rasterize" if name == "render" else name)

@@ -25,8 +25,12 @@ class TrainConfig:
     """Share of the run after which no Gaussians are added."""
     refine_every: int = 100
     """Steps between moving dead Gaussians and adding new ones."""
+    identity_every: int = 2
+    """Steps between those that train identities too; they cost over twice as much."""
     identity_stride: int = 3
     """The identity loss looks at every n-th pixel along x and y, from a random offset."""
+    classifier_rate: float = 2.5e-3
+    """Learning rate of the classifier."""
     identity_geometry: bool = False
     """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
 
@@ -38,7 +42,9 @@ PRESETS = {
         steps=30_000,
         max_gaussians=1_000_000,
         coarse_to_fine=False,
+        identity_every=1,
         identity_stride=1,
+        classifier_rate=5e-4,
         identity_geometry=True,
     ),
 }

@@ -23,10 +23,17 @@ from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.interrupt import deferred_interrupt
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
 from stylesplat.training.progress import progress_bar
-from stylesplat.training.state import State, first_state, load_checkpoint, save_checkpoint
+from stylesplat.training.state import (
+    CLASSIFIER,
+    State,
+    first_state,
+    load_checkpoint,
+    save_checkpoint,
+)
 from stylesplat.training.views import Views, split_views, training_views
 
-# The official code's learning rates; that of the means is times the extent of the scene.
+# The official code's learning rates; that of the means is times the extent of the scene, and
+# that of the classifier is a setting.
 RATES = {
     "means": 1.6e-4,
     "quats": 1e-3,
@@ -35,10 +42,8 @@ RATES = {
     "sh0": 2.5e-3,
     "shN": 2.5e-3 / 20,
     "identities": 2.5e-3,
-    "weight": 5e-4,
-    "bias": 5e-4,
 }
-NEIGHBOR_EVERY = 5  # steps between looks at the neighbours in 3D (Gaussian Grouping)
+NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
 NEIGHBORS = 5
 CHECKPOINT_SECONDS = 60.0
@@ -189,7 +194,8 @@ def _step(run: Run, state: State) -> tuple[State, float, float]:
     start = time.perf_counter()
     progress, config = run.progress(state), run.config
     info, loss, psnr = _gradients(run, state)
-    rates = RATES | {"means": RATES["means"] * run.extent * schedule.means_rate(progress)}
+    rates = RATES | dict.fromkeys(CLASSIFIER, config.classifier_rate)
+    rates["means"] *= run.extent * schedule.means_rate(progress)
     seen = (info["radii"][0] > 0).all(dim=-1)
     adam_step(state.params, state.moments, rates, state.step + 1, seen)
     mcmc.add_noise(state.params, rates["means"], run.generator)
@@ -208,6 +214,8 @@ def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
     row = run.row(state.step)
     factor = schedule.photo_downscale(progress, run.sizes[row], config)
     camera, photo, classes = run.views(row, factor)
+    if state.step % config.identity_every != 0:
+        classes = None
     for param in state.params.values():
         param.grad = None
     splats = state.splats
@@ -233,7 +241,7 @@ def _identity_losses(run: Run, state: State, rendered: Tensor, classes: Tensor) 
     y, x = torch.randint(stride, (2,), generator=run.generator).tolist()
     pixels, targets = rendered[y::stride, x::stride], classes[y::stride, x::stride]
     loss = identity_loss(pixels.flatten(0, 1), targets.flatten(), splats.classifier)
-    if state.step % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
+    if state.step // run.config.identity_every % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
         sample, neighbors = _neighbors(splats.means.detach().cpu(), run.generator)
         loss = loss + neighbor_loss(
             splats.identities[sample], splats.identities[neighbors], splats.classifier

@@ -1,0 +1,68 @@
+"""The command line: parse, call one verb, print."""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import tyro
+
+from stylesplat.cli import commands
+from stylesplat.errors import StyleSplatError
+
+INTERRUPTED = 130  # what shells report after Ctrl-C
+
+VERBS = {
+    "demo": commands.Demo,
+    "train": commands.Train,
+    "objects": commands.Objects,
+    "select": commands.Select,
+    "stylize": commands.Stylize,
+    "render": commands.Render,
+    "export": commands.Export,
+    "view": commands.View,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb.
+
+    Returns:
+        0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
+        after Ctrl-C. Wrong usage exits with 2.
+    """
+    command = tyro.extras.subcommand_cli_from_dict(
+        VERBS,
+        prog="stylesplat",
+        description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
+        args=arguments,
+    )
+    try:
+        result = command.run()
+    except StyleSplatError as error:
+        print(f"stylesplat: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stylesplat: interrupted. `train` continues when it is run again.", file=sys.stderr)
+        return INTERRUPTED
+    if command.json:
+        print(json.dumps(result, default=os.fspath))
+    else:
+        print(*_lines(result), sep="\n", file=sys.stderr)
+    return 0
+
+
+def _lines(result: dict[str, Any], indent: str = "") -> list[str]:
+    """A result as text, one value a line."""
+    lines = []
+    for name, value in result.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            rows = (", ".join(f"{k} {v}" for k, v in row.items() if v != []) for row in value)
+            lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
+        else:
+            shown = f"{value:.4g}" if isinstance(value, float) else value
+            lines.append(f"{indent}{name}: {shown}")
+    return lines

@@ -1,0 +1,283 @@
+"""The verbs of the command line: what they take, and which function does the work.
+
+Libraries are imported when a verb runs, so that `--help` answers at once.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
+
+from stylesplat.cli.parse import parse_place, parse_style
+
+Device = Literal["auto", "cpu", "cuda"]
+Output = Annotated[Path, arg(aliases=["-o"])]
+Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
+Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a splat with objects from posed photos.
+
+    Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
+    """
+
+    capture: Positional[Path]
+    """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/."""
+    output: Output
+    """Folder of the scene to make. A run that was interrupted continues from there."""
+    preset: Literal["default", "paper"] = "default"
+    """Settings to start from; paper takes 30,000 steps."""
+    steps: int | None = None
+    """Optimiser steps, one photo each."""
+    max_seconds: float | None = None
+    """Train for this long instead of for a number of steps."""
+    max_gaussians: int | None = None
+    """The number of Gaussians grows up to here."""
+    downscale: float = 1.0
+    """How many times smaller the photos are made."""
+    test_every: int | None = None
+    """Every this many photos one is held out to measure quality; 0 trains on all."""
+    masks: Path | None = None
+    """Folder of label maps; by default the capture's object_mask/."""
+    seed: int | None = None
+    """The same seed and number of threads give the same result."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.training.config import PRESETS
+        from stylesplat.verbs.train import train_scene
+
+        names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed")
+        return train_scene(
+            self.capture,
+            self.output,
+            config=replace(PRESETS[self.preset], **given(self, names)),
+            downscale=self.downscale,
+            masks=self.masks,
+            device=self.device,
+            overwrite=self.overwrite,
+        )
+
+
+@dataclass(frozen=True)
+class Objects:
+    """List the objects of a scene and draw a contact sheet of them.
+
+    Example: stylesplat objects garden-scene
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene; the sheet is written there as objects.png."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.verbs.objects import list_objects
+
+        return list_objects(self.scene)
+
+
+@dataclass(frozen=True)
+class Select:
+    """Name an object of a scene, by label id, by a box or by a point in a photo.
+
+    Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    name: str
+    """What to call the object."""
+    id: tuple[int, ...] = ()
+    """Label ids, as `objects` lists them."""
+    box: str | None = None
+    """VIEW:x0,y0,x1,y1 in the photo's pixels: the object that shows most inside."""
+    point: str | None = None
+    """VIEW:x,y in the photo's pixels: the object that shows there."""
+    threshold: float = 0.5
+    """Probability of the object above which a Gaussian belongs to it."""
+    keep_outliers: FlagCreatePairsOff[bool] = False
+    """Keep Gaussians that lie apart from the rest of the object."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.verbs.objects import select_object
+
+        return select_object(
+            self.scene,
+            self.name,
+            ids=self.id,
+            box=parse_place(self.box, 4) if self.box else None,
+            point=parse_place(self.point, 2) if self.point else None,
+            threshold=self.threshold,
+            remove_outliers=not self.keep_outliers,
+        )
+
+
+@dataclass(frozen=True)
+class Stylize:
+    """Repaint objects of a scene, each in the style of a picture.
+
+    Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    output: Output
+    """Folder of the styled scene to make."""
+    style: UseAppendAction[tuple[str, ...]]
+    """OBJECT=IMAGE; OBJECT is a name that `select` gave, or a label id. May be repeated."""
+    preset: Literal["default", "paper"] = "default"
+    """Settings to start from; paper is the method as published."""
+    steps: int | None = None
+    """Optimiser steps per object."""
+    features: Literal["vgg16", "vgg19", "random"] = "vgg16"
+    """Network whose features are matched; random needs no file and gives less."""
+    weights: Path | None = None
+    """File of the network's weights (.safetensors, .pth); downloaded once if not given."""
+    blocks: tuple[int, ...] | None = None
+    """Blocks of the network that are matched, 1 to 4: deeper ones make larger patterns."""
+    scale: float | None = None
+    """Size of the style picture relative to the object: larger makes larger strokes."""
+    intensity: float | None = None
+    """How much of the new colours to blend into the old, 0 to 1."""
+    seed: int | None = None
+    """The same seed and number of threads give the same result."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.stylization.config import PRESETS
+        from stylesplat.verbs.stylize import stylize_scene
+
+        names = ("steps", "blocks", "scale", "intensity", "seed")
+        return stylize_scene(
+            self.scene,
+            self.output,
+            [parse_style(text) for text in self.style],
+            config=replace(PRESETS[self.preset], **given(self, names)),
+            features=self.features,
+            weights=self.weights,
+            device=self.device,
+            overwrite=self.overwrite,
+        )
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render a scene into a folder of PNGs, or into a video.
+
+    Example: stylesplat render garden-wave -o orbit.mp4 --views orbit
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    output: Output
+    """Folder of pictures to make, or a file that ends in .mp4."""
+    views: Literal["test", "train", "all", "orbit"] = "all"
+    """Held-out views, training views, all of them, or a round trip."""
+    what: str = "color"
+    """color, labels (id maps), identities, depth, or object:NAME."""
+    downscale: float = 1.0
+    """How many times smaller than the photos."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.verbs.render import render_scene
+
+        return render_scene(
+            self.scene,
+            self.output,
+            views=self.views,
+            what=self.what,
+            downscale=self.downscale,
+            device=self.device,
+            overwrite=self.overwrite,
+        )
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a scene's splat for other programs.
+
+    Example: stylesplat export garden-wave garden.spz
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    file: Positional[Path]
+    """File to make: .ply keeps every bit, .spz and .splat are smaller."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.exporter import export
+        from stylesplat.io.scene_folder import read_scene
+
+        splats = read_scene(self.scene).splats
+        export(splats, self.file, overwrite=self.overwrite)
+        return {"file": self.file, "gaussians": len(splats)}
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at a scene in the browser.
+
+    Example: stylesplat view garden-wave
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    port: int = 8080
+    """Port on 127.0.0.1, or the next free one."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.scene_folder import read_scene
+        from stylesplat.viewer.view import view
+
+        scene = read_scene(self.scene)
+        view(scene.splats, cameras=scene.cameras, port=self.port)
+        return {}
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Make a still life, train it, repaint two of its objects and write a report.
+
+    Example: stylesplat demo -o demo
+    """
+
+    output: Output = Path("stylesplat-demo")
+    """Folder for everything that is made."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.demo.run import run_demo
+
+        return run_demo(self.output, overwrite=self.overwrite)
+
+
+def given(command: object, names: tuple[str, ...]) -> dict[str, Any]:
+    """The options of a command that the user set."""
+    values = {name: getattr(command, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}

@@ -1,0 +1,99 @@
+"""The demo's still life: where its objects stand, who looks at it, and what they see."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from stylesplat.demo.shapes import NAMES
+from stylesplat.demo.tracer import render_view
+from stylesplat.scene.cameras import Cameras
+
+OBJECT_NAMES = {i + 1: name for i, name in enumerate(NAMES)}
+
+TARGET = (-0.03, 0.0, 0.38)  # where every camera looks
+DISTANCE = 3.6
+ELEVATIONS = (19.0, 46.0)  # degrees: one ring sees the sides, the other the tops
+SWAY = 4.0  # degrees by which a ring rises and falls, as a hand does
+FOCAL = 1.12  # of the image's width
+SPOTS = ((-0.06, 0.24), (0.50, -0.42), (-0.38, -0.60), (-0.87, 0.03), (0.66, 0.56))
+YAWS = (0.0, -0.35, 0.6, 0.45, 0.3)  # radians
+PLAY = (3.0, 0.06, 3.0, 0.3, 3.0)  # radians that an object can turn without touching another
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera sees, exact at the pixel centres."""
+
+    photo: UInt8[Tensor, "H W 3"]
+    """sRGB, with 2x2 supersampling."""
+    labels: Int[Tensor, "H W"]
+    """Ids of `OBJECT_NAMES`; 0 is the table and the backdrop."""
+    depth: Float[Tensor, "H W"]
+    """Along the camera's z axis."""
+
+
+def arrange(seed: int) -> Float[np.ndarray, "5 5"]:
+    """Place the objects: x, y, cosine and sine of the turn, shift of the grain.
+
+    Seed 0 is the arrangement the composition was made for; the others push and turn the
+    objects and give them other grain.
+    """
+    rng = np.random.default_rng(seed)
+    loose = float(seed != 0)
+    spots = np.array(SPOTS) + loose * rng.uniform(-0.02, 0.02, (len(SPOTS), 2))
+    yaws = np.array(YAWS) + loose * rng.uniform(-1, 1, len(YAWS)) * PLAY
+    grain = rng.uniform(0, 50, len(SPOTS))
+    return np.column_stack([spots, np.cos(yaws), np.sin(yaws), grain])
+
+
+def look_at(position: Float[Tensor, " 3"], target: Float[Tensor, " 3"]) -> Float[Tensor, "4 4"]:
+    """World to camera of an upright camera in OpenCV axes; the world's z is up."""
+    forward = torch.nn.functional.normalize(target - position, dim=0)
+    right = torch.linalg.cross(forward, forward.new_tensor([0.0, 0.0, 1.0]))
+    right = torch.nn.functional.normalize(right, dim=0)
+    rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    viewmat = torch.eye(4, dtype=position.dtype)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ position
+    return viewmat
+
+
+def dome_cameras(views: int, width: int, height: int) -> Cameras:
+    """Cameras on two swaying rings around the still life, lower ring first."""
+    target = torch.tensor(TARGET)
+    viewmats = []
+    for i in range(views):
+        ring = int(2 * i >= views)
+        angle = torch.tensor(2 * np.pi * (2 * i + ring) / views)
+        tilt = torch.deg2rad(ELEVATIONS[ring] + SWAY * torch.sin(3 * angle))
+        level = torch.cos(tilt)
+        outward = torch.stack([level * angle.cos(), level * angle.sin(), tilt.sin()])
+        viewmats.append(look_at(target + DISTANCE * outward.float(), target))
+    focal = FOCAL * width
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Cameras(
+        viewmats=torch.stack(viewmats),
+        Ks=K.expand(views, 3, 3).clone(),
+        sizes=torch.tensor([[width, height]]).expand(views, 2).clone(),
+        names=tuple(f"{i:03d}.png" for i in range(views)),
+    )
+
+
+def photograph(cameras: Cameras, seed: int) -> Iterator[View]:
+    """Render the still life of a seed from each camera, lazily."""
+    layout = arrange(seed)
+    for viewmat, K, (width, height) in zip(
+        cameras.viewmats.double(), cameras.Ks.double(), cameras.sizes.tolist(), strict=True
+    ):
+        photo = np.empty((height, width, 3), np.float32)
+        geometry = np.empty((height, width, 2), np.float32)
+        render_view(K.numpy(), viewmat.inverse().numpy(), layout, photo, geometry)
+        yield View(
+            photo=torch.from_numpy((photo * 255).round().astype(np.uint8)),
+            labels=torch.from_numpy(geometry[..., 0].astype(np.int64)),
+            depth=torch.from_numpy(geometry[..., 1].copy()),
+        )

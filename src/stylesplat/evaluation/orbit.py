@@ -1,0 +1,151 @@
+"""A camera path for videos: around the scene, where the photos were taken."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+
+UP_RIDGE = 0.05  # weight of the cameras' mean up against 'no camera is rolled'
+PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
+MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
+RADIUS_RANK = 0.75  # of the photos' distances: close-ups would cut off what the others show whole
+SWAY = 0.5  # height varies along the path by this share of the captures' own deviation
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Where a path goes around: cylinder coordinates about the focus."""
+
+    focus: Float[Tensor, "3"]
+    axes: Float[Tensor, "3 3"]
+    """Rows: two horizontal directions, then up."""
+
+    def to_world(self, local: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
+        return self.focus + local @ self.axes
+
+    def to_local(self, world: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
+        return (world - self.focus) @ self.axes.T
+
+
+def orbit_cameras(cameras: Cameras, count: int) -> Cameras:
+    """A smooth closed path around what the cameras look at, looking at it.
+
+    The path stays where photos were taken: a full circle if they surround the scene, else a swing
+    to and fro over the arc that they cover. Height is the photos' mean, with some of their spread;
+    the distance is that of the farther ones.
+
+    Args:
+        cameras: The capture's cameras.
+        count: Number of frames; the one after the last would be the first again.
+
+    Returns:
+        Cameras of one even size, with the intrinsics of the photo whose view is median in width
+        and the principal point in the centre.
+
+    Raises:
+        StyleSplatError: If the view axes do not meet in front of the cameras.
+    """
+    frame = _Frame(focus := focus_point(cameras), _axes(cameras, focus))
+    local = frame.to_local(cameras.positions.double())
+    radius = local[:, :2].norm(dim=-1).quantile(RADIUS_RANK)
+    phase = 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
+    azimuth = _azimuths(torch.atan2(local[:, 1], local[:, 0]), phase)
+    height = local[:, 2].mean() + SWAY * local[:, 2].std(correction=0) * phase.sin()
+    path = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), height], dim=-1)
+    K, size = _median_lens(cameras)
+    return Cameras(
+        viewmats=look_at(frame.to_world(path), focus, frame.axes[2]).to(cameras.viewmats),
+        Ks=K.expand(count, 3, 3).to(cameras.Ks),
+        sizes=torch.tensor(size).expand(count, 2).clone(),
+        names=tuple(f"orbit_{i:04d}.png" for i in range(count)),
+    )
+
+
+def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:
+    """The point nearest to all view axes, in the least-squares sense.
+
+    Raises:
+        StyleSplatError: If the axes are parallel, or most cameras look away from the point.
+    """
+    directions = cameras.viewmats[:, 2, :3].double()
+    positions = cameras.positions.double()
+    projectors = torch.eye(3).double() - directions[:, :, None] * directions[:, None]  # [C, 3, 3]
+    matrix = projectors.mean(dim=0)
+    if torch.linalg.eigvalsh(matrix)[0] < PARALLEL:
+        raise StyleSplatError(
+            "The cameras all look the same way, so there is no point to orbit around. "
+            "Render the views of the photos instead: `--views all`."
+        )
+    focus = torch.linalg.solve(
+        matrix, torch.einsum("cij,cj->i", projectors, positions) / len(cameras)
+    )
+    if ((focus - positions) * directions).sum(dim=-1).median() <= 0:
+        raise StyleSplatError(
+            "The cameras look outwards, so there is no point to orbit around. "
+            "Render the views of the photos instead: `--views all`."
+        )
+    return focus
+
+
+def up_vector(cameras: Cameras) -> Float[Tensor, "3"]:
+    """The direction that is up: level with every camera's x axis, on the side of their tops.
+
+    Photos are hardly ever rolled, but often look down, so the x axes tell more than the tops;
+    where they leave it open, as when all cameras face one way, the mean of the tops decides.
+    """
+    rights, tops = cameras.viewmats[:, 0, :3].double(), -cameras.viewmats[:, 1, :3].double()
+    matrix = rights.T @ rights / len(cameras) + UP_RIDGE * torch.eye(3).double()
+    return torch.nn.functional.normalize(torch.linalg.solve(matrix, tops.mean(dim=0)), dim=0)
+
+
+def look_at(
+    positions: Float[Tensor, "M 3"], focus: Float[Tensor, "3"], up: Float[Tensor, "3"]
+) -> Float[Tensor, "M 4 4"]:
+    """World-to-camera matrices (OpenCV axes) of cameras that look at a point."""
+    forward = torch.nn.functional.normalize(focus - positions, dim=-1)
+    right = torch.nn.functional.normalize(
+        torch.linalg.cross(forward, up.expand_as(forward)), dim=-1
+    )
+    rotations = torch.stack([right, torch.linalg.cross(forward, right), forward], dim=1)
+    viewmats = torch.eye(4).to(positions).repeat(len(positions), 1, 1)
+    viewmats[:, :3, :3] = rotations
+    viewmats[:, :3, 3] = -torch.einsum("mij,mj->mi", rotations, positions)
+    return viewmats
+
+
+def _axes(cameras: Cameras, focus: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Right-handed rows: away from the focus towards the cameras, sideways, up."""
+    up = up_vector(cameras)
+    outward = cameras.positions.double().mean(dim=0) - focus
+    side = torch.linalg.cross(up, outward)
+    if side.norm() < PARALLEL * outward.norm():  # surrounded evenly: any direction will do
+        side = torch.linalg.cross(up, torch.eye(3).double()[up.abs().argmin()])
+    side = torch.nn.functional.normalize(side, dim=0)
+    return torch.stack([torch.linalg.cross(side, up), side, up])
+
+
+def _azimuths(photos: Float[Tensor, " C"], phase: Float[Tensor, " M"]) -> Float[Tensor, " M"]:
+    """Angles along the path, by where around the focus the photos were taken."""
+    photos = photos.sort().values
+    gaps = photos.roll(-1) - photos
+    gaps[-1] += 2 * math.pi
+    widest = int(gaps.argmax())
+    if gaps[widest] < MAX_GAP:
+        return phase
+    start, end = photos[(widest + 1) % len(photos)], photos[widest]
+    arc = (end - start) % (2 * math.pi)
+    return start + arc * (0.5 - 0.5 * phase.cos())
+
+
+def _median_lens(cameras: Cameras) -> tuple[Float[Tensor, "3 3"], tuple[int, int]]:
+    widths = cameras.sizes[:, 0] / cameras.Ks[:, 0, 0].cpu()
+    row = int(widths.argsort()[len(cameras) // 2])
+    width, height = (size - size % 2 for size in cameras.sizes[row].tolist())
+    K = cameras.Ks[row].clone()
+    K[0, 2], K[1, 2] = width / 2, height / 2
+    return K, (width, height)

@@ -1,0 +1,162 @@
+"""The contact sheet of objects: each cut out, with its label id, name and Gaussian count."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, UInt8
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+from tqdm import tqdm
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.pictures import to_uint8
+from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.labels import MIN_COVERAGE, object_ids, render_labels
+from stylesplat.selection.pick import pick_objects
+
+CELL = 256  # pixels along a cut-out
+MARGIN = 16  # pixels around a cut-out
+CAPTION = 58  # pixels of height for the text under a cut-out
+TITLE_SIZE, COUNT_SIZE = 22, 15  # pixels
+PAPER, CARD = (250, 250, 248), (226, 228, 230)
+INK, FAINT_INK = (25, 25, 28), (105, 105, 112)
+MAX_COLUMNS = 5  # of a sheet with few objects
+ASPECT = 1.5  # of a sheet with many
+SURVEY_VIEWS = 24  # views searched for the best one of each object
+SURVEY_SIZE = 160  # pixels along the longer side of those
+OVERSCAN = 0.5  # of the view on each side, to show what the photo's border cuts off
+PART_SHARE = 0.2  # of the largest part's pixels, below which a part is taken for a stray
+PADDING = 0.06  # of a cut-out on each side
+
+
+@torch.no_grad()
+def object_sheet(
+    splats: Splats,
+    cameras: Cameras,
+    *,
+    names: Mapping[int, str] | None = None,
+    backend: Backend = "auto",
+) -> UInt8[Tensor, "H W 3"]:
+    """Draw one cell per object, so that ids need not be guessed from label maps.
+
+    Each object is rendered alone, from the view that shows most of it.
+
+    Args:
+        splats: Gaussians with identities.
+        cameras: Views to choose from.
+        names: What the user calls the objects, by label id.
+        backend: See `rasterize`.
+
+    Returns:
+        The sheet, objects in the order of their ids.
+
+    Raises:
+        StyleSplatError: If the splats have no identities, or no objects.
+    """
+    ids = object_ids(splats)
+    if not ids:
+        raise StyleSplatError(
+            "These splats have no objects: the label maps hold only background. "
+            "Train with label maps that name some."
+        )
+    picked = pick_objects(splats, ids)
+    rows = _best_views(splats, cameras, ids, backend)
+    cells = []
+    for id, row in tqdm(zip(ids, rows, strict=True), "objects", total=len(ids), unit="object"):
+        picture = _portrait(splats[picked[id]], cameras[row], backend)
+        title = " · ".join([str(id), *filter(None, [(names or {}).get(id)])])
+        cells.append(_cell(picture, title, f"{int(picked[id].sum()):,} Gaussians"))
+    return torch.from_numpy(np.array(_grid(cells)))
+
+
+def _best_views(
+    splats: Splats, cameras: Cameras, ids: Sequence[int], backend: Backend
+) -> list[int]:
+    """For each object the camera that shows most of it, uncut by the image's border."""
+    rows = torch.linspace(0, len(cameras) - 1, min(SURVEY_VIEWS, len(cameras))).long().tolist()
+    scores = []
+    for row in tqdm(rows, "find objects", unit="view"):
+        camera = cameras[row].downscale(max(1.0, int(cameras.sizes[row].max()) / SURVEY_SIZE))
+        labels = render_labels(splats, camera, backend=backend)
+        scores.append([_visibility(labels == id) for id in ids])
+    return [rows[int(np.argmax(column))] for column in zip(*scores, strict=True)]
+
+
+def _visibility(shown: Tensor) -> float:
+    """Pixels, less those of a square per border pixel: 0 for a square that is cut along a side."""
+    area = float(shown.sum())
+    border = sum(float(edge.sum()) for edge in (shown[0], shown[-1], shown[:, 0], shown[:, -1]))
+    return area - border * math.sqrt(area) if area else -math.inf
+
+
+def _portrait(alone: Splats, camera: Cameras, backend: Backend) -> UInt8[Tensor, "S S 3"]:
+    """An object that fills a square picture, seen from a camera's position."""
+    background = alone.means.new_tensor(CARD) / 255
+    camera = _aim(alone, camera, backend)
+    image, _, _ = rasterize(alone, camera, background=background, backend=backend)
+    return to_uint8(image[0]).cpu()
+
+
+def _aim(alone: Splats, camera: Cameras, backend: Backend) -> Cameras:
+    """The same camera, shifted and zoomed to the square around an object."""
+    width, height = camera.size
+    step = max(width, height) / SURVEY_SIZE
+    left, top = -OVERSCAN * width, -OVERSCAN * height
+    wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
+    survey = _crop(camera, (left, top), 1 / step, tuple(wide))
+    _, alphas, _ = rasterize(alone, survey, sh_degree=0, backend=backend)
+    box = _main_box(alphas[0, ..., 0].cpu().numpy() > MIN_COVERAGE)
+    if box is None:
+        return _crop(camera, (0.0, 0.0), CELL / max(width, height), (CELL, CELL))
+    x0, y0, x1, y1 = box
+    side = max(x1 - x0, y1 - y0) * step * (1 + 2 * PADDING)
+    corner = (left + (x0 + x1) / 2 * step - side / 2, top + (y0 + y1) / 2 * step - side / 2)
+    return _crop(camera, corner, CELL / side, (CELL, CELL))
+
+
+def _main_box(shown: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
+    """Left, top, right and bottom of the large connected parts; None if nothing shows."""
+    _, _, stats, _ = cv2.connectedComponentsWithStats(shown.astype(np.uint8))
+    parts = stats[1:]  # the first is what does not show
+    if not len(parts):
+        return None
+    areas = parts[:, cv2.CC_STAT_AREA]
+    left, top, width, height, _ = parts[areas >= PART_SHARE * areas.max()].T
+    right, bottom = left + width, top + height
+    return int(left.min()), int(top.min()), int(right.max()), int(bottom.max())
+
+
+def _crop(
+    camera: Cameras, corner: tuple[float, float], zoom: float, size: tuple[int, ...]
+) -> Cameras:
+    """What a camera sees to the right of and below a corner, which may lie outside its image."""
+    Ks = camera.Ks.clone()
+    Ks[:, :2, 2] -= Ks.new_tensor(corner)
+    Ks[:, :2] *= zoom
+    return replace(camera, Ks=Ks, sizes=torch.tensor([size]))
+
+
+def _cell(picture: UInt8[Tensor, "S S 3"], title: str, count: str) -> Image.Image:
+    cell = Image.new("RGB", (CELL, CELL + CAPTION), PAPER)
+    cell.paste(Image.fromarray(picture.numpy()))
+    draw = ImageDraw.Draw(cell)
+    draw.text((2, CELL + 6), title, INK, ImageFont.load_default(TITLE_SIZE))
+    draw.text((2, CELL + 35), count, FAINT_INK, ImageFont.load_default(COUNT_SIZE))
+    return cell
+
+
+def _grid(cells: Sequence[Image.Image]) -> Image.Image:
+    lines = math.ceil(len(cells) / max(MAX_COLUMNS, math.sqrt(ASPECT * len(cells))))
+    columns = math.ceil(len(cells) / lines)
+    width, height = cells[0].width + MARGIN, cells[0].height + MARGIN
+    sheet = Image.new("RGB", (columns * width + MARGIN, lines * height + MARGIN), PAPER)
+    for number, cell in enumerate(cells):
+        line, column = divmod(number, columns)
+        sheet.paste(cell, (MARGIN + column * width, MARGIN + line * height))
+    return sheet

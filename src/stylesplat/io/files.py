@@ -1,0 +1,164 @@
+"""Files are written whole or not at all: to a temporary name beside the target, then renamed."""
+
+import errno
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from stylesplat.errors import StyleSplatError
+
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+@contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """A path to write to, which becomes `path` if the block succeeds and vanishes if not.
+
+    The temporary file lies in the same folder and keeps the suffix; folders are made as needed.
+
+    Raises:
+        StyleSplatError: If the disk is full or the place cannot be written to.
+    """
+    path = Path(path)
+    temporary = _beside(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+@contextmanager
+def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterator[Path]:
+    """An empty folder to fill, which becomes `path` if the block succeeds and vanishes if not.
+
+    With `overwrite`, a folder of our own is replaced as a whole; in a folder that holds
+    something else only the files of the same names are, so nothing of the user's is lost.
+
+    Args:
+        path: The folder to make.
+        overwrite: Whether it may hold something already.
+        marker: The file that tells a folder of our own.
+
+    Raises:
+        StyleSplatError: If `path` is a file or holds something and `overwrite` is off, or if
+            the disk is full or the place cannot be written to.
+    """
+    path = Path(path).resolve()
+    if path.is_file() or not overwrite:
+        refuse_occupied(path, marker=marker)
+    temporary = _beside(path)
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        if not path.exists() or not any(path.iterdir()) or (path / marker).is_file():
+            _swap(temporary, path)
+        else:
+            _merge(temporary, path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_occupied(path: Path | str, *, marker: str) -> None:
+    """Check that a folder is free to be claimed, before the work that will fill it.
+
+    Args:
+        path: The folder; it need not exist.
+        marker: The file that tells a folder of our own.
+
+    Raises:
+        StyleSplatError: If `path` is a file or a folder that holds anything.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
+    if path.exists() and any(path.iterdir()):
+        found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
+        raise StyleSplatError(
+            f"The folder {path} holds {found}. "
+            "Choose another one, or replace it with `--overwrite`."
+        )
+
+
+def read_json(path: Path | str) -> dict[str, Any]:
+    """Read a JSON file that holds an object.
+
+    Raises:
+        StyleSplatError: If the file is missing, unreadable or holds anything else.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+    except ValueError as error:
+        raise StyleSplatError(f"Cannot read {path}: it is not valid JSON ({error}).") from error
+    if not isinstance(content, dict):
+        raise StyleSplatError(f"Cannot read {path}: expected a JSON object.")
+    return content
+
+
+def write_json(content: dict[str, Any], path: Path | str) -> None:
+    """Write strict JSON: paths become strings, and infinities and NaN, which it lacks, null.
+
+    Raises:
+        StyleSplatError: If the disk is full or the place cannot be written to.
+    """
+    text = json.dumps(_strict(content), indent=2, allow_nan=False, default=os.fspath)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def reason(error: Exception) -> str:
+    """What an exception says, in one line: its first, or its name if it says nothing."""
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.stem}.{uuid4().hex[:12]}{path.suffix}")
+
+
+def _cannot_write(path: Path, error: OSError) -> StyleSplatError:
+    if error.errno in DISK_FULL:
+        return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
+    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.")
+
+
+def _swap(new: Path, path: Path) -> None:
+    if not path.exists():
+        new.rename(path)
+        return
+    old = _beside(path)
+    path.rename(old)
+    try:
+        new.rename(path)
+    except OSError:
+        old.rename(path)
+        raise
+    shutil.rmtree(old)
+
+
+def _merge(new: Path, path: Path) -> None:
+    for source in sorted(p for p in new.rglob("*") if p.is_file()):
+        target = path / source.relative_to(new)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source.replace(target)
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

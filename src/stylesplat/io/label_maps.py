@@ -1,0 +1,133 @@
+"""Label maps: pictures whose pixels are the ids of objects, 0 where there is none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Int, Shaped
+from PIL import Image
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import atomic_path
+from stylesplat.io.lazy import Lazy
+from stylesplat.io.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
+
+RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
+MAX_ID = 2**24 - 1
+
+
+def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
+    """Read ids from 8-bit, 16-bit, palette (the index counts) or RGB-coded pixels.
+
+    Raises:
+        StyleSplatError: If there is no such file or its pixels cannot be ids.
+    """
+    path = Path(path)
+    try:
+        with Image.open(path) as image:
+            return torch.from_numpy(_ids(image))
+    except UNREADABLE as error:
+        raise unreadable(path, error) from error
+
+
+def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
+    """Write ids as a PNG of 8 bits, 16 bits or RGB, whichever is the smallest that holds them.
+
+    Raises:
+        StyleSplatError: If an id is negative or above 2**24 - 1, or the file cannot be written.
+    """
+    if labels.numel() and not 0 <= labels.min() <= labels.max() <= MAX_ID:
+        raise StyleSplatError(f"Cannot write {path}: label ids go from 0 to {MAX_ID}.")
+    ids = labels.cpu().numpy()
+    if ids.max(initial=0) < 2**8:
+        pixels = ids.astype(np.uint8)
+    elif ids.max() < 2**16:
+        pixels = ids.astype(np.uint16)
+    else:
+        pixels = (ids[:, :, None] // RGB_CODE % 256).astype(np.uint8)
+    with atomic_path(path) as temporary:
+        Image.fromarray(pixels).save(temporary, format="PNG")
+
+
+def match_label_maps(
+    folder: Path, names: Sequence[str], photos: Sequence[Photo]
+) -> Lazy[Int[Tensor, "H W"] | None]:
+    """The label map of each photo, by file name without extension; None where there is none.
+
+    Args:
+        folder: Holds PNG files, in subfolders where the names have any.
+        names: The photos' names.
+        photos: The photos, which say how large the maps shall be.
+
+    Raises:
+        StyleSplatError: If the folder is missing, no map is any photo's, or one is no picture or
+            not of its photo's shape.
+    """
+    if not folder.is_dir():
+        raise StyleSplatError(f"There is no folder {folder} with label maps. Check `--masks`.")
+    files = {_key(path.relative_to(folder)): path for path in sorted(folder.rglob("*.png"))}
+    paths = [files.get(_key(Path(name))) or files.get(name) for name in names]
+    if not any(paths):
+        raise StyleSplatError(
+            f"None of the {len(files)} label maps in {folder} is named after a photo. "
+            f"Name them like {_key(Path(names[0]))}.png."
+        )
+    return Lazy(
+        [
+            _fit(path, photo).read if path else _none
+            for path, photo in zip(paths, photos, strict=True)
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class _LabelMap:
+    path: Path
+    photo: Photo
+    distorted: bool
+
+    def read(self) -> Int[Tensor, "H W"]:
+        ids = read_label_map(self.path).numpy()
+        if self.distorted:
+            ids = self.photo.lens.undistort(_resize(ids, self.photo.lens.size), nearest=True)
+        return torch.from_numpy(_resize(ids, self.photo.size))
+
+
+def _fit(path: Path, photo: Photo) -> _LabelMap:
+    size, _ = photo_sizes(path)
+    if size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
+        return _LabelMap(path, photo, distorted=False)
+    if not same_shape(size, photo.lens.size):
+        raise StyleSplatError(
+            f"The label map {path} is {size[0]}x{size[1]}, which is not the shape of its photo "
+            f"({photo.lens.width}x{photo.lens.height}). Make it from that photo."
+        )
+    return _LabelMap(path, photo, distorted=True)
+
+
+def _none() -> None:
+    return None
+
+
+def _key(path: Path) -> str:
+    return path.with_suffix("").as_posix()
+
+
+def _ids(image: Image.Image) -> Int[np.ndarray, "H W"]:
+    if image.format == "JPEG" or image.mode not in ("1", "L", "P", "I", "I;16", "RGB", "RGBA"):
+        raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
+    pixels = np.array(image).astype(np.int32)
+    return pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE
+
+
+def _resize(ids: Shaped[np.ndarray, "h w"], size: tuple[int, int]) -> Shaped[np.ndarray, "H W"]:
+    """Nearest neighbour between pixel centres, which OpenCV's is not."""
+    height, width = ids.shape
+    if (width, height) == size:
+        return ids
+    columns = ((np.arange(size[0]) + 0.5) * width / size[0]).astype(int)
+    rows = ((np.arange(size[1]) + 0.5) * height / size[1]).astype(int)
+    return ids[rows[:, None], columns]

@@ -1,0 +1,106 @@
+"""Camera models with distortion, and the way from their photos to pinhole photos."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pycolmap
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+
+MAPS_KEPT = 4  # photos usually share one lens; a map takes 8 bytes per pixel
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A camera model of COLMAP: hashable, and measured in pixels with centres at +0.5."""
+
+    model: str
+    """COLMAP's name of the model."""
+    width: int
+    """Of the photo."""
+    height: int
+    """Of the photo."""
+    params: tuple[float, ...]
+    """Focal lengths, principal point and distortion, in COLMAP's order."""
+
+    @classmethod
+    def from_colmap(cls, camera: pycolmap.Camera) -> "Lens":
+        """Take over a camera, checking that it can be one.
+
+        Raises:
+            StyleSplatError: If a number is missing, not finite or not positive where it has to
+                be, or if the camera is a panorama's.
+        """
+        name = camera.model_name
+        finite = camera.verify_params() and all(map(math.isfinite, camera.params))
+        if not finite or min(camera.width, camera.height) < 1:
+            raise StyleSplatError(f"A {name} camera has impossible numbers. Pose the photos again.")
+        if not camera.is_perspective():
+            raise StyleSplatError(
+                f"Cameras of the model {name} cannot be undistorted. Use photos of a lens."
+            )
+        if min(camera.focal_length_x, camera.focal_length_y) <= 0:
+            raise StyleSplatError(f"A {name} camera has no focal length. Pose the photos again.")
+        return cls(name, camera.width, camera.height, tuple(map(float, camera.params)))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.width, self.height
+
+    @property
+    def camera(self) -> pycolmap.Camera:
+        """The same for pycolmap."""
+        return pycolmap.Camera(
+            model=self.model, width=self.width, height=self.height, params=self.params
+        )
+
+    @property
+    def K(self) -> Float[Tensor, "3 3"]:
+        """Intrinsics, which describe the lens completely if it is a pinhole."""
+        return torch.from_numpy(self.camera.calibration_matrix()).float()
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether there is no distortion."""
+        return self.camera.is_undistorted()
+
+    def scaled(self, width: int, height: int) -> "Lens":
+        """The same lens for a photo of another size."""
+        camera = self.camera
+        camera.rescale(width, height)
+        return Lens.from_colmap(camera)
+
+    def pinhole(self) -> "Lens":
+        """The lens that the undistorted photo seems to be taken with (COLMAP's choice of crop)."""
+        if self.is_pinhole:
+            return self
+        options = pycolmap.UndistortCameraOptions()
+        return Lens.from_colmap(pycolmap.undistort_camera(options, self.camera))
+
+    def undistort(
+        self, pixels: Shaped[np.ndarray, "h w *D"], *, nearest: bool = False
+    ) -> Shaped[np.ndarray, "H W *D"]:
+        """What `pinhole()` would have seen, given this lens's photo; 0 where it saw nothing."""
+        if self.is_pinhole:
+            return pixels
+        how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+        return cv2.remap(pixels, *_sampling_map(self), how, borderMode=cv2.BORDER_CONSTANT)
+
+
+@lru_cache(maxsize=MAPS_KEPT)
+def _sampling_map(lens: Lens) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """For each pixel of the pinhole photo its place in the distorted one, as OpenCV counts."""
+    pinhole = lens.pinhole()
+    rows, columns = np.mgrid[: pinhole.height, : pinhole.width] + 0.5
+    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    rays = np.asarray(pinhole.camera.cam_from_img(pixels))
+    rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [HW, 3]
+    places = np.asarray(lens.camera.img_from_cam(rays)).reshape(*rows.shape, 2) - 0.5
+    return places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)

@@ -1,0 +1,93 @@
+"""From a folder to a capture."""
+
+import math
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.colmap import find_sparse, read_colmap
+from stylesplat.io.label_maps import match_label_maps
+from stylesplat.io.lazy import Lazy
+from stylesplat.io.photos import fit_photo
+from stylesplat.io.poses import PosedFiles
+from stylesplat.io.transforms import TRANSFORMS, read_transforms
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+
+OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
+ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
+
+
+def load(path: Path | str, *, downscale: float = 1.0, masks: Path | str | None = None) -> Capture:
+    """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
+
+    Only the headers of the photos are read; the photos themselves are on access, and then
+    undistorted. The world stays as it is in the files.
+
+    Args:
+        path: The capture's folder.
+        downscale: How many times smaller photos, label maps and cameras shall be.
+        masks: The folder of label maps; by default the capture's `object_mask/` if it has one.
+
+    Raises:
+        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
+            does not fit the others.
+    """
+    if not 1 <= downscale < math.inf:
+        raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
+    folder = Path(path)
+    posed = _read_poses(folder)
+    _check_poses(posed, folder)
+    photos = [fit_photo(*each) for each in zip(posed.paths, posed.lenses, strict=True)]
+    pinholes = [photo.lens.pinhole() for photo in photos]
+    cameras = Cameras(
+        viewmats=posed.viewmats.float(),
+        Ks=torch.stack([pinhole.K for pinhole in pinholes]),
+        sizes=torch.tensor([pinhole.size for pinhole in pinholes]),
+        names=posed.names,
+    ).downscale(downscale)
+    sizes = cameras.sizes.tolist()
+    photos = [photo.resized(*size) for photo, size in zip(photos, sizes, strict=True)]
+    if masks is None and (folder / OBJECT_MASK).is_dir():
+        masks = folder / OBJECT_MASK
+    return Capture(
+        cameras=cameras,
+        photos=Lazy([photo.read for photo in photos]),
+        label_maps=match_label_maps(Path(masks), posed.names, photos) if masks else None,
+        points=posed.points,
+        point_colors=posed.point_colors,
+        path=folder,
+    )
+
+
+def _read_poses(folder: Path) -> PosedFiles:
+    if not folder.is_dir():
+        raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
+    sparse = find_sparse(folder)
+    if sparse:
+        return read_colmap(folder, sparse)
+    if (folder / TRANSFORMS).is_file():
+        return read_transforms(folder)
+    raise StyleSplatError(
+        f"{folder} is not a capture: it has neither sparse/0/cameras.bin (or .txt) nor "
+        f"{TRANSFORMS}. Pose the photos with COLMAP first."
+    )
+
+
+def _check_poses(posed: PosedFiles, folder: Path) -> None:
+    bad = [name for name, m in zip(posed.names, posed.viewmats, strict=True) if not _is_rigid(m)]
+    if bad:
+        raise StyleSplatError(
+            f"{len(bad)} of the {len(posed.names)} poses in {folder} are NaN or no rotation and "
+            f"shift, the first that of {bad[0]}. Pose the photos again."
+        )
+
+
+def _is_rigid(viewmat: Float[Tensor, "4 4"]) -> bool:
+    rotation = viewmat[:3, :3]
+    error = (rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max()
+    finite = bool(viewmat.isfinite().all())
+    return finite and bool(error < ROTATION_TOLERANCE) and bool(torch.det(rotation) > 0)

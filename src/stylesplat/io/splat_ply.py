@@ -1,0 +1,103 @@
+"""Splats as PLY files with exactly the columns of the INRIA code, which every viewer opens."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.ply import read_ply_table, write_ply_table
+from stylesplat.scene.splats import Splats
+
+FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3
+REST_COUNTS = (0, 3 * 3, 3 * 8, 3 * FULL_BANDS)  # columns at each degree
+MEANS = ("x", "y", "z")
+SH0 = tuple(f"f_dc_{i}" for i in range(3))
+OPACITY = ("opacity",)
+SCALES = tuple(f"scale_{i}" for i in range(3))
+QUATS = tuple(f"rot_{i}" for i in range(4))
+NORMALS = ("nx", "ny", "nz")  # always 0; some viewers count on them
+
+
+def read_splat_ply(path: Path | str) -> Splats:
+    """Read splats of degree 0 to 3, their columns in any order; other columns are ignored.
+
+    Raises:
+        StyleSplatError: If the file is missing, truncated or too long, lacks a column or holds
+            numbers that are not finite.
+    """
+    table = read_ply_table(path)
+    rest = _find_rest(table, path)
+    return Splats(
+        means=_columns(table, MEANS, path),
+        quats=_columns(table, QUATS, path),
+        scales=_columns(table, SCALES, path),
+        opacities=_columns(table, OPACITY, path)[:, 0],
+        sh0=_columns(table, SH0, path)[:, None],
+        shN=_columns(table, rest, path).unflatten(1, (3, len(rest) // 3)).mT.contiguous(),
+    )
+
+
+def write_splat_ply(splats: Splats, path: Path | str) -> None:
+    """Write the values as they are, bit by bit, with `shN` padded by zeros to degree 3.
+
+    Raises:
+        StyleSplatError: If the file cannot be written.
+    """
+    rest = pad_bands(splats.shN).transpose(1, 2).flatten(1)  # [N, 45]: channel by channel
+    blocks = {
+        MEANS: splats.means,
+        NORMALS: torch.zeros_like(splats.means),
+        SH0: splats.sh0[:, 0],
+        _rest(3 * FULL_BANDS): rest,
+        OPACITY: splats.opacities[:, None],
+        SCALES: splats.scales,
+        QUATS: splats.quats,
+    }
+    rows = torch.cat([block.detach().float().cpu() for block in blocks.values()], dim=1)
+    dtype = np.dtype([(name, "<f4") for names in blocks for name in names])
+    write_ply_table(rows.contiguous().numpy().astype("<f4", copy=False).view(dtype)[:, 0], path)
+
+
+def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
+    """Higher colour bands of degree 3, those beyond the splats' own degree being 0."""
+    return torch.nn.functional.pad(shN, (0, 0, 0, FULL_BANDS - shN.shape[1]))
+
+
+def _rest(count: int) -> tuple[str, ...]:
+    return tuple(f"f_rest_{i}" for i in range(count))
+
+
+def _find_rest(table: Shaped[np.ndarray, " N"], path: Path | str) -> tuple[str, ...]:
+    """Names of the higher bands' columns, having checked that all columns are there."""
+    names = table.dtype.names or ()
+    rest = _rest(sum(name.startswith("f_rest_") for name in names))
+    missing = [n for n in (*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, *rest) if n not in names]
+    if missing:
+        raise StyleSplatError(
+            f"Cannot read {path} as splats: it has no column {missing[0]}. "
+            "Export it as an uncompressed 3DGS PLY."
+        )
+    if len(rest) not in REST_COUNTS:
+        raise StyleSplatError(
+            f"Cannot read {path} as splats: {len(rest)} f_rest columns fit no degree up to 3. "
+            "Export it as an uncompressed 3DGS PLY."
+        )
+    return rest
+
+
+def _columns(
+    table: Shaped[np.ndarray, " N"], names: tuple[str, ...], path: Path | str
+) -> Float[Tensor, "N D"]:
+    values = np.empty((len(table), len(names)), np.float32)
+    for i, name in enumerate(names):
+        values[:, i] = table[name]
+    bad = ~np.isfinite(values)
+    if bad.any():
+        raise StyleSplatError(
+            f"Cannot read {path} as splats: {bad.sum()} values of {', '.join(names[:3])}... "
+            "are not finite. Remove those Gaussians or train again."
+        )
+    return torch.from_numpy(values)

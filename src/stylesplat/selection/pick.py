@@ -1,0 +1,169 @@
+"""The verb `select`: choose an object's Gaussians by label id, by a box or by a point."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.rasterize import Backend
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.labels import (
+    BACKGROUND,
+    class_probabilities,
+    object_ids,
+    render_labels,
+    require_identities,
+)
+from stylesplat.selection.outliers import inliers
+
+THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
+
+Point = tuple[float, float]
+Box = tuple[float, float, float, float]
+
+
+def select(
+    splats: Splats,
+    *,
+    object_id: int | Sequence[int] | None = None,
+    box: Box | None = None,
+    point: Point | None = None,
+    camera: Cameras | None = None,
+    threshold: float = THRESHOLD,
+    remove_outliers: bool = True,
+    backend: Backend = "auto",
+) -> Bool[Tensor, " N"]:
+    """Pick the Gaussians of one or more objects.
+
+    Say which by exactly one of `object_id`, `box` and `point`.
+
+    Args:
+        splats: Gaussians with identities.
+        object_id: Label id, or several, as the label maps name them.
+        box: `(x0, y0, x1, y1)` in the photo's pixels; the object that shows most inside it.
+        point: `(x, y)` in the photo's pixels; the object that shows there.
+        camera: The view that `box` or `point` refers to, at the photo's full size.
+        threshold: Probability of the object above which a Gaussian belongs to it.
+        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object.
+        backend: See `rasterize`.
+
+    Returns:
+        True for the picked Gaussians.
+
+    Raises:
+        StyleSplatError: If the splats have no identities, no such object exists, the box or
+            point is outside the image or shows no object, or no Gaussian passes `threshold`.
+    """
+    ids = resolve_ids(
+        splats, object_id=object_id, box=box, point=point, camera=camera, backend=backend
+    )
+    picked = pick_objects(splats, ids, threshold=threshold, remove_outliers=remove_outliers)
+    for id, mask in picked.items():
+        if not mask.any():
+            raise StyleSplatError(
+                f"No Gaussian is object {id} with a probability above {threshold:g}. "
+                "Lower the threshold, or train longer."
+            )
+    return torch.stack(list(picked.values())).any(dim=0)
+
+
+def resolve_ids(
+    splats: Splats,
+    *,
+    object_id: int | Sequence[int] | None = None,
+    box: Box | None = None,
+    point: Point | None = None,
+    camera: Cameras | None = None,
+    backend: Backend = "auto",
+) -> tuple[int, ...]:
+    """The label ids that the arguments of `select` mean.
+
+    Raises:
+        StyleSplatError: As `select` does.
+    """
+    require_identities(splats)
+    if sum(way is not None for way in (object_id, box, point)) != 1:
+        raise StyleSplatError("Select by exactly one of object_id, box and point.")
+    if object_id is not None:
+        return _known_ids(splats, object_id)
+    if camera is None or len(camera) != 1:
+        raise StyleSplatError(
+            "A box or point needs the one view it refers to. Pass camera=cameras[row]."
+        )
+    if point is not None:
+        return (_id_at_point(splats, point, camera, backend),)
+    assert box is not None
+    return (_id_in_box(splats, box, camera, backend),)
+
+
+def pick_objects(
+    splats: Splats,
+    ids: Sequence[int],
+    *,
+    threshold: float = THRESHOLD,
+    remove_outliers: bool = True,
+) -> dict[int, Bool[Tensor, " N"]]:
+    """The Gaussians of each object by its label id, possibly none."""
+    _, classifier = require_identities(splats)
+    probabilities = class_probabilities(splats)
+    picked = {}
+    for id in ids:
+        mask = probabilities[:, classifier.ids.index(id)] > threshold
+        if remove_outliers:
+            mask[mask.clone()] = inliers(splats.means[mask])
+        picked[id] = mask
+    return picked
+
+
+def _known_ids(splats: Splats, object_id: int | Sequence[int]) -> tuple[int, ...]:
+    ids = (object_id,) if isinstance(object_id, int) else tuple(object_id)
+    known = object_ids(splats)
+    if not ids:
+        raise StyleSplatError("Select at least one object id; the list is empty.")
+    for id in ids:
+        if id not in known:
+            names = ", ".join(map(str, known)) or "none"
+            reason = "is background" if id == BACKGROUND else "does not exist"
+            raise StyleSplatError(f"Object {id} {reason}. Objects that do exist: {names}.")
+    return ids
+
+
+def _id_at_point(splats: Splats, point: Point, camera: Cameras, backend: Backend) -> int:
+    (x, y), (width, height) = point, camera.size
+    if not (0 <= x < width and 0 <= y < height):
+        raise StyleSplatError(
+            f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels. "
+            "Coordinates are those of the photo at full size."
+        )
+    label = int(render_labels(splats, camera, backend=backend)[int(y), int(x)])
+    if label == BACKGROUND:
+        raise StyleSplatError(
+            f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
+            "Choose another point, or run `stylesplat objects SCENE` and select by id."
+        )
+    return label
+
+
+def _id_in_box(splats: Splats, box: Box, camera: Cameras, backend: Backend) -> int:
+    (x0, y0, x1, y1), (width, height) = box, camera.size
+    text = f"{x0:g},{y0:g},{x1:g},{y1:g}"
+    if not (x0 < x1 and y0 < y1):
+        raise StyleSplatError(f"Box {text} is empty. Give x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
+    if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
+        raise StyleSplatError(
+            f"Box {text} reaches outside {camera.names[0]}, which is {width}x{height} pixels. "
+            "Coordinates are those of the photo at full size."
+        )
+    rows, columns = slice(int(y0), math.ceil(y1)), slice(int(x0), math.ceil(x1))
+    labels = render_labels(splats, camera, backend=backend)[rows, columns]
+    ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
+    if not len(ids):
+        raise StyleSplatError(
+            f"There is no object inside {text} in {camera.names[0]}. "
+            "Choose another box, or run `stylesplat objects SCENE` and select by id."
+        )
+    return int(ids[counts.argmax()])

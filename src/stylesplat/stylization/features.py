@@ -1,0 +1,136 @@
+"""The feature network: the convolutions of VGG, cut after the layers that style transfer needs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+from torchvision.models import vgg
+
+from stylesplat.errors import StyleSplatError
+
+Network = Literal["vgg16", "vgg19", "random"]
+
+LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
+TORCHVISION_KEYS: dict[Network, str] = {"vgg16": "D", "vgg19": "E", "random": "D"}
+
+
+@dataclass(frozen=True)
+class Convolution:
+    """A 3x3 convolution with zero padding, followed by a ReLU."""
+
+    weight: Float[Tensor, "out in 3 3"]
+    """Filters; the first layer's inputs are red, green, blue."""
+    bias: Float[Tensor, " out"]
+    """One number per filter."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Where the features of a block lie in the image: cell `i` sees `[i * stride - before, +size)`.
+
+    The receptive field is the same in x and y.
+    """
+
+    stride: int
+    """Pixels from one feature to the next."""
+    size: int
+    """Pixels that a feature depends on, its receptive field."""
+    before: int
+    """How many of them lie before pixel `i * stride`."""
+
+    def inside(self, length: int) -> slice:
+        """The cells of an axis of `length` pixels whose receptive field is all in the image."""
+        first = -(-self.before // self.stride)
+        last = (length - self.size + self.before) // self.stride
+        return slice(first, max(first, last + 1))
+
+
+@dataclass(frozen=True)
+class FeatureNetwork:
+    """Blocks of convolutions with 2x2 maximum pooling between them."""
+
+    blocks: tuple[tuple[Convolution, ...], ...]
+    """Block 1 first; the last may be cut short."""
+    mean: Float[Tensor, " 3"]
+    """Colour in 0..1 that the first layer sees as zero."""
+    std: Float[Tensor, " 3"]
+    """Difference of colour that the first layer sees as one."""
+
+    def __call__(
+        self, image: Float[Tensor, "H W 3"], blocks: Sequence[int] = (3,)
+    ) -> tuple[Float[Tensor, "_ _ _"], ...]:
+        """The features of an image, its colours in 0..1.
+
+        Args:
+            image: May exceed 0..1, as renders do.
+            blocks: Which blocks, counted from 1.
+
+        Returns:
+            For each block an image of the ReLU outputs of its first three layers, concatenated.
+
+        Raises:
+            StyleSplatError: If the network has no such block.
+        """
+        self._check(blocks)
+        x = ((image - self.mean) / self.std).permute(2, 0, 1)[None]  # channels-last in memory
+        outputs = {}
+        for number, block in enumerate(self.blocks[: max(blocks)], start=1):
+            if number > 1:
+                x = F.max_pool2d(x, 2)
+            layers = []
+            for conv in block:
+                x = F.relu_(F.conv2d(x, conv.weight, conv.bias, padding=1))
+                layers.append(x)
+            outputs[number] = torch.cat(layers[:LAYERS_PER_BLOCK], dim=1)[0].permute(1, 2, 0)
+        return tuple(outputs[number] for number in blocks)
+
+    def cells(self, block: int) -> Cells:
+        """Where the features of a block, counted from 1, lie in the image."""
+        self._check([block])
+        size, before = 1, 0
+        for number, convs in enumerate(self.blocks[:block], start=1):
+            stride = 2 ** (number - 1)
+            size += stride // 2  # the pooling before this block
+            depth = len(convs) if number < block else len(convs[:LAYERS_PER_BLOCK])
+            size, before = size + 2 * stride * depth, before + stride * depth
+        return Cells(stride=2 ** (block - 1), size=size, before=before)
+
+    def to(self, device: torch.device | str) -> "FeatureNetwork":
+        """The same network on another device."""
+        blocks = tuple(
+            tuple(Convolution(c.weight.to(device), c.bias.to(device)) for c in block)
+            for block in self.blocks
+        )
+        return replace(self, blocks=blocks, mean=self.mean.to(device), std=self.std.to(device))
+
+    def _check(self, blocks: Sequence[int]) -> None:
+        if not blocks or min(blocks) < 1 or max(blocks) > len(self.blocks):
+            raise StyleSplatError(
+                f"Features of blocks {tuple(blocks)} were asked for, the network has blocks 1 to "
+                f"{len(self.blocks)}. Choose among those, or load deeper weights."
+            )
+
+
+def layer_widths(network: Network, depth: int) -> tuple[tuple[int, ...], ...]:
+    """The number of filters of each convolution down to the features of block `depth`.
+
+    Raises:
+        StyleSplatError: If the network is not that deep.
+    """
+    blocks: list[list[int]] = [[]]
+    for width in vgg.cfgs[TORCHVISION_KEYS[network]]:
+        if isinstance(width, int):
+            blocks[-1].append(width)
+        else:
+            blocks.append([])
+    blocks.pop()  # torchvision's configuration ends with a pooling
+    if not 1 <= depth <= len(blocks):
+        raise StyleSplatError(
+            f"Block {depth} of {network} was asked for, it has blocks 1 to {len(blocks)}."
+        )
+    *whole, last = blocks[:depth]
+    return (*(tuple(b) for b in whole), tuple(last[:LAYERS_PER_BLOCK]))

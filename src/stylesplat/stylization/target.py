@@ -1,0 +1,63 @@
+"""The style image, as the features that an object is to take on."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.stylization.features import FeatureNetwork
+
+
+@torch.no_grad()
+def style_features(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
+) -> tuple[Float[Tensor, "_ _"], ...]:
+    """Features of a style image resized to `length` pixels along its longer side.
+
+    Features that see past the border are left out, so its padding is in no style.
+
+    Args:
+        style: Colours in 0..1, of any size and shape.
+        network: The feature network.
+        blocks: Which blocks of it.
+        length: In pixels.
+
+    Returns:
+        For each block the features, one per row.
+
+    Raises:
+        StyleSplatError: If the style image is smaller than what one feature depends on.
+    """
+    cells = [network.cells(block) for block in blocks]
+    needed = max(c.size + c.stride - 1 for c in cells)
+    _refuse_small(style, needed, "it is", "Choose a larger picture.")
+    resized = resize(style, length)
+    _refuse_small(resized, needed, "for this object it becomes", "Raise the style scale.")
+    feats = network(resized, blocks)
+    rows = []
+    for c, image in zip(cells, feats, strict=True):
+        inside = image[c.inside(resized.shape[0]), c.inside(resized.shape[1])]
+        rows.append(inside.reshape(-1, image.shape[-1]))
+    return tuple(rows)
+
+
+def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
+    """The image with a longer side of `length` pixels, its shape kept."""
+    height, width = image.shape[:2]
+    factor = length / max(height, width)
+    size = (max(1, round(height * factor)), max(1, round(width * factor)))
+    planes = image.permute(2, 0, 1)[None]
+    resized = F.interpolate(planes, size, mode="bicubic", antialias=True)
+    return resized[0].permute(1, 2, 0).clamp(0, 1)
+
+
+def _refuse_small(style: Tensor, needed: int, what: str, remedy: str) -> None:
+    height, width = style.shape[:2]
+    if min(height, width) < needed:
+        raise StyleSplatError(
+            f"Cannot take the style from this picture: {what} {width}x{height} pixels, and its "
+            f"features span {needed}. {remedy}"
+        )

@@ -1,0 +1,130 @@
+"""Where an object is seen: cameras cut to it, and the features that are its own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional as F
+from tqdm import tqdm
+
+from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.features import Cells
+
+COVERED = 0.5  # the opaque share from which a pixel or a feature is the object's
+SURVEY_SIZE = 320  # longer side of the renders in which objects are looked for
+MIN_CELLS = 16  # views that show fewer features of the object are skipped
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where an object lies in one camera's image."""
+
+    camera: Cameras
+    """The camera alone, at full size."""
+    low: Float[Tensor, " 2"]
+    """Left and top, in pixels."""
+    high: Float[Tensor, " 2"]
+    """Right and bottom."""
+
+    @property
+    def length(self) -> float:
+        """The longer side."""
+        return float((self.high - self.low).max())
+
+
+@dataclass(frozen=True)
+class ObjectView:
+    """A view of an object, cut to what its features depend on."""
+
+    camera: Cameras
+    """One camera, whose image is the cut."""
+    cells: tuple[Bool[Tensor, "_ _"], ...]
+    """For each block of features, which of them are the object's."""
+
+
+def find_boxes(
+    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, backend: Backend = "auto"
+) -> list[Box]:
+    """Find in which views an object shows, and where; what hides it is taken into account."""
+    boxes = []
+    for index in tqdm(range(len(cameras)), desc="looking for the object", leave=False):
+        camera = cameras[index]
+        small = camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
+        covered = coverage(splats, small, picked, backend=backend) > COVERED
+        if covered.any():
+            pixels = covered.nonzero().flip(1).cpu()  # x, y
+            ratio = camera.sizes[0] / small.sizes[0]
+            boxes.append(Box(camera, pixels.amin(0) * ratio, (pixels.amax(0) + 1) * ratio))
+    return boxes
+
+
+def typical_length(boxes: Sequence[Box]) -> float:
+    """The median of the object's longer sides."""
+    return median(box.length for box in boxes)
+
+
+def cut_views(
+    splats: Splats,
+    boxes: Sequence[Box],
+    picked: Bool[Tensor, " N"],
+    cells: Sequence[Cells],
+    *,
+    zoom: float,
+    backend: Backend = "auto",
+) -> list[ObjectView]:
+    """Cut views to an object and mark its features; skip those where it hardly shows.
+
+    Args:
+        splats: The scene.
+        boxes: Where the object lies.
+        picked: The object's Gaussians.
+        cells: Where the features of each block lie.
+        zoom: Size of the views, as a multiple of the cameras'.
+        backend: Of the rasteriser.
+    """
+    views = []
+    for box in tqdm(boxes, desc="cutting the views", leave=False):
+        camera = _cut(box, zoom, cells)
+        seen = coverage(splats, camera, picked, backend=backend)[None]
+        masks = tuple(F.avg_pool2d(seen, c.stride)[0] > COVERED for c in cells)
+        if all(mask.sum() >= MIN_CELLS for mask in masks):
+            views.append(ObjectView(camera, masks))
+    return views
+
+
+@torch.no_grad()
+def coverage(
+    splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"], *, backend: Backend = "auto"
+) -> Float[Tensor, "H W"]:
+    """The opaque share of an object in each pixel of one camera, what hides it in front."""
+    features = picked.to(splats.means)[:, None]
+    image, _, _ = rasterize(splats, camera, features=features, sh_degree=0, backend=backend)
+    return image[0, :, :, 3]
+
+
+def crop(camera: Cameras, low: Sequence[int], high: Sequence[int]) -> Cameras:
+    """The camera of a rectangle of one camera's image.
+
+    Args:
+        camera: One camera.
+        low: Left and top, in pixels.
+        high: Right and bottom.
+    """
+    Ks = camera.Ks.clone()
+    Ks[:, :2, 2] -= torch.tensor(low).to(Ks)
+    sizes = torch.tensor([high]) - torch.tensor([low])
+    return replace(camera, Ks=Ks, sizes=sizes.to(camera.sizes.dtype))
+
+
+def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> Cameras:
+    """The camera of a box and of all pixels around it that its features depend on."""
+    camera = box.camera.downscale(1 / zoom)
+    low = (box.low * zoom).floor() - max(c.before for c in cells)
+    high = (box.high * zoom).ceil() + max(c.size - c.before for c in cells)
+    low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
+    return crop(camera, low.tolist(), high.tolist())

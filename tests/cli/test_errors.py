@@ -1,0 +1,82 @@
+"""Bad input gets one line on stderr and status 1; wrong usage gets status 2."""
+
+from pathlib import Path
+
+import pytest
+
+from balls import CAMERAS
+from stylesplat.cli import main
+from stylesplat.cli.parse import parse_place, parse_style
+from stylesplat.errors import StyleSplatError
+
+VIEW = CAMERAS.names[0]
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([str(a) for a in arguments]) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert lines[-1].startswith("stylesplat: ")
+    assert not any("Traceback" in line for line in lines)
+    return lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["objects", "{tmp}"], "not a scene"),
+        (["train", "{tmp}/none", "-o", "{tmp}/x"], "none"),
+        (["select", "{scene}", "--name", "x", "--id", "99"], "99 does not exist"),
+        (["select", "{scene}", "--name", "x", "--id", "0"], "background"),
+        (["select", "{scene}", "--name", "x"], "exactly one"),
+        (["select", "{scene}", "--name", "5", "--id", "3"], "must not be numbers"),
+        (["select", "{scene}", "--name", "x", "--point", "7,8"], "VIEW:x,y"),
+        (["select", "{scene}", "--name", "x", "--point", VIEW + ":99,3"], "outside"),
+        (["select", "{scene}", "--name", "x", "--point", VIEW + ":0,0"], "no object at"),
+        (["select", "{scene}", "--name", "x", "--point", "lost.jpg:1,1"], "No view is called"),
+        (["select", "{scene}", "--name", "x", "--box", VIEW + ":9,9,3,3"], "empty"),
+        (["stylize", "{scene}", "--style", "red", "-o", "{tmp}/y"], "OBJECT=IMAGE"),
+        (["stylize", "{scene}", "--style", "red={style}", "-o", "{tmp}/y"], "no object 'red'"),
+        (["stylize", "{scene}", "--style", "3={tmp}/none.png", "-o", "{tmp}/y"], "none.png"),
+        (["stylize", "{scene}", "--style", "3={style}", "-o", "{tmp}"], "--overwrite"),
+        (["render", "{scene}", "-o", "{tmp}/y", "--what", "smell"], "smell"),
+        (["render", "{scene}", "-o", "{tmp}/y", "--what", "object:hat"], "hat"),
+        (["render", "{scene}", "-o", "{tmp}"], "--overwrite"),
+        (["export", "{scene}", "{tmp}/out.obj"], ".obj"),
+    ],
+    ids=lambda value: "-".join(map(str, value))[:50] if isinstance(value, list) else "",
+)
+def test_one_line_and_status_1(
+    arguments: list[str], expected: str, scene: Path, style: Path, capsys
+):
+    places = {"scene": scene, "tmp": scene.parent, "style": style}
+    before = {p: p.stat().st_mtime_ns for p in scene.parent.rglob("*") if p.is_file()}
+    features = ["--features", "random"] if arguments[0] == "stylize" else []
+    line = complaint(capsys, *(a.format(**places) for a in arguments), *features)
+    assert expected in line
+    after = {p: p.stat().st_mtime_ns for p in scene.parent.rglob("*") if p.is_file()}
+    assert after == before, "nothing of the user's is changed"
+
+
+@pytest.mark.parametrize("arguments", [[], ["trane"], ["train"], ["render", "x", "--vies", "y"]])
+def test_wrong_usage_exits_with_2(arguments: list[str], capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("verb", ["demo", "train", "objects", "select", "stylize", "render"])
+def test_help_has_an_example(verb: str, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([verb, "--help"])
+    assert stopped.value.code == 0
+    assert f"Example: stylesplat {verb}" in capsys.readouterr().out
+
+
+def test_places_and_styles_are_parsed():
+    assert parse_place("a:b.jpg:1,2,3,4.5", 4) == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
+    assert parse_style("vase=a=b.jpg") == ("vase", Path("a=b.jpg"))
+    with pytest.raises(StyleSplatError, match="x0,y0,x1,y1"):
+        parse_place("a.jpg:1,2", 4)
+    with pytest.raises(StyleSplatError, match="OBJECT=IMAGE"):
+        parse_style("=b.jpg")

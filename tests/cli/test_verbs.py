@@ -1,0 +1,150 @@
+"""Every verb of the command line, on tiny scenes."""
+
+import json
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from balls import CAMERAS, SPLATS
+from stylesplat.cli import main
+from stylesplat.io.label_maps import read_label_map
+from stylesplat.io.scene_folder import read_scene
+from stylesplat.io.splat_ply import read_splat_ply
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def result(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
+    assert run(*arguments, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
+    out = tmp_path / "scene"
+    metrics = result(capsys, "train", capture, "-o", out, "--steps", 40, "--device", "cpu")
+    assert metrics == json.loads((out / "metrics.json").read_text())
+    assert {"psnr", "ssim", "seconds", "steps", "gaussians", "steps_per_second"} <= set(metrics)
+    assert metrics["steps"] == 40
+    scene = read_scene(out)
+    assert len(scene.splats) == metrics["gaussians"]
+    assert scene.splats.classifier is not None
+    assert scene.splats.classifier.ids == (0, 3, 7, 300)
+    assert scene.info["test_views"] == ["0000.jpg"]
+    assert torch.allclose(scene.cameras.viewmats, CAMERAS.viewmats, atol=1e-6)
+    assert not (out / "checkpoint.pt").exists()
+
+
+def test_train_keeps_what_is_there(capture: Path, scene: Path, capsys):
+    before = (scene / "splats.ply").read_bytes()
+    assert run("train", capture, "-o", scene, "--steps", 1) == 1
+    assert "--overwrite" in capsys.readouterr().err
+    assert (scene / "splats.ply").read_bytes() == before
+    assert run("train", capture, "-o", scene, "--steps", 1, "--overwrite") == 0
+    assert (scene / "splats.ply").read_bytes() != before
+
+
+def test_train_continues_from_its_checkpoint(
+    capture: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    from stylesplat.verbs import train
+
+    out, real = tmp_path / "scene", train.fit
+
+    def interrupted(*args, on_progress, **kwargs):
+        def stop(state, loss, psnr):
+            if state.step == 5:
+                import signal
+
+                signal.raise_signal(signal.SIGINT)
+
+        return real(*args, on_progress=stop, **kwargs)
+
+    monkeypatch.setattr(train, "fit", interrupted)
+    assert run("train", capture, "-o", out, "--steps", 12) == 130
+    assert (out / "checkpoint.pt").exists()
+    monkeypatch.setattr(train, "fit", real)
+    assert run("train", capture, "-o", out, "--steps", 12) == 0
+    assert "Continuing" in capsys.readouterr().err
+    assert read_scene(out).metrics["steps"] == 12
+
+
+def test_objects_lists_ids_and_draws_them(scene: Path, capsys):
+    listed = result(capsys, "objects", scene)
+    assert {entry["id"]: entry["gaussians"] for entry in listed["objects"]} == {
+        3: 80,
+        7: 80,
+        300: 80,
+    }
+    assert Image.open(listed["sheet"]).size > (100, 100)
+
+
+def test_select_by_id_and_by_point(scene: Path, capsys):
+    by_id = result(capsys, "select", scene, "--name", "red", "--id", 3)
+    assert by_id["ids"] == [3] and by_id["gaussians"] == 80
+    labels = read_scene(scene)
+    from stylesplat.selection.labels import render_labels
+
+    y, x = (render_labels(labels.splats, CAMERAS[2]) == 7).nonzero().median(dim=0).values.tolist()
+    place = f"{CAMERAS.names[2]}:{x},{y}"
+    assert result(capsys, "select", scene, "--name", "green", "--point", place)["ids"] == [7]
+    box = f"{CAMERAS.names[2]}:{x - 1},{y - 1},{x + 2},{y + 2}"
+    assert result(capsys, "select", scene, "--name", "also", "--box", box)["ids"] == [7]
+    after = read_scene(scene)
+    assert set(after.picks) == {"red", "green", "also"}
+    assert after.objects["green"]["view"] == CAMERAS.names[2]
+    names = {e["id"]: e["names"] for e in result(capsys, "objects", scene)["objects"]}
+    assert names == {3: ["red"], 7: ["green", "also"], 300: []}
+
+
+def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Path, capsys):
+    assert run("select", scene, "--name", "red", "--id", 3) == 0
+    out = scene.parent / "styled"
+    metrics = result(
+        capsys,
+        *("stylize", scene, "--style", f"red={style}", "--style", f"7={style}", "-o", out),
+        *("--features", "random", "--steps", 3, "--device", "cpu"),
+    )
+    before, after = read_scene(scene).splats, read_scene(out).splats
+    painted = (before.identities[:, 1] + before.identities[:, 2]) > 0
+    for name, tensor in before.tensors().items():
+        kept = ~painted if name in ("sh0", "shN") else torch.ones_like(painted)
+        assert torch.equal(tensor[kept], after.tensors()[name][kept]), name
+    assert (before.sh0[painted] != after.sh0[painted]).any(dim=(1, 2)).all()
+    assert metrics["changed_gaussians"] == 160
+    assert set(metrics["nnfm_before"]) == set(metrics["nnfm_after"]) == {"red", "7"}
+    styled = read_scene(out)
+    assert styled.base_colors is not None and torch.equal(styled.base_colors["sh0"], before.sh0)
+    assert styled.recipe is not None and len(styled.recipe["objects"][0]["sha256"]) == 64
+    assert styled.metrics["train"] == {"psnr": 30.0}
+
+
+def test_render_writes_pictures_and_videos(scene: Path, tmp_path: Path):
+    assert run("render", scene, "-o", tmp_path / "all") == 0
+    assert len(list((tmp_path / "all").iterdir())) == len(CAMERAS)
+    assert Image.open(tmp_path / "all" / "0003.png").size == CAMERAS.size
+    assert run("render", scene, "-o", tmp_path / "test", "--views", "test", "--downscale", 2) == 0
+    assert [p.name for p in (tmp_path / "test").iterdir()] == ["0000.png"]
+    assert Image.open(tmp_path / "test" / "0000.png").size == (24, 18)
+    assert run("render", scene, "-o", tmp_path / "ids", "--what", "labels") == 0
+    assert set(np.unique(read_label_map(tmp_path / "ids" / "0000.png"))) == {0, 3, 7, 300}
+    for what in ("identities", "depth", "object:7"):
+        assert run("render", scene, "-o", tmp_path / what[:5], "--what", what) == 0
+    assert run("render", scene, "-o", tmp_path / "orbit.mp4", "--views", "train") == 0
+    with av.open(str(tmp_path / "orbit.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == len(CAMERAS) - 1
+
+
+def test_export_keeps_every_bit(scene: Path, tmp_path: Path):
+    assert run("export", scene, tmp_path / "out.ply") == 0
+    exported = read_splat_ply(tmp_path / "out.ply")
+    assert torch.equal(exported.means, SPLATS.means)
+    assert torch.equal(exported.sh0, SPLATS.sh0)
+    assert run("export", scene, tmp_path / "out.ply") == 1, "never overwrites by itself"
+    assert run("export", scene, tmp_path / "out.ply", "--overwrite") == 0
+    assert run("export", scene, tmp_path / "out.splat") == 0

@@ -1,0 +1,98 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from balls import CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.metrics import evaluate_views, mean_iou, psnr
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.capture import Capture
+from stylesplat.selection.labels import render_labels
+from stylesplat.training.ssim import ssim
+
+
+def noise(seed: int = 0) -> torch.Tensor:
+    return torch.rand(40, 50, 3, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.fixture
+def capture() -> Capture:
+    """Photos and label maps that the balls match up to rounding."""
+    images, _, _ = rasterize(SPLATS, CAMERAS)
+    return Capture(
+        cameras=CAMERAS,
+        photos=[(i.clamp(0, 1) * 255).round().to(torch.uint8) for i in images],
+        label_maps=[render_labels(SPLATS, CAMERAS[row]) for row in range(8)],
+    )
+
+
+def test_psnr_of_a_known_error():
+    image = torch.zeros(4, 5, 3)
+    assert psnr(image, image + 0.1).item() == pytest.approx(20.0, abs=1e-4)
+    assert psnr(image, image).item() == math.inf
+
+
+def test_ssim_is_one_only_for_equal_images():
+    image = noise()
+    assert ssim(image, image).item() == pytest.approx(1.0, abs=1e-6)
+    assert ssim(image, noise(1)).item() < 0.2
+    assert ssim(image, noise(1)).item() == pytest.approx(ssim(noise(1), image).item())
+
+
+def test_ssim_matches_scipy():
+    x, y = noise().double(), (0.7 * noise() + 0.3 * noise(1)).double()
+
+    def blur(image: np.ndarray) -> np.ndarray:
+        return gaussian_filter(image, 1.5, radius=5, mode="constant", axes=(0, 1))
+
+    a, b = x.numpy(), y.numpy()
+    mean_a, mean_b = blur(a), blur(b)
+    var_a, var_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
+    covar = blur(a * b) - mean_a * mean_b
+    expected = ((2 * mean_a * mean_b + 1e-4) * (2 * covar + 9e-4)) / (
+        (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
+    )
+    assert ssim(x, y).item() == pytest.approx(expected.mean(), abs=1e-6)  # the window is float32
+
+
+def test_mean_iou_averages_over_objects_and_ignores_background():
+    given = torch.tensor([[1, 1, 2, 0]])
+    predicted = torch.tensor([[1, 0, 2, 0]])
+    assert mean_iou([(predicted, given)]) == pytest.approx((1 / 2 + 1) / 2)
+    assert mean_iou([(given, given)]) == 1
+    assert math.isnan(mean_iou([(0 * given, 0 * given)]))
+
+
+def test_mean_iou_pools_pixels_over_views():
+    one, none = torch.ones(1, 3, dtype=torch.int64), torch.zeros(1, 3, dtype=torch.int64)
+    assert mean_iou([(one, one), (none, one)]) == pytest.approx(1 / 2)
+
+
+def test_perfect_splats_score_as_well_as_8_bit_photos_allow(capture):
+    metrics = evaluate_views(SPLATS, capture, [0, 5])
+    assert metrics["psnr"] > 55  # rounding to 1/255 alone gives 59 dB
+    assert metrics["ssim"] > 0.999
+    assert metrics["miou"] == 1
+
+
+def test_scores_are_means_over_the_rows(capture):
+    splats = replace(SPLATS, sh0=0.8 * SPLATS.sh0)
+    one, two, both = (evaluate_views(splats, capture, rows) for rows in ([0], [1], [0, 1]))
+    for name in ("psnr", "ssim"):
+        assert both[name] == pytest.approx((one[name] + two[name]) / 2, abs=1e-4)
+
+
+def test_no_miou_without_label_maps(capture):
+    assert evaluate_views(SPLATS, replace(capture, label_maps=None), [0]).keys() == {
+        "psnr",
+        "ssim",
+    }
+
+
+def test_no_views(capture):
+    with pytest.raises(StyleSplatError, match=r"no held-out views.*--test-every"):
+        evaluate_views(SPLATS, capture, [])

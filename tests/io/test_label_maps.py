@@ -1,0 +1,134 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.label_maps import match_label_maps, read_label_map, write_label_map
+from stylesplat.io.lens import Lens
+from stylesplat.io.photos import Photo
+
+SMALL = Lens("PINHOLE", 8, 6, (9.0, 9.0, 4.0, 3.0))
+BARREL = Lens("OPENCV", 64, 48, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))
+
+
+def photo(lens: Lens, size: tuple[int, int] | None = None) -> Photo:
+    return Photo(Path("unused.png"), True, lens, size or lens.pinhole().size)
+
+
+def random_ids(limit: int, size: tuple[int, int] = (8, 6)) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(0)
+    ids = torch.randint(0, limit, size[::-1], generator=generator)
+    ids[0, 0] = limit - 1
+    return ids
+
+
+@pytest.mark.parametrize(
+    ("limit", "mode"), [(2**8, "L"), (2**8 + 1, "I;16"), (2**16, "I;16"), (2**24, "RGB")]
+)
+def test_round_trip_in_the_smallest_form(tmp_path: Path, limit: int, mode: str):
+    ids = random_ids(limit)
+    write_label_map(ids, tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.mode == mode
+    assert torch.equal(read_label_map(tmp_path / "a.png").long(), ids)
+
+
+@pytest.mark.parametrize("bad", [-1, 2**24])
+def test_ids_that_no_form_holds(tmp_path: Path, bad: int):
+    with pytest.raises(StyleSplatError, match="label ids go from 0 to 16777215"):
+        write_label_map(torch.tensor([[0, bad]]), tmp_path / "a.png")
+    assert not any(tmp_path.iterdir())
+
+
+def test_of_a_palette_the_index_counts(tmp_path: Path):
+    indices = random_ids(4).numpy().astype(np.uint8)
+    image = Image.frombytes("P", (8, 6), indices.tobytes())
+    image.putpalette([255, 0, 0, 0, 255, 0, 0, 0, 255, 9, 9, 9])
+    image.save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_label_map(tmp_path / "a.png"), indices)
+
+
+def test_rgb_code(tmp_path: Path):
+    Image.new("RGB", (2, 1), (1, 2, 3)).save(tmp_path / "a.png")
+    assert read_label_map(tmp_path / "a.png").tolist() == [[1 + 2 * 256 + 3 * 65536] * 2]
+
+
+def test_pixels_that_are_no_ids(tmp_path: Path):
+    Image.new("L", (8, 6)).save(tmp_path / "a.jpg")
+    with pytest.raises(StyleSplatError, match="JPEG pixels of type L cannot be label ids"):
+        read_label_map(tmp_path / "a.jpg")
+    Image.new("LA", (8, 6)).save(tmp_path / "a.png")
+    with pytest.raises(StyleSplatError, match="PNG pixels of type LA cannot be label ids"):
+        read_label_map(tmp_path / "a.png")
+
+
+def test_maps_are_matched_by_stem(tmp_path: Path):
+    for name, label in (("a", 1), ("sub/b", 2), ("c.jpg", 3), ("other", 9)):
+        write_label_map(torch.full((6, 8), label), tmp_path / f"{name}.png")
+    names = ["sub/b.jpg", "missing.jpg", "c.jpg", "a.JPG"]
+    maps = match_label_maps(tmp_path, names, [photo(SMALL)] * 4)
+    assert [None if m is None else int(m[0, 0]) for m in maps] == [2, None, 3, 1]
+
+
+@pytest.mark.parametrize("size", [(4, 3), (16, 12), (2, 2)], ids=str)
+def test_sizes_are_fitted_without_making_new_ids(tmp_path: Path, size: tuple[int, int]):
+    ids = random_ids(2**24, size)
+    write_label_map(ids, tmp_path / "a.png")
+    (labels,) = match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
+    assert labels is not None and labels.shape == (6, 8)
+    assert set(labels.flatten().tolist()) <= set(ids.flatten().tolist())
+
+
+def test_enlarging_repeats_and_shrinking_picks_the_centres(tmp_path: Path):
+    big = Lens("PINHOLE", 24, 18, (9.0, 9.0, 12.0, 9.0))
+    ids = random_ids(200)
+    write_label_map(ids, tmp_path / "a.png")
+    (labels,) = match_label_maps(tmp_path, ["a.jpg"], [photo(big)])
+    expected = ids.repeat_interleave(3, 0).repeat_interleave(3, 1)
+    assert labels is not None and torch.equal(labels.long(), expected)
+    ids = random_ids(200, (24, 18))
+    write_label_map(ids, tmp_path / "a.png")
+    (labels,) = match_label_maps(tmp_path, ["a.jpg"], [photo(big, (8, 6))])
+    assert labels is not None and torch.equal(labels.long(), ids[1::3, 1::3])
+
+
+def test_maps_are_undistorted_like_their_photos(tmp_path: Path):
+    ids = random_ids(2**16, (64, 48))
+    write_label_map(ids, tmp_path / "a.png")
+    (labels,) = match_label_maps(tmp_path, ["a.jpg"], [photo(BARREL)])
+    expected = BARREL.undistort(ids.int().numpy(), nearest=True)
+    assert expected.shape != ids.shape
+    np.testing.assert_array_equal(labels, expected)
+
+
+def test_maps_of_the_undistorted_size_are_taken_as_they_are(tmp_path: Path):
+    ids = random_ids(2**8, BARREL.pinhole().size)
+    write_label_map(ids, tmp_path / "a.png")
+    (labels,) = match_label_maps(tmp_path, ["a.jpg"], [photo(BARREL)])
+    assert labels is not None and torch.equal(labels.long(), ids)
+
+
+def test_no_map_is_any_photos(tmp_path: Path):
+    write_label_map(random_ids(9), tmp_path / "b.png")
+    with pytest.raises(StyleSplatError, match=r"None of the 1 label maps .* Name them like a\.png"):
+        match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
+
+
+def test_no_folder(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"no folder .*none with label maps.*--masks"):
+        match_label_maps(tmp_path / "none", ["a.jpg"], [photo(SMALL)])
+
+
+def test_a_map_of_another_shape(tmp_path: Path):
+    write_label_map(random_ids(9, (6, 8)), tmp_path / "a.png")
+    with pytest.raises(StyleSplatError, match=r"a\.png is 6x8, .* its photo \(8x6\)"):
+        match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
+
+
+def test_a_corrupt_map(tmp_path: Path):
+    (tmp_path / "a.png").write_text("no picture")
+    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*a\.png"):
+        match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])

@@ -1,0 +1,52 @@
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.video import write_video
+
+COLORS = ((200, 60, 30), (20, 160, 230), (240, 240, 240))
+
+
+def frame(color: tuple[int, int, int], height: int = 36, width: int = 50) -> torch.Tensor:
+    return torch.tensor(color, dtype=torch.uint8).expand(height, width, 3).clone()
+
+
+@pytest.mark.parametrize("size", [(36, 50), (37, 51)])
+def test_frames_come_back_in_order_and_colour(tmp_path: Path, size: tuple[int, int]):
+    write_video((frame(color, *size) for color in COLORS), tmp_path / "a.mp4", fps=10)
+    with av.open(tmp_path / "a.mp4") as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
+        assert stream.average_rate == 10
+        found = [f.to_ndarray(format="rgb24") for f in container.decode(stream)]
+    assert len(found) == len(COLORS)
+    for image, color in zip(found, COLORS, strict=True):
+        assert image.shape == (36, 50, 3)
+        # YUV of limited range has about half as many levels as RGB
+        np.testing.assert_allclose(image.mean((0, 1)), color, atol=3)
+
+
+def test_the_upper_left_corner_stays_where_it_is(tmp_path: Path):
+    image = torch.zeros(37, 51, 3, dtype=torch.uint8)
+    image[:8, :16] = 255
+    write_video([image], tmp_path / "a.mp4")
+    with av.open(tmp_path / "a.mp4") as container:
+        found = next(container.decode(video=0)).to_ndarray(format="gray")
+    bright = found > 128
+    assert bright[:8, :16].all() and bright.sum() == 8 * 16
+
+
+@pytest.mark.parametrize("frames", [[], [torch.zeros(1, 50, 3, dtype=torch.uint8)]])
+def test_nothing_to_show(tmp_path: Path, frames: list[torch.Tensor]):
+    with pytest.raises(StyleSplatError, match="needs frames of 2x2 pixels or more"):
+        write_video(frames, tmp_path / "a.mp4")
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match="the frames differ in size"):
+        write_video([frame(COLORS[0]), frame(COLORS[0], 40, 50)], tmp_path / "a.mp4")
+    assert not any(tmp_path.iterdir())
