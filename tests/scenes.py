@@ -1,5 +1,7 @@
 """Small scenes that several test files share, built from a seed."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -38,7 +40,7 @@ def two_cameras() -> Cameras:
 def leaf(splats: Splats, dtype: torch.dtype) -> Splats:
     """Copies of the tensors that collect gradients."""
     tensors = {k: t.to(dtype, copy=True).requires_grad_() for k, t in splats.tensors().items()}
-    return Splats(**tensors)
+    return replace(splats, **tensors)
 
 
 BACKENDS = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]

@@ -6,7 +6,7 @@ import pytest
 
 from balls import CAMERAS
 from stylesplat.cli import main
-from stylesplat.cli.parse import parse_place, parse_style
+from stylesplat.cli.parse import parse_box, parse_point, parse_style
 from stylesplat.errors import StyleSplatError
 
 VIEW = CAMERAS.names[0]
@@ -74,9 +74,12 @@ def test_help_has_an_example(verb: str, capsys):
 
 
 def test_places_and_styles_are_parsed():
-    assert parse_place("a:b.jpg:1,2,3,4.5", 4) == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
+    assert parse_box("a:b.jpg:1,2,3,4.5") == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
     assert parse_style("vase=a=b.jpg") == ("vase", Path("a=b.jpg"))
+    assert parse_point("a.jpg:1,2") == ("a.jpg", (1.0, 2.0))
     with pytest.raises(StyleSplatError, match="x0,y0,x1,y1"):
-        parse_place("a.jpg:1,2", 4)
+        parse_box("a.jpg:1,2")
+    with pytest.raises(StyleSplatError, match="VIEW:x,y"):
+        parse_point("a.jpg:1,b")
     with pytest.raises(StyleSplatError, match="OBJECT=IMAGE"):
         parse_style("=b.jpg")

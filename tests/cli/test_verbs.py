@@ -7,11 +7,11 @@ import av
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
 from stylesplat.io.label_maps import read_label_map
+from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.io.splat_ply import read_splat_ply
 
@@ -76,16 +76,15 @@ def test_train_continues_from_its_checkpoint(
 
 def test_objects_lists_ids_and_draws_them(scene: Path, capsys):
     listed = result(capsys, "objects", scene)
-    assert {entry["id"]: entry["gaussians"] for entry in listed["objects"]} == {
-        3: 80,
-        7: 80,
-        300: 80,
-    }
-    assert Image.open(listed["sheet"]).size > (100, 100)
+    counts = {entry["id"]: entry["gaussians"] for entry in listed["objects"]}
+    assert set(counts) == {3, 7, 300}
+    assert all(76 <= count <= 80 for count in counts.values()), "all but a few outliers"
+    height, width, _ = read_image(listed["sheet"]).shape
+    assert width > 3 * 200 and height > 200
 
 
 def test_select_by_id_and_by_point(scene: Path, capsys):
-    by_id = result(capsys, "select", scene, "--name", "red", "--id", 3)
+    by_id = result(capsys, "select", scene, "--name", "red", "--id", 3, "--keep-outliers")
     assert by_id["ids"] == [3] and by_id["gaussians"] == 80
     labels = read_scene(scene)
     from stylesplat.selection.labels import render_labels
@@ -103,21 +102,23 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
 
 
 def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Path, capsys):
-    assert run("select", scene, "--name", "red", "--id", 3) == 0
+    assert run("select", scene, "--name", "red", "--id", 3, "--keep-outliers") == 0
+    assert run("select", scene, "--name", "green", "--id", 7, "--keep-outliers") == 0
     out = scene.parent / "styled"
     metrics = result(
         capsys,
-        *("stylize", scene, "--style", f"red={style}", "--style", f"7={style}", "-o", out),
+        *("stylize", scene, "--style", f"red={style}", "--style", f"green={style}", "-o", out),
         *("--features", "random", "--steps", 3, "--device", "cpu"),
     )
     before, after = read_scene(scene).splats, read_scene(out).splats
+    assert before.identities is not None
     painted = (before.identities[:, 1] + before.identities[:, 2]) > 0
     for name, tensor in before.tensors().items():
         kept = ~painted if name in ("sh0", "shN") else torch.ones_like(painted)
         assert torch.equal(tensor[kept], after.tensors()[name][kept]), name
     assert (before.sh0[painted] != after.sh0[painted]).any(dim=(1, 2)).all()
     assert metrics["changed_gaussians"] == 160
-    assert set(metrics["nnfm_before"]) == set(metrics["nnfm_after"]) == {"red", "7"}
+    assert set(metrics["nnfm_before"]) == set(metrics["nnfm_after"]) == {"red", "green"}
     styled = read_scene(out)
     assert styled.base_colors is not None and torch.equal(styled.base_colors["sh0"], before.sh0)
     assert styled.recipe is not None and len(styled.recipe["objects"][0]["sha256"]) == 64
@@ -127,10 +128,10 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
 def test_render_writes_pictures_and_videos(scene: Path, tmp_path: Path):
     assert run("render", scene, "-o", tmp_path / "all") == 0
     assert len(list((tmp_path / "all").iterdir())) == len(CAMERAS)
-    assert Image.open(tmp_path / "all" / "0003.png").size == CAMERAS.size
+    assert read_image(tmp_path / "all" / "0003.png").shape == (36, 48, 3)
     assert run("render", scene, "-o", tmp_path / "test", "--views", "test", "--downscale", 2) == 0
     assert [p.name for p in (tmp_path / "test").iterdir()] == ["0000.png"]
-    assert Image.open(tmp_path / "test" / "0000.png").size == (24, 18)
+    assert read_image(tmp_path / "test" / "0000.png").shape == (18, 24, 3)
     assert run("render", scene, "-o", tmp_path / "ids", "--what", "labels") == 0
     assert set(np.unique(read_label_map(tmp_path / "ids" / "0000.png"))) == {0, 3, 7, 300}
     for what in ("identities", "depth", "object:7"):

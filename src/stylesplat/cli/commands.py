@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
-from stylesplat.cli.parse import parse_place, parse_style
+from stylesplat.cli.parse import parse_box, parse_point, parse_style
 
 Device = Literal["auto", "cpu", "cuda"]
 Output = Annotated[Path, arg(aliases=["-o"])]
@@ -115,8 +115,8 @@ class Select:
             self.scene,
             self.name,
             ids=self.id,
-            box=parse_place(self.box, 4) if self.box else None,
-            point=parse_place(self.point, 2) if self.point else None,
+            box=parse_box(self.box) if self.box else None,
+            point=parse_point(self.point) if self.point else None,
             threshold=self.threshold,
             remove_outliers=not self.keep_outliers,
         )
