@@ -6,8 +6,9 @@ import torch
 
 from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.orbit import focus_point, look_at, orbit_cameras, up_vector
+from stylesplat.evaluation.orbit import orbit_cameras
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import focus_point, look_at, up_vector
 
 UP = torch.tensor([0.0, 0.0, 1.0]).double()
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from stylesplat.demo.shapes import NAMES
 from stylesplat.demo.tracer import render_view
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import look_at
 
 OBJECT_NAMES = {i + 1: name for i, name in enumerate(NAMES)}
 
@@ -50,33 +51,21 @@ def arrange(seed: int) -> Float[np.ndarray, "5 5"]:
     return np.column_stack([spots, np.cos(yaws), np.sin(yaws), grain])
 
 
-def look_at(position: Float[Tensor, " 3"], target: Float[Tensor, " 3"]) -> Float[Tensor, "4 4"]:
-    """World to camera of an upright camera in OpenCV axes; the world's z is up."""
-    forward = torch.nn.functional.normalize(target - position, dim=0)
-    right = torch.linalg.cross(forward, forward.new_tensor([0.0, 0.0, 1.0]))
-    right = torch.nn.functional.normalize(right, dim=0)
-    rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
-    viewmat = torch.eye(4, dtype=position.dtype)
-    viewmat[:3, :3] = rotation
-    viewmat[:3, 3] = -rotation @ position
-    return viewmat
-
-
 def dome_cameras(views: int, width: int, height: int) -> Cameras:
     """Cameras on two swaying rings around the still life, lower ring first."""
     target = torch.tensor(TARGET)
-    viewmats = []
+    positions = []
     for i in range(views):
         ring = int(2 * i >= views)
         angle = torch.tensor(2 * np.pi * (2 * i + ring) / views)
         tilt = torch.deg2rad(ELEVATIONS[ring] + SWAY * torch.sin(3 * angle))
         level = torch.cos(tilt)
         outward = torch.stack([level * angle.cos(), level * angle.sin(), tilt.sin()])
-        viewmats.append(look_at(target + DISTANCE * outward.float(), target))
+        positions.append(target + DISTANCE * outward.float())
     focal = FOCAL * width
     K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return Cameras(
-        viewmats=torch.stack(viewmats),
+        viewmats=look_at(torch.stack(positions), target, torch.tensor([0.0, 0.0, 1.0])),
         Ks=K.expand(views, 3, 3).clone(),
         sizes=torch.tensor([[width, height]]).expand(views, 2).clone(),
         names=tuple(f"{i:03d}.png" for i in range(views)),

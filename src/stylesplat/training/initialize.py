@@ -13,6 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.poses import focus_point
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 OPACITY = 0.1  # of every first Gaussian (official)
@@ -78,12 +79,7 @@ def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> F
         StyleSplatError: If the cameras look at no common space.
     """
     positions = cameras.positions.float()
-    axes = cameras.viewmats[:, 2, :3].float()
-    # The point nearest to all optical axes: least squares of the distances to these lines.
-    away = torch.eye(3) - axes[:, :, None] * axes[:, None, :]
-    focus = torch.linalg.lstsq(away.sum(dim=0), (away @ positions[..., None]).sum(dim=0)).solution[
-        :, 0
-    ]
+    focus = focus_point(cameras).float()
     reach = float((positions - focus).norm(dim=-1).median())
     points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
     views = torch.zeros(len(points))

@@ -8,10 +8,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.orbit import up_vector
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 
 if TYPE_CHECKING:
