@@ -32,7 +32,7 @@ def test_strays_do_not_shrink_the_object():
     splats = replace(SPLATS, means=means, scales=scales)
     cell = cut_out(object_sheet(splats, CAMERAS), 0).float()
     red = (cell[..., 0] > 150) & (cell[..., 1] < 100)
-    assert red.float().mean() > 0.5
+    assert red.float().mean() > 0.4  # framing the strays too leaves less than 0.2
 
 
 def test_a_whole_view_wins_over_a_larger_one_that_cuts_the_object():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 from tqdm import tqdm
@@ -45,7 +45,8 @@ def object_sheet(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw one cell per object, so that ids need not be guessed from label maps.
 
-    Each object is rendered alone, from the view that shows most of it.
+    Each object is cut out of the whole scene, from the view that shows most of it: what shows
+    is what a viewer would see of it there.
 
     Args:
         splats: Gaussians with identities.
@@ -69,7 +70,7 @@ def object_sheet(
     rows = _best_views(splats, cameras, ids, backend)
     cells = []
     for id, row in tqdm(zip(ids, rows, strict=True), "objects", total=len(ids), unit="object"):
-        picture = _portrait(splats[picked[id]], cameras[row], backend)
+        picture = _portrait(splats, picked[id], cameras[row], backend)
         title = " · ".join([str(id), *filter(None, [(names or {}).get(id)])])
         cells.append(_cell(picture, title, f"{int(picked[id].sum()):,} Gaussians"))
     return torch.from_numpy(np.array(_grid(cells)))
@@ -95,23 +96,33 @@ def _visibility(shown: Tensor) -> float:
     return area - border * math.sqrt(area) if area else -math.inf
 
 
-def _portrait(alone: Splats, camera: Cameras, backend: Backend) -> UInt8[Tensor, "S S 3"]:
+def _portrait(
+    splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: Backend
+) -> UInt8[Tensor, "S S 3"]:
     """An object that fills a square picture, seen from a camera's position."""
-    background = alone.means.new_tensor(CARD) / 255
-    camera = _aim(alone, camera, backend)
-    image, _, _ = rasterize(alone, camera, background=background, backend=backend)
-    return to_uint8(image[0]).cpu()
+    image, share = _cut_out(splats, picked, _aim(splats, picked, camera, backend), backend)
+    card = image.new_tensor(CARD) / 255
+    return to_uint8(share * image + (1 - share) * card).cpu()
 
 
-def _aim(alone: Splats, camera: Cameras, backend: Backend) -> Cameras:
+def _cut_out(
+    splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: Backend
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
+    """The scene, and the picked Gaussians' share of every pixel."""
+    features = picked[:, None].to(splats.means)
+    render, _, _ = rasterize(splats, camera, features=features, backend=backend)
+    return render[0, ..., :3], render[0, ..., 3:]
+
+
+def _aim(splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: Backend) -> Cameras:
     """The same camera, shifted and zoomed to the square around an object."""
     width, height = camera.size
     step = max(width, height) / SURVEY_SIZE
     left, top = -OVERSCAN * width, -OVERSCAN * height
     wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
     survey = _crop(camera, (left, top), 1 / step, tuple(wide))
-    _, alphas, _ = rasterize(alone, survey, sh_degree=0, backend=backend)
-    box = _main_box(alphas[0, ..., 0].cpu().numpy() > MIN_COVERAGE)
+    _, share = _cut_out(splats, picked, survey, backend)
+    box = _main_box(share[..., 0].cpu().numpy() > MIN_COVERAGE)
     if box is None:
         return _crop(camera, (0.0, 0.0), CELL / max(width, height), (CELL, CELL))
     x0, y0, x1, y1 = box

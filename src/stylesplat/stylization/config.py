@@ -13,11 +13,11 @@ class StyleConfig:
     """Optimiser steps per object, one view each."""
     blocks: tuple[int, ...] = (3,)
     """Blocks of VGG whose features are matched; deeper ones carry larger strokes."""
-    scale: float = 1.5
+    scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     intensity: float = 1.0
     """How much of the new colours to blend into the old: 0 changes nothing, 1 takes all."""
-    lr: float = 0.02
+    lr: float = 0.1
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
@@ -27,8 +27,8 @@ class StyleConfig:
     """Whether the object first takes on the mean and covariance of the style's colours."""
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
-    object_size: int | None = 256
-    """Longer side of the object in the renders, in pixels; by default at most the photos'."""
+    object_size: int | None = 192
+    """Longer side of the object in the renders, in pixels; None leaves it as in the photos."""
     style_samples: int | None = 4096
     """How many features of the style image to keep, at random; None keeps all."""
     seed: int = 0
@@ -54,7 +54,6 @@ PRESETS = {
     "default": StyleConfig(),
     "paper": StyleConfig(
         steps=500,
-        scale=2.0,
         lr=0.0025,
         final_lr=1.0,
         view_dependent=True,

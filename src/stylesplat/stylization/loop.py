@@ -28,8 +28,7 @@ from stylesplat.stylization.views import Box, ObjectView, cut_views, find_boxes,
 from stylesplat.stylization.weights import load_weights
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
-MIN_LENGTH = 64  # pixels; objects that are smaller in the photos are rendered larger
-MEASURED_LENGTH = 256  # pixels; the size of objects at which NNFM is reported
+MEASURED_LENGTH = 192  # pixels; the size of objects at which NNFM is reported
 MEASURED_VIEWS = 4  # of the object, and of the scene
 COLOR_VIEWS = 8  # whose pixels give an object its mean colour
 
@@ -145,10 +144,9 @@ def _stylize_one(scene: _Scene, job: StyleJob) -> tuple[Splats, dict[str, float]
             f"Cannot stylise {job.name}: it is seen in none of the {len(scene.cameras)} views. "
             f"Pick other Gaussians, or show views of it."
         )
-    typical = typical_length(boxes)
-    length = max(MIN_LENGTH, min(typical, config.object_size or typical))
+    length = config.object_size or typical_length(boxes)
     share = evenly(boxes, math.ceil(config.view_share * len(boxes)))
-    views = _views(scene, job, share, length / typical)
+    views = _views(scene, job, share, length)
     targets = _targets(scene, job, length)
 
     started = splats
@@ -174,10 +172,8 @@ def _measure(
     if scene.held_out is not scene.cameras:
         unseen = find_boxes(scene.splats, scene.held_out, job.picked, backend=scene.backend)
         boxes = unseen or boxes
-    typical = typical_length(boxes)
-    length = max(MIN_LENGTH, min(typical, MEASURED_LENGTH))
-    views = evenly(_views(scene, job, boxes, length / typical), MEASURED_VIEWS)
-    targets = _targets(scene, job, length)
+    views = evenly(_views(scene, job, boxes, MEASURED_LENGTH), MEASURED_VIEWS)
+    targets = _targets(scene, job, MEASURED_LENGTH)
     rest = (views, targets, scene.network, scene.config.blocks)
     return {
         "nnfm_before": object_nnfm(scene.splats, *rest, backend=scene.backend),
@@ -185,8 +181,9 @@ def _measure(
     }
 
 
-def _views(scene: _Scene, job: StyleJob, boxes: Sequence[Box], zoom: float) -> list[ObjectView]:
+def _views(scene: _Scene, job: StyleJob, boxes: Sequence[Box], length: float) -> list[ObjectView]:
     cells = [scene.network.cells(block) for block in scene.config.blocks]
+    zoom = length / typical_length(boxes)
     splats, backend = scene.splats, scene.backend
     views = cut_views(splats, boxes, job.picked, cells, zoom=zoom, backend=backend)
     if not views:
