@@ -12,9 +12,10 @@ Eight verbs over three nouns (`Capture`, `Cameras`, `Splats`)::
     render_colors, render_alphas, info = ss.render(styled, capture.cameras[:1])
 """
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from stylesplat.runtime import tune_runtime
 
 if TYPE_CHECKING:
     from stylesplat.errors import StyleSplatError
@@ -45,10 +46,7 @@ __all__ = [
     "view",
 ]
 
-# torch and numba each bring a pool of OpenMP threads. Idle threads that spin take the cores from
-# the other pool: without this line a training step is two to five times slower. It must be set
-# before torch is loaded.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+tune_runtime()
 
 # Imported on first use, so that `stylesplat --help` need not wait for torch.
 _HOMES = {

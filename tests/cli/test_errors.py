@@ -41,6 +41,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         (["render", "{scene}", "-o", "{tmp}/y", "--what", "smell"], "smell"),
         (["render", "{scene}", "-o", "{tmp}/y", "--what", "object:hat"], "hat"),
         (["render", "{scene}", "-o", "{tmp}"], "--overwrite"),
+        (["evaluate", "{scene}"], "Pass --capture"),
         (["export", "{scene}", "{tmp}/out.obj"], ".obj"),
     ],
     ids=lambda value: "-".join(map(str, value))[:50] if isinstance(value, list) else "",

@@ -141,6 +141,15 @@ def test_render_writes_pictures_and_videos(scene: Path, tmp_path: Path):
         assert sum(1 for _ in video.decode(video=0)) == len(CAMERAS) - 1
 
 
+def test_evaluate_compares_with_the_capture(capture: Path, scene: Path, capsys):
+    metrics = result(capsys, "evaluate", scene, "--capture", capture)
+    assert metrics["psnr"] > 30  # all but the losses of JPEG
+    assert metrics["iou"] == {"3": 1, "7": 1, "300": 1}
+    assert read_scene(scene).metrics == {"psnr": 30.0, "evaluate": metrics}
+    other = capture / "object_mask"
+    assert result(capsys, "evaluate", scene, "--capture", capture, "--masks", other) == metrics
+
+
 def test_export_keeps_every_bit(scene: Path, tmp_path: Path):
     assert run("export", scene, tmp_path / "out.ply") == 0
     exported = read_splat_ply(tmp_path / "out.ply")

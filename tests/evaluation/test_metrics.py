@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.metrics import evaluate_views, mean_iou, psnr
+from stylesplat.evaluation.metrics import evaluate_views, object_iou, psnr
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.labels import render_labels
@@ -59,24 +59,38 @@ def test_ssim_matches_scipy():
     assert ssim(x, y).item() == pytest.approx(expected.mean(), abs=1e-6)  # the window is float32
 
 
-def test_mean_iou_averages_over_objects_and_ignores_background():
+def test_iou_is_by_object_and_ignores_background():
     given = torch.tensor([[1, 1, 2, 0]])
     predicted = torch.tensor([[1, 0, 2, 0]])
-    assert mean_iou([(predicted, given)]) == pytest.approx((1 / 2 + 1) / 2)
-    assert mean_iou([(given, given)]) == 1
-    assert math.isnan(mean_iou([(0 * given, 0 * given)]))
+    assert object_iou([(predicted, given)]) == {1: 1 / 2, 2: 1}
+    assert object_iou([(0 * given, 0 * given)]) == {}
 
 
-def test_mean_iou_pools_pixels_over_views():
+def test_iou_pools_pixels_over_views():
     one, none = torch.ones(1, 3, dtype=torch.int64), torch.zeros(1, 3, dtype=torch.int64)
-    assert mean_iou([(one, one), (none, one)]) == pytest.approx(1 / 2)
+    assert object_iou([(one, one), (none, one)]) == {1: 1 / 2}
+
+
+def test_boundary_iou_looks_at_contours_only():
+    # A square of 60 pixels in an image with a diagonal of 141: the band is 3 pixels wide.
+    given = torch.zeros(100, 100, dtype=torch.int64)
+    given[20:80, 20:80] = 1
+    hole, shifted = given.clone(), given.roll(1, 0)
+    hole[40:60, 40:60] = 0
+    assert object_iou([(given, given)], boundary=True) == {1: 1}
+    bands = 60**2 - 54**2
+    hole_band = 26**2 - 20**2  # the same three pixels, around the hole
+    expected = bands / (bands + hole_band)
+    assert object_iou([(hole, given)], boundary=True)[1] == pytest.approx(expected)
+    assert object_iou([(shifted, given)], boundary=True)[1] < object_iou([(shifted, given)])[1]
 
 
 def test_perfect_splats_score_as_well_as_8_bit_photos_allow(capture):
     metrics = evaluate_views(SPLATS, capture, [0, 5])
     assert metrics["psnr"] > 55  # rounding to 1/255 alone gives 59 dB
     assert metrics["ssim"] > 0.999
-    assert metrics["miou"] == 1
+    assert metrics["miou"] == metrics["boundary_miou"] == 1
+    assert metrics["iou"] == {3: 1, 7: 1, 300: 1}
 
 
 def test_scores_are_means_over_the_rows(capture):

@@ -24,6 +24,11 @@ def picture(height: int, width: int, seed: int = 0) -> torch.Tensor:
     return torch.rand(height, width, 3, generator=torch.Generator().manual_seed(seed))
 
 
+def frozen(module: torch.nn.Conv2d) -> Convolution:
+    assert module.bias is not None
+    return Convolution(module.weight.detach(), module.bias.detach())
+
+
 @pytest.mark.parametrize(("name", "block"), OFFICIAL_LAYERS)
 def test_layers_are_those_of_torchvision(name: Network, block: int):
     layers = OFFICIAL_LAYERS[name, block]
@@ -33,8 +38,7 @@ def test_layers_are_those_of_torchvision(name: Network, block: int):
         modules = vgg.make_layers(config[: config.index(512) + 3 if block == 4 else 10])
     convs = iter(m for m in modules if isinstance(m, torch.nn.Conv2d))
     blocks = tuple(
-        tuple(Convolution(c.weight.detach(), c.bias.detach()) for _, c in zip(widths, convs))
-        for widths in layer_widths(name, block)
+        tuple(frozen(next(convs)) for _ in widths) for widths in layer_widths(name, block)
     )
     network = FeatureNetwork(blocks, torch.tensor([0.4, 0.5, 0.6]), torch.tensor([0.2, 0.3, 0.4]))
     image = picture(17, 26)

@@ -32,7 +32,11 @@ def test_features_tell_directions_apart():
     def feats(image: torch.Tensor) -> torch.Tensor:
         return network(image, [3])[0][inside, inside].reshape(-1, 768)
 
-    flat, here, turned = feats(torch.full((64, 64, 3), 0.5)), feats(across), feats(across.transpose(0, 1))
+    flat, here, turned = (
+        feats(torch.full((64, 64, 3), 0.5)),
+        feats(across),
+        feats(across.transpose(0, 1)),
+    )
     assert torch.cosine_similarity(here[:1], here).min() > 0.8  # wherever it is
     assert torch.cosine_similarity(here[:1], turned).max() < 0.6
     assert torch.cosine_similarity(here[:1], flat).max() < 0.6

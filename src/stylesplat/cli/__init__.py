@@ -8,20 +8,21 @@ from typing import Any
 
 import tyro
 
-from stylesplat.cli import commands
+from stylesplat.cli import looking, making
 from stylesplat.errors import StyleSplatError
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
 
 VERBS = {
-    "demo": commands.Demo,
-    "train": commands.Train,
-    "objects": commands.Objects,
-    "select": commands.Select,
-    "stylize": commands.Stylize,
-    "render": commands.Render,
-    "export": commands.Export,
-    "view": commands.View,
+    "demo": making.Demo,
+    "train": making.Train,
+    "objects": looking.Objects,
+    "select": making.Select,
+    "stylize": making.Stylize,
+    "render": looking.Render,
+    "export": looking.Export,
+    "evaluate": looking.Evaluate,
+    "view": looking.View,
 }
 
 
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _lines(result: dict[str, Any], indent: str = "") -> list[str]:
+def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:
     """A result as text, one value a line."""
     lines = []
     for name, value in result.items():

@@ -1,9 +1,13 @@
 """How close renders are to the photos, and rendered labels to the given ones."""
 
+import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
+import cv2
+import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from tqdm import tqdm
 
@@ -14,20 +18,28 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import BACKGROUND, render_labels
 from stylesplat.training.ssim import ssim
 
+BOUNDARY = 0.02  # of the image's diagonal: what counts as near a contour
+
 
 def psnr(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
     """Peak signal-to-noise ratio in decibels of images in 0..1; infinite if they are equal."""
     return -10 * (image - target).square().mean().log10()
 
 
-def mean_iou(pairs: Iterable[tuple[Int[Tensor, "H W"], Int[Tensor, "H W"]]]) -> float:
-    """Intersection over union of predicted and given label maps, averaged over the objects.
+LabelPairs = Iterable[tuple[Int[Tensor, "H W"], Int[Tensor, "H W"]]]
+"""Predicted and given label map of each view."""
+
+
+def object_iou(pairs: LabelPairs, *, boundary: bool = False) -> dict[int, float]:
+    """Intersection over union of predicted and given label maps, by object.
 
     Args:
-        pairs: Predicted and given label map of each view. Pixels are pooled over the views.
+        pairs: Label maps; pixels are pooled over the views.
+        boundary: Compare only the pixels within 2% of the image's diagonal from each one's
+            contour (Boundary IoU, Cheng et al. 2021).
 
     Returns:
-        The mean over all ids that occur on either side, background left out; NaN if none does.
+        A number for every id that occurs on either side, background left out.
     """
     intersections: dict[int, int] = {}
     unions: dict[int, int] = {}
@@ -35,17 +47,26 @@ def mean_iou(pairs: Iterable[tuple[Int[Tensor, "H W"], Int[Tensor, "H W"]]]) -> 
         ids = {*predicted.unique().tolist(), *given.unique().tolist()} - {BACKGROUND}
         for id in ids:
             here, there = predicted == id, given == id
+            if boundary:
+                here, there = _band(here), _band(there)
             intersections[id] = intersections.get(id, 0) + int((here & there).sum())
             unions[id] = unions.get(id, 0) + int((here | there).sum())
-    ratios = [intersections[id] / unions[id] for id in unions]
-    return sum(ratios) / len(ratios) if ratios else float("nan")
+    return {id: intersections[id] / unions[id] for id in sorted(unions)}
+
+
+def _band(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    """The pixels of a mask that are near its contour; the image's border counts as outside."""
+    width = max(1, round(BOUNDARY * math.hypot(*mask.shape)))
+    padded = np.pad(mask.numpy().astype(np.uint8), 1)
+    inner = cv2.erode(padded, np.ones((3, 3), np.uint8), iterations=width)[1:-1, 1:-1]
+    return mask & ~torch.from_numpy(inner).bool()
 
 
 @torch.no_grad()
 def evaluate_views(
     splats: Splats, capture: Capture, rows: Sequence[int], *, backend: Backend = "auto"
-) -> dict[str, float]:
-    """Compare renders with photos.
+) -> dict[str, Any]:
+    """Compare renders with photos, and rendered label maps with the given ones.
 
     Args:
         splats: The Gaussians.
@@ -54,8 +75,9 @@ def evaluate_views(
         backend: See `rasterize`.
 
     Returns:
-        `psnr` and `ssim`, averaged over the views, and `miou` if the splats have identities and
-        these views have label maps.
+        `psnr` and `ssim`, averaged over the views. If the splats have identities and these views
+        have label maps, also `iou` and `boundary_iou` by label id, and their means over the
+        objects, `miou` and `boundary_miou`.
 
     Raises:
         StyleSplatError: If `rows` is empty.
@@ -71,9 +93,14 @@ def evaluate_views(
         image = image[0].clamp(0, 1)
         scores.append(torch.stack([psnr(image, photo), ssim(image, photo)]))
     means = torch.stack(scores).mean(dim=0)
-    metrics = {"psnr": means[0].item(), "ssim": means[1].item()}
+    metrics: dict[str, Any] = {"psnr": means[0].item(), "ssim": means[1].item()}
     pairs = list(_label_pairs(splats, capture, rows, backend))
-    return metrics | ({"miou": mean_iou(pairs)} if pairs else {})
+    if pairs:
+        for prefix, boundary in (("", False), ("boundary_", True)):
+            by_id = object_iou(pairs, boundary=boundary)
+            metrics[f"{prefix}iou"] = by_id
+            metrics[f"{prefix}miou"] = sum(by_id.values()) / max(len(by_id), 1)
+    return metrics
 
 
 def _label_pairs(

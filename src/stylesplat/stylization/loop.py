@@ -28,7 +28,7 @@ from stylesplat.stylization.views import Box, ObjectView, cut_views, find_boxes,
 from stylesplat.stylization.weights import load_weights
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
-MEASURED_LENGTH = 192  # pixels; the size of objects at which NNFM is reported
+MEASURED_LENGTH = 192.0  # pixels; the size of objects at which NNFM is reported
 MEASURED_VIEWS = 4  # of the object, and of the scene
 COLOR_VIEWS = 8  # whose pixels give an object its mean colour
 
@@ -114,7 +114,7 @@ def stylize_objects(
     jobs = [replace(j, picked=j.picked.to(base.device), style=j.style.to(base.means)) for j in jobs]
     for job in jobs:
         alone, objects[job.name] = _stylize_one(scene, job)
-        styled = _blend(styled, alone, job.picked, intensity=1)
+        styled = _blend(styled, alone, job.picked, intensity=1.0)
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
     views = held_out[evenly(range(len(held_out)), MEASURED_VIEWS)]
     metrics = changes(base, styled, views, picked, backend=backend)
@@ -135,7 +135,7 @@ class _Scene:
     backend: Backend
 
 
-def _stylize_one(scene: _Scene, job: StyleJob) -> tuple[Splats, dict[str, float]]:
+def _stylize_one(scene: _Scene, job: StyleJob) -> tuple[Splats, dict[str, int | float]]:
     start = time.perf_counter()
     splats, config, backend = scene.splats, scene.config, scene.backend
     boxes = find_boxes(splats, scene.cameras, job.picked, backend=backend)
@@ -144,7 +144,7 @@ def _stylize_one(scene: _Scene, job: StyleJob) -> tuple[Splats, dict[str, float]
             f"Cannot stylise {job.name}: it is seen in none of the {len(scene.cameras)} views. "
             f"Pick other Gaussians, or show views of it."
         )
-    length = config.object_size or typical_length(boxes)
+    length = float(config.object_size or typical_length(boxes))
     share = evenly(boxes, math.ceil(config.view_share * len(boxes)))
     views = _views(scene, job, share, length)
     targets = _targets(scene, job, length)

@@ -68,7 +68,7 @@ def changes(
     picked: Bool[Tensor, " N"],
     *,
     backend: Backend = "auto",
-) -> dict[str, float]:
+) -> dict[str, int | float]:
     """Compare renders before and after, where there is nothing of the picked Gaussians.
 
     Args:
@@ -92,10 +92,11 @@ def changes(
         outside.append(difference[covered == 0].flatten())
         edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
     changed = (base.sh0 != styled.sh0).any(dim=(1, 2)) | (base.shN != styled.shN).any(dim=(1, 2))
+    largest = max((float(d.abs().max()) for d in outside if len(d)), default=0.0)
     return {
         "changed_gaussians": int(changed.sum()),
         "outside_psnr": _psnr(torch.cat(outside)),
-        "outside_max_difference": float(torch.cat(outside).abs().max()),
+        "outside_max_difference": largest,
         "edge_psnr": _psnr(torch.cat(edge)),
     }
 

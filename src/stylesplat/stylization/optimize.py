@@ -84,7 +84,7 @@ def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splat
 @torch.no_grad()
 def _keep_in_range(sh0: Tensor) -> None:
     """Colours that the rasteriser clamps at 0 would have no gradient to come back by."""
-    black, white = sh0_from_rgb(torch.tensor([0.0, 1.0])).tolist()
+    black, white = sh0_from_rgb(torch.tensor([[0.0], [1.0]]).expand(2, 3)).to(sh0)
     sh0.clamp_(black, white)
 
 

@@ -1,20 +1,35 @@
-"""The verbs of the command line: what they take, and which function does the work.
+"""The verbs that make scenes: what they take, and which function does the work.
 
 Libraries are imported when a verb runs, so that `--help` answers at once.
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
+from stylesplat.cli.options import Device, Json, Output, Overwrite, given
 from stylesplat.cli.parse import parse_box, parse_point, parse_style
 
-Device = Literal["auto", "cpu", "cuda"]
-Output = Annotated[Path, arg(aliases=["-o"])]
-Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
-Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
+
+@dataclass(frozen=True)
+class Demo:
+    """Make a still life, train it, repaint two of its objects and write a report.
+
+    Example: stylesplat demo -o demo
+    """
+
+    output: Output = Path("stylesplat-demo")
+    """Folder for everything that is made."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.demo.run import run_demo
+
+        return run_demo(self.output, overwrite=self.overwrite)
 
 
 @dataclass(frozen=True)
@@ -64,24 +79,6 @@ class Train:
             device=self.device,
             overwrite=self.overwrite,
         )
-
-
-@dataclass(frozen=True)
-class Objects:
-    """List the objects of a scene and draw a contact sheet of them.
-
-    Example: stylesplat objects garden-scene
-    """
-
-    scene: Positional[Path]
-    """Folder of the scene; the sheet is written there as objects.png."""
-    json: Json = False
-
-    def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.verbs.objects import list_objects
-
-        return list_objects(self.scene)
 
 
 @dataclass(frozen=True)
@@ -172,112 +169,3 @@ class Stylize:
             device=self.device,
             overwrite=self.overwrite,
         )
-
-
-@dataclass(frozen=True)
-class Render:
-    """Render a scene into a folder of PNGs, or into a video.
-
-    Example: stylesplat render garden-wave -o orbit.mp4 --views orbit
-    """
-
-    scene: Positional[Path]
-    """Folder of the scene."""
-    output: Output
-    """Folder of pictures to make, or a file that ends in .mp4."""
-    views: Literal["test", "train", "all", "orbit"] = "all"
-    """Held-out views, training views, all of them, or a round trip."""
-    what: str = "color"
-    """color, labels (id maps), identities, depth, or object:NAME."""
-    downscale: float = 1.0
-    """How many times smaller than the photos."""
-    device: Device = "auto"
-    """Where to compute; auto takes an NVIDIA GPU where there is one."""
-    overwrite: Overwrite = False
-    json: Json = False
-
-    def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.verbs.render import render_scene
-
-        return render_scene(
-            self.scene,
-            self.output,
-            views=self.views,
-            what=self.what,
-            downscale=self.downscale,
-            device=self.device,
-            overwrite=self.overwrite,
-        )
-
-
-@dataclass(frozen=True)
-class Export:
-    """Write a scene's splat for other programs.
-
-    Example: stylesplat export garden-wave garden.spz
-    """
-
-    scene: Positional[Path]
-    """Folder of the scene."""
-    file: Positional[Path]
-    """File to make: .ply keeps every bit, .spz and .splat are smaller."""
-    overwrite: Overwrite = False
-    json: Json = False
-
-    def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.exporter import export
-        from stylesplat.io.scene_folder import read_scene
-
-        splats = read_scene(self.scene).splats
-        export(splats, self.file, overwrite=self.overwrite)
-        return {"file": self.file, "gaussians": len(splats)}
-
-
-@dataclass(frozen=True)
-class View:
-    """Look at a scene in the browser.
-
-    Example: stylesplat view garden-wave
-    """
-
-    scene: Positional[Path]
-    """Folder of the scene."""
-    port: int = 8080
-    """Port on 127.0.0.1, or the next free one."""
-    json: Json = False
-
-    def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.io.scene_folder import read_scene
-        from stylesplat.viewer.view import view
-
-        scene = read_scene(self.scene)
-        view(scene.splats, cameras=scene.cameras, port=self.port)
-        return {}
-
-
-@dataclass(frozen=True)
-class Demo:
-    """Make a still life, train it, repaint two of its objects and write a report.
-
-    Example: stylesplat demo -o demo
-    """
-
-    output: Output = Path("stylesplat-demo")
-    """Folder for everything that is made."""
-    overwrite: Overwrite = False
-    json: Json = False
-
-    def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.demo.run import run_demo
-
-        return run_demo(self.output, overwrite=self.overwrite)
-
-
-def given(command: object, names: tuple[str, ...]) -> dict[str, Any]:
-    """The options of a command that the user set."""
-    values = {name: getattr(command, name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}

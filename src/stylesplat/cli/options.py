@@ -1,0 +1,17 @@
+"""Options that several verbs share."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import FlagCreatePairsOff, arg
+
+Device = Literal["auto", "cpu", "cuda"]
+Output = Annotated[Path, arg(aliases=["-o"])]
+Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
+Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
+
+
+def given(command: object, names: tuple[str, ...]) -> dict[str, Any]:
+    """The options of a command that the user set."""
+    values = {name: getattr(command, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
