@@ -26,7 +26,7 @@ TRAINING = replace(TRAIN_PRESETS["default"], steps=2000, max_gaussians=50_000)
 STYLING = STYLE_PRESETS["default"]
 STYLES = {"vase": "swirling_night", "teapot": "burning_tide"}  # object: painting
 OBJECT_IDS = {"vase": 1, "teapot": 2}
-SHOWN = "008"  # the view in the report
+SHOWN = "000"  # the view in the report
 REPORT = "report.html"
 CAPTURE = "capture"
 

@@ -90,9 +90,11 @@ class _Blend(Function):
         lists = tiles.tile_lists(order, *_arrays(rows, radii), width, height, get_num_threads())
         image = means2d.new_empty(height, width, channels)
         transmittances = means2d.new_empty(height, width)
-        flat_rows = rows.view(-1).numpy(), rows.shape[1]
-        outputs = _arrays(image, transmittances)
-        blend.blend((0,) * channels, *flat_rows, *lists, *outputs, get_num_threads())
+        blend.blend(
+            *((0,) * channels, rows.view(-1).numpy(), rows.shape[1], lists, width, height),
+            *_arrays(image.view(-1), transmittances.view(-1)),
+            get_num_threads(),
+        )
         ctx.order, ctx.lists, ctx.geometry_channels = order, lists, geometry_channels
         ctx.save_for_backward(*inputs, rows, image, transmittances)
         return image, (1 - transmittances)[..., None]
@@ -107,11 +109,11 @@ class _Blend(Function):
             rows = rows.clone()
             rows[:, tiles.ROW_COLORS + ctx.geometry_channels :] = 0
         partial = rows.new_zeros(get_num_threads(), len(rows), stride)
+        pixels = _plain(image, transmittances, v_image, v_alphas)
+        height, width, _ = image.shape
         blend.blend_backward(
-            (0,) * channels,
-            *(rows.view(-1).numpy(), rows.shape[1]),
-            *ctx.lists,
-            *_arrays(image, transmittances, *_plain(v_image, v_alphas[..., 0])),
+            *((0,) * channels, rows.view(-1).numpy(), rows.shape[1], ctx.lists, width, height),
+            tuple(t.view(-1).numpy() for t in pixels),
             ctx.geometry_channels,
             partial.view(len(partial), -1).numpy(),
         )

@@ -16,10 +16,9 @@ from torch.nn import functional as F
 from stylesplat.stylization.features import Convolution, FeatureNetwork, layer_widths
 
 COLORS = 3  # the first channels of every layer hand the blurred picture on
-COLOR_GAIN = 2.0  # of those channels against the others' unit variance; chosen by eye
+COLOR_GAIN = 4.0  # of those channels against the others' unit variance; chosen by eye
 SHARES = (0.4, 0.4, 0.2)  # waves over the picture, blurs and waves over one channel; by eye
 GREY_SHARE = 0.6  # of the filters over the picture see brightness only
-THRESHOLD = 0.5  # standard deviations that a wave must exceed: sparse features are selective
 FREQUENCIES = (0.2, 0.4)  # cycles per pixel that 3x3 filters can hold
 WINDOW = 1.5  # twice the variance of the waves' Gaussian window, in square pixels
 PICTURE_SIZE, DISCS = 160, 400  # of the picture whose statistics scale the layers
@@ -48,7 +47,7 @@ def random_network(depth: int, seed: int) -> FeatureNetwork:
 
 
 def _random_layer(x: Tensor, width: int, generator: torch.Generator) -> Convolution:
-    """A layer whose waves have unit variance and their threshold in the right place on `x`."""
+    """A layer whose waves have mean 0 and variance 1 on `x`, so that about half of them fire."""
     inputs = x.shape[1]
     kinds = torch.multinomial(torch.tensor(SHARES), width, replacement=True, generator=generator)
     if inputs == COLORS:
@@ -65,7 +64,7 @@ def _random_layer(x: Tensor, width: int, generator: torch.Generator) -> Convolut
     response = F.conv2d(x, weight, padding=1)
     mean, std = response.mean(dim=(0, 2, 3)), response.std(dim=(0, 2, 3))
     std[:COLORS] = 1
-    bias = torch.where(kinds == 1, 0, -mean / std - THRESHOLD)
+    bias = torch.where(kinds == 1, 0, -mean / std)
     return Convolution(weight / std[:, None, None, None], bias)
 
 

@@ -17,7 +17,7 @@ def arithmetic(a, out):
     x, y = vec.load(a, 0), vec.load(a, 16)
     vec.store(out, 0, vec.fma(x, y, x - y) / (y * y + 1.0))
     vec.store(out, 16, vec.select(vec.greater(x, y), vec.minimum(x, 0.25), vec.maximum(y, -1.0)))
-    vec.store(out, 32, vec.grid(np.float32(2), np.float32(10)))
+    vec.store(out, 32, vec.fma(vec.rows(), 10.0, vec.columns() * 2.0))
     return vec.bits(vec.both(vec.greater_equal(x, y), vec.greater(x, np.float32(0))))
 
 

@@ -30,37 +30,51 @@ def gradient_stride(channels):
 
 @no_type_check
 @numba.njit(cache=True)
-def pixel_place(block, lane, tile_x, tile_y):
-    """Column and row in the image of one lane of one block."""
-    x = TILE * tile_x + BLOCK * (block % 4) + lane % 4
-    return x, TILE * tile_y + BLOCK * (block // 4) + lane // 4
+def aligned(length):
+    """An empty float32 array that starts at a cache line: vectors across two lines are slow."""
+    array = np.empty(length + vec.LANES, np.float32)
+    start = -(array.ctypes.data // 4) % vec.LANES
+    return array[start : start + length]
+
+
+@no_type_check
+@numba.njit(cache=True)
+def prefetch_row(array, start, length):
+    """Ask for all cache lines of a row."""
+    for line in range(start, start + length, vec.LANES):
+        vec.prefetch(array, line)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def lane_place(x, y, stride):
+    """Where the state of a tile holds its pixel x, y: in a block, there in a lane."""
+    return ((y >> 2) * 4 + (x >> 2)) * stride + (y & 3) * 4 + (x & 3)
 
 
 @no_type_check
 @numba.njit(cache=True)
 def offsets(rows, row, block, tile_x, tile_y):
     """Distance in x and y from a Gaussian's centre to the pixel centres of a block."""
-    left = np.float32(TILE * tile_x + BLOCK * (block % 4)) + np.float32(0.5)
-    top = np.float32(TILE * tile_y + BLOCK * (block // 4)) + np.float32(0.5)
-    dx = vec.grid(np.float32(1), np.float32(0)) + (left - rows[row])
-    dy = vec.grid(np.float32(0), np.float32(1)) + (top - rows[row + 1])
-    return dx, dy
+    left = np.float32(TILE * tile_x + BLOCK * (block & 3)) + np.float32(0.5)
+    top = np.float32(TILE * tile_y + BLOCK * (block >> 2)) + np.float32(0.5)
+    return vec.columns() + (left - rows[row]), vec.rows() + (top - rows[row + 1])
 
 
 @no_type_check
 @numba.njit(cache=True)
 def exponents(rows, row, dx, dy):
-    """Logarithm of a Gaussian's falloff at some pixels."""
-    x_part = dx * (dx * (rows[row + 2] * np.float32(-0.5)) - dy * rows[row + 3])
-    return vec.fma(dy * dy, rows[row + 4] * np.float32(-0.5), x_part)
+    """Logarithm of a Gaussian's falloff at some pixels, at most 0."""
+    x_part = dx * vec.fma(dx, rows[row + 2], dy * rows[row + 3])
+    return vec.minimum(vec.fma(dy * rows[row + 4], dy, x_part), np.float32(0))
 
 
 @no_type_check
 @numba.njit(cache=True)
 def visible(rows, row, s, transmittance):
     """Lanes that are unfinished and in which the Gaussian reaches the least alpha."""
-    inside = vec.both(vec.greater_equal(s, rows[row + 5]), vec.greater_equal(np.float32(0), s))
-    return vec.both(inside, vec.greater(transmittance, np.float32(0)))
+    reached = vec.greater_equal(s, rows[row + 5])
+    return vec.both(reached, vec.greater(transmittance, np.float32(0)))
 
 
 @no_type_check
@@ -71,40 +85,35 @@ def pass_light(rows, row, s, hit, transmittance):
     Returns:
         Unclamped alpha, alpha and weight (0 where it is not drawn), and the new transmittance.
     """
-    raw = vec.select(hit, vec.exp(s) * rows[row + 6], np.float32(0))
-    alpha = vec.minimum(raw, np.float32(const.MAX_ALPHA))
-    after = transmittance - alpha * transmittance
-    drawn = vec.greater(after, np.float32(const.MIN_TRANSMITTANCE))
-    weight = vec.select(drawn, alpha * transmittance, np.float32(0))
-    finished = vec.both(hit, vec.greater_equal(np.float32(const.MIN_TRANSMITTANCE), after))
-    after = vec.select(finished, transmittance * np.float32(-1), after)
-    return raw, alpha, vec.select(hit, weight, np.float32(0)), after
+    raw = vec.exp(s) * rows[row + 6]
+    alpha = vec.select(hit, vec.minimum(raw, np.float32(const.MAX_ALPHA)), np.float32(0))
+    weight = alpha * transmittance
+    after = transmittance - weight
+    finished = vec.greater_equal(np.float32(const.MIN_TRANSMITTANCE), after)
+    after = vec.select(finished, vec.negative(vec.absolute(transmittance)), after)
+    return raw, alpha, vec.select(finished, np.float32(0), weight), after
 
 
 @no_type_check
 @numba.njit(cache=True)
-def open_tile(state, stride, tile_x, tile_y, width, height):
-    """Transmittance 1 inside the image, -1 outside; every other number 0."""
+def open_tile(state, stride, columns, rows):
+    """Transmittance 1 in the columns and rows inside the image, -1 outside; the rest 0."""
     state[:] = 0
-    for block in range(BLOCKS):
-        for lane in range(PIXELS):
-            x, y = pixel_place(block, lane, tile_x, tile_y)
-            state[block * stride + lane] = 1 if x < width and y < height else -1
+    for y in range(TILE):
+        for x in range(TILE):
+            state[lane_place(x, y, stride)] = 1 if x < columns and y < rows else -1
 
 
 @no_type_check
 @numba.njit(cache=True)
-def close_tile(state, stride, tile_x, tile_y, image, transmittances):
-    """Write the colours and transmittances of a tile's state to the image."""
-    height, width, channels = image.shape
-    for block in range(BLOCKS):
-        for lane in range(PIXELS):
-            x, y = pixel_place(block, lane, tile_x, tile_y)
-            if x < width and y < height:
-                place = block * stride + lane
-                transmittances[y, x] = abs(state[place])
-                for c in range(channels):
-                    image[y, x, c] = state[place + (c + 1) * PIXELS]
+def close_tile(channels, state, stride, columns, rows, first, width, image, transmittances):
+    """Write a tile's colours and transmittances to the flat image, from pixel `first` on."""
+    for y in range(rows):
+        for x in range(columns):
+            place, pixel = lane_place(x, y, stride), first + y * width + x
+            transmittances[pixel] = abs(state[place])
+            for c in range(len(channels)):
+                image[pixel * len(channels) + c] = state[place + (c + 1) * PIXELS]
 
 
 @no_type_check
@@ -127,24 +136,25 @@ def blend_entry(channels, rows, row, block, tile_x, tile_y, state, place):
 
 @no_type_check
 @numba.njit(cache=True, parallel=True)
-def blend(channels, rows, row_stride, starts, ranks, masks, image, transmittances, threads):
-    """Fill the image [H,W,D] and the transmittance that is left [H,W].
+def blend(channels, rows, row_stride, lists, width, height, image, transmittances, threads):
+    """Fill the flat image [H*W*D] and the transmittance that is left [H*W].
 
     Blocks that are finished are struck from the masks of the entries behind, so that the backward
     pass visits just what this one has drawn. `channels` is a tuple of length D.
     """
-    height, width, _ = image.shape
+    starts, ranks, masks = lists
     tiles_x = -(-width // TILE)
     stride = PIXELS * (len(channels) + 1)
     for thread in numba.prange(threads):
-        state = np.empty(BLOCKS * stride, np.float32)
+        state = aligned(BLOCKS * stride)
         for tile in range(thread, starts.shape[0] - 1, threads):
             tile_x, tile_y = tile % tiles_x, tile // tiles_x
-            open_tile(state, stride, tile_x, tile_y, width, height)
+            inside_x, inside_y = min(TILE, width - TILE * tile_x), min(TILE, height - TILE * tile_y)
+            open_tile(state, stride, inside_x, inside_y)
             live = (1 << BLOCKS) - 1
             for entry in range(starts[tile], starts[tile + 1]):
                 ahead = min(entry + AHEAD, ranks.shape[0] - 1)
-                vec.prefetch(rows, ranks[ahead] * row_stride)
+                prefetch_row(rows, ranks[ahead] * row_stride, row_stride)
                 todo = np.int64(masks[entry]) & live
                 masks[entry] = todo
                 while todo != 0:
@@ -154,29 +164,28 @@ def blend(channels, rows, row_stride, starts, ranks, masks, image, transmittance
                     place = block * stride
                     if not blend_entry(channels, rows, row, block, tile_x, tile_y, state, place):
                         live &= ~(1 << block)
-            close_tile(state, stride, tile_x, tile_y, image, transmittances)
+            first = TILE * (tile_y * width + tile_x)
+            close_tile(
+                channels, state, stride, inside_x, inside_y, first, width, image, transmittances
+            )
 
 
 @no_type_check
 @numba.njit(cache=True)
-def open_gradients(
-    state, stride, tile_x, tile_y, image, transmittances, v_image, v_alphas, geometry_channels
-):
+def open_gradients(channels, state, stride, columns, rows, first, width, pixels, geometry_channels):
     """Per block: transmittance, the gradient-weighted light still to come, pixel gradients."""
-    height, width, channels = image.shape
-    open_tile(state, stride, tile_x, tile_y, width, height)
-    for block in range(BLOCKS):
-        for lane in range(PIXELS):
-            x, y = pixel_place(block, lane, tile_x, tile_y)
-            if x < width and y < height:
-                place = block * stride + lane
-                rest = -transmittances[y, x] * v_alphas[y, x]
-                for c in range(channels):
-                    gradient = v_image[y, x, c]
-                    if c < geometry_channels:
-                        rest += gradient * image[y, x, c]
-                    state[place + (c + 2) * PIXELS] = gradient
-                state[place + PIXELS] = rest
+    image, transmittances, v_image, v_alphas = pixels
+    open_tile(state, stride, columns, rows)
+    for y in range(rows):
+        for x in range(columns):
+            place, pixel = lane_place(x, y, stride), first + y * width + x
+            rest = -transmittances[pixel] * v_alphas[pixel]
+            for c in range(len(channels)):
+                gradient = v_image[pixel * len(channels) + c]
+                if c < geometry_channels:
+                    rest += gradient * image[pixel * len(channels) + c]
+                state[place + (c + 2) * PIXELS] = gradient
+            state[place + PIXELS] = rest
 
 
 @no_type_check
@@ -206,41 +215,33 @@ def entry_gradients(rows, row, dx, dy, state, place, moments, sums):
 @no_type_check
 @numba.njit(cache=True, parallel=True)
 def blend_backward(
-    channels,
-    rows,
-    row_stride,
-    starts,
-    ranks,
-    masks,
-    image,
-    transmittances,
-    v_image,
-    v_alphas,
-    geometry_channels,
-    out,
+    channels, rows, row_stride, lists, width, height, pixels, geometry_channels, out
 ):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
 
-    A row holds the moments sum(v_s), of 1, x, y, x x, x y, y y, where v_s is the gradient of the
+    `pixels` are the flat image and transmittances of `blend` and their gradients. A row of `out`
+    holds the moments sum(v_s) of 1, x, y, x x, x y, y y, where v_s is the gradient of the
     exponent at a pixel and x, y its offset from the Gaussian; then the gradients of the colours.
     Channels from `geometry_channels` on do not count for v_s; their colours in `rows` must be 0.
     """
-    tiles_x = -(-image.shape[1] // TILE)
+    starts, ranks, masks = lists
+    tiles_x = -(-width // TILE)
     stride = PIXELS * (len(channels) + 2)
     out_stride = gradient_stride(len(channels))
-    threads = out.shape[0]
-    for thread in numba.prange(threads):
-        state = np.empty(BLOCKS * stride, np.float32)
+    for thread in numba.prange(out.shape[0]):
+        state = aligned(BLOCKS * stride)
         mine = out[thread]
-        for tile in range(thread, starts.shape[0] - 1, threads):
+        for tile in range(thread, starts.shape[0] - 1, out.shape[0]):
             x, y = tile % tiles_x, tile // tiles_x
+            inside_x, inside_y = min(TILE, width - TILE * x), min(TILE, height - TILE * y)
+            first = TILE * (y * width + x)
             open_gradients(
-                state, stride, x, y, image, transmittances, v_image, v_alphas, geometry_channels
+                channels, state, stride, inside_x, inside_y, first, width, pixels, geometry_channels
             )
             for entry in range(starts[tile], starts[tile + 1]):
                 ahead = ranks[min(entry + AHEAD, ranks.shape[0] - 1)]
-                vec.prefetch(rows, ahead * row_stride)
-                vec.prefetch(mine, ahead * out_stride)
+                prefetch_row(rows, ahead * row_stride, row_stride)
+                prefetch_row(mine, ahead * out_stride, out_stride)
                 todo = np.int64(masks[entry])
                 if todo == 0:
                     continue
@@ -265,7 +266,7 @@ def collect_gradients(order, rows, partial, v_means2d, v_conics, v_opacities, v_
         total = partial[0, rank]
         for thread in range(1, partial.shape[0]):
             total += partial[thread, rank]
-        a, b, c = rows[rank, 2], rows[rank, 3], rows[rank, 4]
+        a, b, c = -2 * rows[rank, 2], -rows[rank, 3], -2 * rows[rank, 4]
         v_means2d[i, 0] = a * total[1] + b * total[2]
         v_means2d[i, 1] = b * total[1] + c * total[2]
         v_conics[i, 0], v_conics[i, 1], v_conics[i, 2] = -0.5 * total[3], -total[4], -0.5 * total[5]

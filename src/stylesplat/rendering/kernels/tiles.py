@@ -16,6 +16,7 @@ from stylesplat.rendering.kernels import vec
 
 TILE = 16
 BLOCK = 4
+BLOCK_SIDE = float(BLOCK)
 ROW_COLORS = 8  # where the colours start in a packed row
 RADIX_BITS = 11
 SLACK = 1e-3  # widens the block test: rounding must not lose a pixel
@@ -59,13 +60,14 @@ def depth_order(depths, radii):
 def pack_rows(order, means2d, conics, opacities, colors, rows):
     """Gather what blending reads of a Gaussian into one row, in depth order.
 
-    Columns: mean x y, conic xx xy yy, the exponent below which it is invisible, opacity, unused,
-    colours.
+    Columns: mean x y; factors of x x, x y and y y in the exponent; the exponent below which it is
+    invisible; opacity; unused; colours.
     """
     for rank in numba.prange(order.shape[0]):
         i = order[rank]
         rows[rank, 0], rows[rank, 1] = means2d[i, 0], means2d[i, 1]
-        rows[rank, 2], rows[rank, 3], rows[rank, 4] = conics[i, 0], conics[i, 1], conics[i, 2]
+        rows[rank, 2], rows[rank, 3] = -0.5 * conics[i, 0], -conics[i, 1]
+        rows[rank, 4] = -0.5 * conics[i, 2]
         rows[rank, 5] = -log(opacities[i] / const.MIN_ALPHA)
         rows[rank, 6] = opacities[i]
         for c in range(colors.shape[1]):
@@ -77,21 +79,20 @@ def pack_rows(order, means2d, conics, opacities, colors, rows):
 def block_mask(row, tile_x, tile_y):
     """Bit b is set if the ellipse of a packed row reaches a pixel centre's box in block b.
 
-    The least value of a convex quadratic over a box lies at its centre if that is inside, else on
-    one of the two sides that face it: lane b tries both.
+    The exponent is greatest over a box at the Gaussian's centre if that is inside, else on one of
+    the two sides that face it: lane b tries both.
     """
     a, b, c = row[2], row[3], row[4]
-    low_x = vec.grid(np.float32(BLOCK), np.float32(0)) + (TILE * tile_x + 0.5 - row[0])
-    low_y = vec.grid(np.float32(0), np.float32(BLOCK)) + (TILE * tile_y + 0.5 - row[1])
+    low_x = vec.fma(vec.columns(), BLOCK_SIDE, TILE * tile_x + 0.5 - row[0])
+    low_y = vec.fma(vec.rows(), BLOCK_SIDE, TILE * tile_y + 0.5 - row[1])
     high_x, high_y = low_x + (BLOCK - 1.0), low_y + (BLOCK - 1.0)
     near_x = vec.minimum(vec.maximum(low_x, 0.0), high_x)
     near_y = vec.minimum(vec.maximum(low_y, 0.0), high_y)
-    best_y = vec.minimum(vec.maximum(near_x * (-b / c), low_y), high_y)
-    best_x = vec.minimum(vec.maximum(near_y * (-b / a), low_x), high_x)
-    side_x = near_x * (near_x * (0.5 * a) + best_y * b) + best_y * best_y * (0.5 * c)
-    side_y = best_x * (best_x * (0.5 * a) + near_y * b) + near_y * near_y * (0.5 * c)
-    reach = -row[5] + SLACK
-    return vec.bits(vec.greater_equal(reach, vec.minimum(side_x, side_y)))
+    best_y = vec.minimum(vec.maximum(near_x * (-0.5 * b / c), low_y), high_y)
+    best_x = vec.minimum(vec.maximum(near_y * (-0.5 * b / a), low_x), high_x)
+    side_x = near_x * (near_x * a + best_y * b) + best_y * best_y * c
+    side_y = best_x * (best_x * a + near_y * b) + near_y * near_y * c
+    return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), row[5] - SLACK))
 
 
 @no_type_check

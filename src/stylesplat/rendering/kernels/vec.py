@@ -136,6 +136,7 @@ greater_equal = _lane_op(2, lambda b, x, y: b.fcmp_ordered(">=", x, y), mask)
 both = _lane_op(2, lambda b, x, y: b.and_(x, y), mask)
 select = _lane_op(3, lambda b, m, x, y: b.select(m, x, y))
 """Lanes of the second argument where the mask holds, else of the third."""
+negative = _lane_op(1, lambda b, x: b.fneg(x))
 absolute = _lane_op(1, lambda b, x: emit_call(b, "llvm.fabs.v16f32", VEC, [x]))
 
 
@@ -200,18 +201,21 @@ def lowest_bit(typingctx, integer):
     return types.int64(types.int64), codegen
 
 
-@intrinsic
-@no_type_check
-def grid(typingctx, step_x, step_y):
-    """Lane l holds `step_x * (l % 4) + step_y * (l // 4)`: the offsets of a 4 x 4 block."""
+def _constant(numbers):
+    """An intrinsic without operands: a constant vector."""
 
-    def codegen(context, builder, signature, args):
-        column = ir.Constant(VEC, [float(lane % 4) for lane in range(LANES)])
-        row = ir.Constant(VEC, [float(lane // 4) for lane in range(LANES)])
-        x, y = (emit_broadcast(builder, a) for a in args)
-        return builder.fadd(builder.fmul(column, x), builder.fmul(row, y))
+    @intrinsic
+    @no_type_check
+    def constant(typingctx):
+        return vec(), lambda context, builder, signature, args: ir.Constant(VEC, numbers)
 
-    return vec(types.float32, types.float32), codegen
+    return constant
+
+
+columns = _constant([float(lane % 4) for lane in range(LANES)])
+"""Lane l holds the column of pixel l in a 4 x 4 block, 0 to 3."""
+rows = _constant([float(lane // 4) for lane in range(LANES)])
+"""Lane l holds the row of pixel l in a 4 x 4 block, 0 to 3."""
 
 
 # Minimax polynomial of exp on -0.7..0, relative error 2e-7 before the eighth power.
@@ -226,7 +230,7 @@ EXP_TERMS = (
 def exp(x):
     """exp(x) for -5.6 <= x <= 0, to 2e-6 relative: a polynomial in x / 8, to the eighth power."""
     y = x * 0.125
-    p = fma(y, EXP_TERMS[5], y * 0.0 + EXP_TERMS[4])
+    p = fma(y, EXP_TERMS[5], EXP_TERMS[4])
     p = fma(p, y, EXP_TERMS[3])
     p = fma(p, y, EXP_TERMS[2])
     p = fma(p, y, EXP_TERMS[1])
