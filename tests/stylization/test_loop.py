@@ -9,8 +9,10 @@ from PIL import Image
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization import loop
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.loop import StyleJob, stylize, stylize_objects
@@ -30,6 +32,11 @@ def ball(number: int) -> torch.Tensor:
 def changed(styled: Splats) -> set[str]:
     before, after = SCENE.tensors(), styled.tensors()
     return {name for name in before if not torch.equal(before[name], after[name])}
+
+
+@pytest.fixture(autouse=True)
+def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "MEASURED_LENGTH", 24.0)
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +72,28 @@ def test_the_object_comes_closer_to_the_style(
     assert json.loads(json.dumps(metrics)) == metrics
     before, after = (rasterize(s, CAMERAS)[0] for s in (SCENE, styled))
     assert (before - after).abs().max() > 0.1
+
+
+def test_colors_start_where_they_were(job: StyleJob, network: FeatureNetwork):
+    config = replace(FAST, steps=2, lr=1e-6, view_dependent=True, color_transfer=False)
+    styled, _ = stylize_objects(SCENE, CAMERAS, [job], network, config)
+    torch.testing.assert_close(styled.sh0, SCENE.sh0, atol=1e-5, rtol=0)
+    torch.testing.assert_close(styled.shN, SCENE.shN, atol=1e-5, rtol=0)
+
+
+def test_colors_stay_in_range_where_gradients_exist(job: StyleJob, network: FeatureNetwork):
+    styled, _ = stylize_objects(SCENE, CAMERAS, [job], network, replace(FAST, lr=2.0, final_lr=1.0))
+    colors = rgb_from_sh0(styled.sh0[job.picked])
+    assert -1e-6 <= colors.min() < 0.01  # a few roundings; and some did go to the limit
+    assert 0.99 < colors.max() <= 1 + 1e-6
+
+
+def test_the_rate_decays(job: StyleJob, network: FeatureNetwork):
+    """With Adam's steps of about one rate each, the sum of the rates bounds the way."""
+    config = replace(FAST, lr=0.1, final_lr=1e-6, color_transfer=False)
+    styled, _ = stylize_objects(SCENE, CAMERAS, [job], network, config)
+    rates = [0.1 * 1e-6 ** (step / config.steps) for step in range(config.steps)]
+    assert (styled.sh0 - SCENE.sh0).abs().max() < 1.5 * sum(rates) < 0.5 * 0.1 * config.steps
 
 
 def test_seeds_reproduce(job: StyleJob, network: FeatureNetwork):

@@ -5,8 +5,9 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.sh import SH_C0
-from stylesplat.stylization.measure import changes, evenly
-from stylesplat.stylization.views import crop
+from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.measure import changes, evenly, view_loss
+from stylesplat.stylization.views import ObjectView, crop
 
 
 def test_evenly_spaced():
@@ -35,3 +36,17 @@ def test_a_view_full_of_the_object():
     everything = torch.ones(len(SPLATS), dtype=torch.bool)
     near = crop(CAMERAS[0], [22, 15], [24, 17])
     assert changes(SPLATS, SPLATS, near, everything, backend="reference")["outside_psnr"] == 120
+
+
+def test_the_background_has_no_say(network: FeatureNetwork):
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(40, 50, 3, generator=generator).requires_grad_()
+    mask = torch.zeros(20, 25, dtype=torch.bool)
+    mask[6, 9] = True
+    style = torch.rand(30, 12, generator=generator)
+    view_loss(image, ObjectView(CAMERAS[0], (mask,)), [style], network, [2]).backward()
+    assert image.grad is not None
+    cells = network.cells(2)
+    top, left = (i * cells.stride - cells.before for i in (6, 9))
+    inside = (slice(top, top + cells.size), slice(left, left + cells.size))
+    assert image.grad[inside].abs().sum() == image.grad.abs().sum() > 0

@@ -73,3 +73,13 @@ def test_regularizer_pulls_down_opacity_and_size():
     for name in ("opacities", "scales"):
         gradient = params[name].grad
         assert gradient is not None and (gradient > 0).all()
+
+
+def test_preferred_gaussians_are_copied():
+    splats = random_splats(50)
+    preference = torch.where(torch.arange(50) < 10, 1.0, 0.0)
+    generator = torch.Generator().manual_seed(0)
+    moments = Moments.zeros(splats.tensors())
+    params, _ = mcmc.refine(splats.tensors(), moments, NAMES, 80, generator, preference=preference)
+    copies = params["means"][50:]
+    assert (copies[:, None] == splats.means[None, :10]).all(-1).any(1).all()

@@ -23,6 +23,8 @@ class TrainConfig:
     """Start on photos of a quarter, then half the size."""
     growth_end: float = 0.5
     """Share of the run after which no Gaussians are added."""
+    object_growth: float = 4.0
+    """How many times likelier an object's Gaussians are to be copied than the background's."""
     refine_every: int = 100
     """Steps between moving dead Gaussians and adding new ones."""
     identity_every: int = 2
@@ -42,6 +44,7 @@ PRESETS = {
         steps=30_000,
         max_gaussians=1_000_000,
         coarse_to_fine=False,
+        object_growth=1.0,
         identity_every=1,
         identity_stride=1,
         classifier_rate=5e-4,

@@ -202,10 +202,22 @@ def _step(run: Run, state: State) -> tuple[State, float, float]:
     params, moments = state.params, state.moments
     if state.step % config.refine_every == config.refine_every - 1 and progress < REFINE_END:
         count = schedule.gaussian_count(progress, state.first_count, config)
-        params, moments = mcmc.refine(params, moments, state.names, count, run.generator)
+        params, moments = mcmc.refine(
+            *(params, moments, state.names, count, run.generator),
+            preference=_growth_preference(state.splats, config.object_growth),
+        )
     seconds = state.seconds + time.perf_counter() - start
     state = replace(state, params=params, moments=moments, step=state.step + 1, seconds=seconds)
     return state, loss, psnr
+
+
+@torch.no_grad()
+def _growth_preference(splats: Splats, object_growth: float) -> Tensor | None:
+    """Objects may be repainted, and colour cannot paint finer than the Gaussians are."""
+    if splats.identities is None or splats.classifier is None:
+        return None
+    background = splats.classifier.logits(splats.identities).softmax(dim=-1)[:, 0]
+    return background + object_growth * (1 - background)
 
 
 def _gradients(run: Run, state: State) -> tuple[Info, float, float]:

@@ -43,7 +43,13 @@ def add_noise(params: Params, means_rate: float, generator: torch.Generator) -> 
 
 @torch.no_grad()
 def refine(
-    params: Params, moments: Moments, names: tuple[str, ...], count: int, generator: torch.Generator
+    params: Params,
+    moments: Moments,
+    names: tuple[str, ...],
+    count: int,
+    generator: torch.Generator,
+    *,
+    preference: Float[Tensor, " N"] | None = None,
 ) -> tuple[Params, Moments]:
     """Move the dead Gaussians and grow to `count` in all.
 
@@ -53,6 +59,7 @@ def refine(
         names: Which of them have one row per Gaussian.
         count: Gaussians wanted; fewer than there are changes nothing but the dead.
         generator: Source of randomness.
+        preference: Factors on the chances, which are the opacities, of being copied.
 
     Returns:
         The new tensors and state; rows that were moved or copied start from zero moments.
@@ -64,8 +71,8 @@ def refine(
     needed = len(dead) + max(count - n, 0)
     if needed == 0 or len(alive) == 0:
         return params, moments
-    weights = opacities[alive].cpu()
-    drawn = torch.multinomial(weights, needed, replacement=True, generator=generator)
+    chances = opacities if preference is None else opacities * preference
+    drawn = torch.multinomial(chances[alive].cpu(), needed, replacement=True, generator=generator)
     sources = alive[drawn.to(alive.device)]
     rows = torch.cat([torch.arange(n, device=sources.device), sources[len(dead) :]])
     rows[dead] = sources[: len(dead)]
