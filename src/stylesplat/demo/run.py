@@ -23,7 +23,13 @@ from stylesplat.verbs.stylize import stylize_scene
 from stylesplat.verbs.train import train_scene
 
 # Under five minutes in all on two cores; many small Gaussians on the objects carry the strokes.
-TRAINING = replace(TRAIN_PRESETS["default"], steps=1800, max_gaussians=60_000, object_growth=10)
+TRAINING = replace(
+    TRAIN_PRESETS["default"],
+    steps=1800,
+    max_gaussians=60_000,
+    object_growth=10.0,
+    object_pixels=2.5,
+)
 STYLING = replace(STYLE_PRESETS["default"], steps=120, object_size=192)
 STYLES = {"vase": "swirling_night", "teapot": "burning_tide"}  # object: painting
 OBJECT_IDS = {"vase": 1, "teapot": 2}

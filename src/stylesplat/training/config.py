@@ -25,6 +25,11 @@ class TrainConfig:
     """Share of the run after which no Gaussians are added."""
     object_growth: float = 4.0
     """How many times likelier an object's Gaussians are to be copied than the background's."""
+    object_pixels: float | None = None
+    """Largest standard deviation of an object's Gaussians, in pixels at the median distance.
+
+    Small ones carry finer strokes and cost some sharpness elsewhere; None sets no limit.
+    """
     refine_every: int = 100
     """Steps between moving dead Gaussians and adding new ones."""
     identity_every: int = 2

@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.reference import Info
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.training import mcmc, schedule
@@ -22,6 +23,7 @@ from stylesplat.training.config import TrainConfig
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.interrupt import deferred_interrupt
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
+from stylesplat.training.objects import growth_preference, limit_sizes
 from stylesplat.training.progress import progress_bar
 from stylesplat.training.state import (
     CLASSIFIER,
@@ -59,8 +61,8 @@ class Run:
     """Photos to train on."""
     views: Views
     """Loads them."""
-    sizes: tuple[tuple[int, int], ...]
-    """Width and height of every photo of the capture."""
+    cameras: Cameras
+    """Of all photos."""
     extent: float
     """Unit of length of the scene."""
     generator: torch.Generator
@@ -111,7 +113,7 @@ def fit(
         config=config,
         rows=tuple(rows),
         views=training_views(capture, state.ids, device),
-        sizes=tuple((w, h) for w, h in capture.cameras.sizes.tolist()),
+        cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
         generator=generator,
     )
@@ -200,31 +202,25 @@ def _step(run: Run, state: State) -> tuple[State, float, float]:
     adam_step(state.params, state.moments, rates, state.step + 1, seen)
     mcmc.add_noise(state.params, rates["means"], run.generator)
     params, moments = state.params, state.moments
-    if state.step % config.refine_every == config.refine_every - 1 and progress < REFINE_END:
+    refining = state.step % config.refine_every == config.refine_every - 1
+    if refining and config.object_pixels is not None:
+        limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
+    if refining and progress < REFINE_END:
         count = schedule.gaussian_count(progress, state.first_count, config)
         params, moments = mcmc.refine(
             *(params, moments, state.names, count, run.generator),
-            preference=_growth_preference(state.splats, config.object_growth),
+            preference=growth_preference(state.splats, config.object_growth),
         )
     seconds = state.seconds + time.perf_counter() - start
     state = replace(state, params=params, moments=moments, step=state.step + 1, seconds=seconds)
     return state, loss, psnr
 
 
-@torch.no_grad()
-def _growth_preference(splats: Splats, object_growth: float) -> Tensor | None:
-    """Objects may be repainted, and colour cannot paint finer than the Gaussians are."""
-    if splats.identities is None or splats.classifier is None:
-        return None
-    background = splats.classifier.logits(splats.identities).softmax(dim=-1)[:, 0]
-    return background + object_growth * (1 - background)
-
-
 def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
     """Fill `.grad` of the parameters for one photo; also its loss and PSNR."""
     progress, config = run.progress(state), run.config
     row = run.row(state.step)
-    factor = schedule.photo_downscale(progress, run.sizes[row], config)
+    factor = schedule.photo_downscale(progress, run.cameras[row].size, config)
     camera, photo, classes = run.views(row, factor)
     if state.step % config.identity_every != 0:
         classes = None
