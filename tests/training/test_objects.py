@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from balls import CAMERAS, SPLATS
 
+from balls import CAMERAS, SPLATS
 from stylesplat.training.objects import growth_preference, limit_sizes, object_share
 
 OBJECTS = torch.arange(len(SPLATS)) >= 200  # the table comes first
