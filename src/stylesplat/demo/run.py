@@ -102,55 +102,65 @@ def _report(
     seconds: float,
 ) -> None:
     name = f"{SHOWN}.png"
-    masks = {}
-    for folder in (capture / "object_mask", output / "labels"):
-        masks[folder.name] = output / f"{folder.name}_colors.png"
-        write_image(label_colors(read_label_map(folder / name)), masks[folder.name])
     write_report(
         output / REPORT,
         before=output / "before" / name,
         after=output / "after" / name,
-        sections=(
-            Section(
-                "1. Photos with label maps",
-                "48 photos of a still life, ray-traced by the package itself, and label maps with "
-                "the mistakes that segmenters make: ragged borders, lost and merged objects.",
-                (
-                    Figure(capture / "images" / name, "one of the photos"),
-                    Figure(masks["object_mask"], "its label map, as training sees it"),
-                ),
-            ),
-            Section(
-                "2. Gaussians that know their object",
-                "Training fits 3D Gaussians to the photos, each with 16 numbers that say what "
-                "object it belongs to. All views together correct the mistakes of each.",
-                (
-                    Figure(output / "before" / name, "a view that was not trained on"),
-                    Figure(output / "identities" / name, "the identities, as colours"),
-                    Figure(masks["labels"], "the label map that they give"),
-                ),
-            ),
-            Section(
-                "3. Objects to choose from",
-                "`stylesplat objects` draws this sheet; `select` gives an object a name.",
-                (Figure(output / "scene" / "objects.png", "objects.png"),),
-            ),
-            Section(
-                "4. Two styles",
-                "The vase and the teapot each take on a painting, made by the package too. Only "
-                "the colours of their Gaussians change.",
-                tuple(
-                    Figure(capture / "styles" / f"{style}.png", f"for the {object_name}")
-                    for object_name, style in STYLES.items()
-                ),
-            ),
-            Section(
-                "5. All around",
-                "The splat is in styled.ply and opens in any viewer.",
-                (Figure(output / "orbit.mp4", "orbit.mp4"),),
-            ),
-        ),
+        sections=(*_training_story(output, capture), *_styling_story(output, capture)),
         numbers=_numbers(trained, styled, seconds),
+    )
+
+
+def _training_story(output: Path, capture: Path) -> tuple[Section, ...]:
+    name = f"{SHOWN}.png"
+    masks = {}
+    for folder in (capture / "object_mask", output / "labels"):
+        masks[folder.name] = output / f"{folder.name}_colors.png"
+        write_image(label_colors(read_label_map(folder / name)), masks[folder.name])
+    photos = Section(
+        "1. Photos with label maps",
+        "48 photos of a still life, ray-traced by the package itself, and label maps with the "
+        "mistakes that segmenters make: ragged borders, lost and merged objects.",
+        (
+            Figure(capture / "images" / name, "one of the photos"),
+            Figure(masks["object_mask"], "its label map, with mistakes"),
+        ),
+    )
+    gaussians = Section(
+        "2. Gaussians that know their object",
+        "Training fits 3D Gaussians to the photos, each with 16 numbers that say what object it "
+        "belongs to. All views together correct the mistakes of each.",
+        (
+            Figure(output / "before" / name, "a view that was not trained on"),
+            Figure(output / "identities" / name, "the identities, as colours"),
+            Figure(masks["labels"], "the label map that they give"),
+        ),
+    )
+    return photos, gaussians
+
+
+def _styling_story(output: Path, capture: Path) -> tuple[Section, ...]:
+    paintings = tuple(
+        Figure(capture / "styles" / f"{style}.png", f"for the {name}")
+        for name, style in STYLES.items()
+    )
+    return (
+        Section(
+            "3. Objects to choose from",
+            "stylesplat objects draws this sheet; stylesplat select gives an object a name.",
+            (Figure(output / "scene" / "objects.png", "objects.png"),),
+        ),
+        Section(
+            "4. Two styles",
+            "The vase and the teapot each take on a painting, made by the package too. Only the "
+            "colours of their Gaussians change.",
+            paintings,
+        ),
+        Section(
+            "5. All around",
+            "The splat is in styled.ply and opens in any viewer.",
+            (Figure(output / "orbit.mp4", "orbit.mp4"),),
+        ),
     )
 
 
