@@ -10,7 +10,7 @@ demo: $(VENV)/installed
 	$(BIN)/stylesplat demo -o demo-output
 
 test: $(VENV)/installed
-	$(BIN)/ruff check .
+	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/pytest -q

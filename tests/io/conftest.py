@@ -3,6 +3,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+
 from tiny_captures import write_capture
 
 

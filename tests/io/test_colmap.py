@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from tiny_captures import HEIGHT, PINHOLE, WIDTH, reconstruction
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.colmap import find_sparse, read_colmap
 from stylesplat.io.colmap_check import check_complete
 from stylesplat.io.poses import PosedFiles
+from tiny_captures import HEIGHT, PINHOLE, WIDTH, reconstruction
 
 BINARIES = ["cameras", "images", "points3D", "rigs", "frames"]
 

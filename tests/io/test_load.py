@@ -9,12 +9,12 @@ import pycolmap
 import pytest
 import torch
 from PIL import ExifTags, Image
-from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.load import load
 from stylesplat.io.transforms import write_transforms
+from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
 
 MakeCapture = Callable[..., Path]
 SHARED = Path("/work/shared/data")

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tiny_captures import save_noise
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.transforms import read_transforms, write_transforms
 from stylesplat.scene.cameras import Cameras
+from tiny_captures import save_noise
 
 # A camera at (1, 2, 3) that looks along +x with z up; OpenGL's columns are right, up, back
 POSE = [[0, 0, -1, 1.0], [-1, 0, 0, 2.0], [0, 1, 0, 3.0], [0, 0, 0, 1.0]]
