@@ -4,6 +4,7 @@ import torch
 
 from scenes import random_splats, two_cameras
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.scene.splats import Splats
 from stylesplat.training import mcmc
 from stylesplat.training.adam import Moments
@@ -83,3 +84,18 @@ def test_preferred_gaussians_are_copied():
     params, _ = mcmc.refine(splats.tensors(), moments, NAMES, 80, generator, preference=preference)
     copies = params["means"][50:]
     assert (copies[:, None] == splats.means[None, :10]).all(-1).any(1).all()
+
+
+def test_noise_follows_the_covariance():
+    # 20,000 equal Gaussians: the sample covariance is within a few percent of Sigma Sigma.
+    one = random_splats(1, seed=4)
+    one.opacities[:] = -20.0
+    params = {n: t.repeat(20_000, *[1] * (t.ndim - 1)) for n, t in one.tensors().items()}
+    before = params["means"].clone()
+    mcmc.add_noise(params, 1.0, torch.Generator().manual_seed(0))
+    moved = params["means"] - before
+    axes = rotation_matrices(one.quats)[0] * one.scales[0].exp()
+    sigma = axes @ axes.T
+    gate = torch.sigmoid(torch.tensor(mcmc.NOISE_SHARPNESS * mcmc.DEAD_OPACITY))
+    expected = (mcmc.NOISE_RATE * gate) ** 2 * sigma @ sigma
+    assert (moved.T.cov() - expected).norm() < 0.05 * expected.norm()

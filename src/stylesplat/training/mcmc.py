@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.training.adam import Moments
 
 DEAD_OPACITY = 0.005
@@ -36,9 +35,17 @@ def add_noise(params: Params, means_rate: float, generator: torch.Generator) -> 
     noise = torch.randn(n, 3, generator=generator).to(params["means"])
     faint = 1 - torch.sigmoid(params["opacities"])
     gate = torch.sigmoid(NOISE_SHARPNESS * (faint - (1 - DEAD_OPACITY)))
-    axes = rotation_matrices(params["quats"]) * params["scales"].exp()[:, None]
-    step = axes @ (axes.mT @ (noise * gate[:, None])[..., None])
-    params["means"] += NOISE_RATE * means_rate * step[..., 0]
+    # The covariance times isotropic noise, which may as well be drawn along the axes.
+    along_axes = noise * gate[:, None] * (2 * params["scales"]).exp()
+    params["means"] += NOISE_RATE * means_rate * _rotate(params["quats"], along_axes)
+
+
+def _rotate(quats: Float[Tensor, "N 4"], vectors: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    """Vectors turned by quaternions of any norm, without building matrices."""
+    unit = torch.nn.functional.normalize(quats, dim=-1)
+    w, axis = unit[:, :1], unit[:, 1:]
+    across = 2 * torch.linalg.cross(axis, vectors)
+    return vectors + w * across + torch.linalg.cross(axis, across)
 
 
 @torch.no_grad()
