@@ -27,7 +27,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         (["train", "{tmp}/none", "-o", "{tmp}/x"], "none"),
         (["select", "{scene}", "--name", "x", "--id", "99"], "99 does not exist"),
         (["select", "{scene}", "--name", "x", "--id", "0"], "background"),
-        (["select", "{scene}", "--name", "x"], "exactly one"),
+        (["select", "{scene}", "--name", "x"], "exactly one way"),
         (["select", "{scene}", "--name", "5", "--id", "3"], "must not be numbers"),
         (["select", "{scene}", "--name", "x", "--point", "7,8"], "VIEW:x,y"),
         (["select", "{scene}", "--name", "x", "--point", VIEW + ":99,3"], "outside"),
@@ -38,6 +38,9 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         (["stylize", "{scene}", "--style", "red={style}", "-o", "{tmp}/y"], "no object 'red'"),
         (["stylize", "{scene}", "--style", "3={tmp}/none.png", "-o", "{tmp}/y"], "none.png"),
         (["stylize", "{scene}", "--style", "3={style}", "-o", "{tmp}"], "--overwrite"),
+        (["select", "{scene}", "--name", "x", "--id", "3", "--threshold", "7"], "no probability"),
+        (["train", "{tmp}", "-o", "{tmp}/y", "--steps", "0"], "must exceed 0"),
+        (["render", "{scene}", "-o", "{tmp}/y", "--downscale", "0"], "positive factor"),
         (["render", "{scene}", "-o", "{tmp}/y", "--what", "smell"], "smell"),
         (["render", "{scene}", "-o", "{tmp}/y", "--what", "object:hat"], "hat"),
         (["render", "{scene}", "-o", "{tmp}"], "--overwrite"),
@@ -84,3 +87,17 @@ def test_places_and_styles_are_parsed():
         parse_point("a.jpg:1,b")
     with pytest.raises(StyleSplatError, match="OBJECT=IMAGE"):
         parse_style("=b.jpg")
+
+
+def test_a_wrong_capture_costs_no_checkpoint(tmp_path: Path, capsys):
+    checkpoint = tmp_path / "scene" / "checkpoint.pt"
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"hours of work")
+    complaint(capsys, "train", tmp_path / "typo", "-o", checkpoint.parent, "--overwrite")
+    assert checkpoint.read_bytes() == b"hours of work"
+
+
+def test_a_folder_with_other_files_is_not_continued(capture: Path, tmp_path: Path, capsys):
+    (tmp_path / "checkpoint.pt").touch()
+    (tmp_path / "thesis.tex").touch()
+    assert "--overwrite" in complaint(capsys, "train", capture, "-o", tmp_path)

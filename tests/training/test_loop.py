@@ -113,7 +113,7 @@ def test_checkpoint_of_another_run_is_refused(capture: Capture, tmp_path: Path):
     with pytest.raises(StyleSplatError, match="another steps, seed"):
         fit(capture, replace(CONFIG, steps=9, seed=5), checkpoint=path)
     path.write_bytes(b"nonsense")
-    with pytest.raises(StyleSplatError, match="not a checkpoint"):
+    with pytest.raises(StyleSplatError, match="it is not a checkpoint"):
         fit(capture, CONFIG, checkpoint=path)
 
 

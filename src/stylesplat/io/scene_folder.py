@@ -113,12 +113,19 @@ def read_scene(path: Path | str) -> Scene:
         splats=splats,
         cameras=_read_cameras(folder / CAMERAS),
         picks=_read_tensors(folder / PICKS, count),
-        objects=read_json(folder / OBJECTS),
+        objects=_read_objects(folder / OBJECTS),
         info=info,
         metrics=read_json(folder / METRICS),
         base_colors=_read_tensors(base_colors, count) if base_colors.exists() else None,
         recipe=read_json(recipe) if recipe.exists() else None,
     )
+
+
+def _read_objects(path: Path) -> dict[str, dict[str, Any]]:
+    objects = read_json(path)
+    if not all(isinstance(how, dict) for how in objects.values()):
+        raise StyleSplatError(f"Cannot read {path}: expected an object per name. Select again.")
+    return objects
 
 
 def _scene_folder(path: Path | str) -> Path:

@@ -1,5 +1,6 @@
 """The `Cameras` noun: undistorted pinhole cameras with names."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -71,11 +72,17 @@ class Cameras:
             return self.names.index(stems[0])
         raise StyleSplatError(
             f"No view is called {name!r}. Views: {', '.join(self.names[:8])}"
-            f"{', ...' if len(self) > 8 else ''}."
+            f"{', ...' if len(self) > 8 else '.'}"
         )
 
     def downscale(self, factor: float | int) -> "Cameras":
-        """The same cameras for images `factor` times smaller, sizes rounded to whole pixels."""
+        """The same cameras for images `factor` times smaller, sizes rounded to whole pixels.
+
+        Raises:
+            StyleSplatError: If the factor is not a positive number.
+        """
+        if not 0 < factor < math.inf:
+            raise StyleSplatError(f"Cannot downscale by {factor}. Give a positive factor.")
         if factor == 1:
             return self
         sizes = (self.sizes / factor).round().clamp(min=1)

@@ -22,7 +22,7 @@ def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifie
     if splats.identities is None or splats.classifier is None:
         raise StyleSplatError(
             "These splats have no identities, so no objects are known. Train from a capture "
-            "with label maps, or run `stylesplat import SPLAT.ply CAPTURE -o SCENE`."
+            "with label maps (`object_mask/` or --masks)."
         )
     return splats.identities, splats.classifier
 

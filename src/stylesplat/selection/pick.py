@@ -58,6 +58,8 @@ def select(
         StyleSplatError: If the splats have no identities, no such object exists, the box or
             point is outside the image or shows no object, or no Gaussian passes `threshold`.
     """
+    if not 0 <= threshold <= 1:
+        raise StyleSplatError(f"A threshold of {threshold:g} is no probability. Give 0 to 1.")
     ids = resolve_ids(
         splats, object_id=object_id, box=box, point=point, camera=camera, backend=backend
     )
@@ -87,7 +89,7 @@ def resolve_ids(
     """
     require_identities(splats)
     if sum(way is not None for way in (object_id, box, point)) != 1:
-        raise StyleSplatError("Select by exactly one of object_id, box and point.")
+        raise StyleSplatError("Select by exactly one way: an id, a box or a point.")
     if object_id is not None:
         return _known_ids(splats, object_id)
     if camera is None or len(camera) != 1:

@@ -3,6 +3,7 @@
 import os
 import pickle
 import re
+import struct
 import sys
 import zipfile
 from pathlib import Path
@@ -37,7 +38,7 @@ MARKS = {  # layers that the other network does not have
 }
 UNREADABLE = (
     *(SafetensorError, pickle.UnpicklingError, zipfile.BadZipFile),
-    *(EOFError, KeyError, OSError, RuntimeError, ValueError),
+    *(EOFError, IndexError, KeyError, OSError, RuntimeError, ValueError, struct.error),
 )
 
 

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+from stylesplat.errors import StyleSplatError
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -40,6 +42,12 @@ class TrainConfig:
     """Learning rate of the classifier."""
     identity_geometry: bool = False
     """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "max_seconds", "max_gaussians", "refine_every"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise StyleSplatError(f"Cannot train with {name} {value}: it must exceed 0.")
 
 
 PRESETS = {

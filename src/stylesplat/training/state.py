@@ -83,7 +83,7 @@ def load_checkpoint(path: Path, config: TrainConfig, device: torch.device) -> tu
         saved = content["config"]
     except Exception as error:  # torch.load raises half a dozen kinds
         raise StyleSplatError(
-            f"Cannot continue from {path}: not a checkpoint ({error}). Delete it to start afresh."
+            f"Cannot continue from {path}: it is not a checkpoint. Delete it to start afresh."
         ) from error
     changed = [name for name, value in asdict(config).items() if saved.get(name) != value]
     if changed:

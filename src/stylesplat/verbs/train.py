@@ -39,17 +39,18 @@ def train_scene(
         StyleSplatError: If the capture cannot be read, or `output` holds something else.
     """
     checkpoint = output / CHECKPOINT
-    if overwrite:
-        checkpoint.unlink(missing_ok=True)
-    elif not checkpoint.exists() or (output / SCENE).exists():
+    unfinished = output.is_dir() and [p.name for p in output.iterdir()] == [CHECKPOINT]
+    if output.is_file() or not (overwrite or unfinished):
         refuse_occupied(output, marker=SCENE)
     full = load(capture_path, masks=masks)
     capture = load(capture_path, downscale=downscale, masks=masks)
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
-    if checkpoint.exists():
-        say(f"Continuing from {checkpoint}.")
     torch_device = pick_device(device)
+    if overwrite:
+        checkpoint.unlink(missing_ok=True)
+    elif checkpoint.exists():
+        say(f"Continuing from {checkpoint}.")
     with progress_bar(config, enabled=True) as report:
         state = fit(capture, config, device=torch_device, checkpoint=checkpoint, on_progress=report)
     splats = state.splats.detach()
