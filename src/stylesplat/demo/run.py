@@ -12,7 +12,7 @@ from stylesplat.exporter import export
 from stylesplat.io.files import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.io.scene_folder import read_scene
+from stylesplat.io.scene_folder import SCENE, read_scene
 from stylesplat.selection.pick import THRESHOLD
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.training.config import PRESETS as TRAIN_PRESETS
@@ -54,7 +54,9 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
         refuse_occupied(output, marker=REPORT)
     start = time.monotonic()
     capture, scene, styled = demo_capture(output / CAPTURE), output / "scene", output / "styled"
-    trained = train_scene(capture, scene, config=TRAINING, overwrite=overwrite)
+    if overwrite or not (scene / SCENE).exists():
+        train_scene(capture, scene, config=TRAINING, overwrite=overwrite)
+    trained = read_scene(scene).metrics
     list_objects(scene)
     for name, id in OBJECT_IDS.items():
         select_object(scene, name, ids=[id], threshold=THRESHOLD)
