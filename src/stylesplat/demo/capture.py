@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from PIL import Image
+import torch
 from tqdm import tqdm
 
 from stylesplat.demo.cloud import surface_points
@@ -10,6 +10,7 @@ from stylesplat.demo.faults import corrupt_label_maps
 from stylesplat.demo.paintings import burning_tide, swirling_night
 from stylesplat.demo.still_life import OBJECT_NAMES, View, dome_cameras, photograph
 from stylesplat.io.files import claim_directory, write_json
+from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.transforms import write_transforms
 from stylesplat.scene.cameras import Cameras
@@ -86,9 +87,8 @@ def write_demo_capture(
 
 
 def _write_photos(folder: Path, cameras: Cameras, views: list[View]) -> None:
-    (folder / "images").mkdir()
     for name, view in zip(cameras.names, views, strict=True):
-        Image.fromarray(view.photo.numpy()).save(folder / "images" / name)
+        write_image(view.photo, folder / "images" / name)
 
 
 def _write_labels(folder: Path, cameras: Cameras, views: list[View], seed: int) -> None:
@@ -100,6 +100,5 @@ def _write_labels(folder: Path, cameras: Cameras, views: list[View], seed: int) 
 
 
 def _write_styles(folder: Path, seed: int) -> None:
-    (folder / "styles").mkdir()
     for name, make in STYLES.items():
-        Image.fromarray(make(seed)).save(folder / "styles" / f"{name}.png")
+        write_image(torch.from_numpy(make(seed)), folder / "styles" / f"{name}.png")

@@ -142,21 +142,6 @@ def add_products(typingctx, vecs, weight, others):
 
 @intrinsic
 @no_type_check
-def dot(typingctx, vecs, others):
-    """The sum over i of `vecs[i] * others[i]`."""
-
-    def codegen(context, builder, signature, args):
-        total = ir.Constant(VEC, None)
-        pairs = zip(*(_unpack(builder, a, vecs.count) for a in args), strict=True)
-        for value, other in pairs:
-            total = emit_fma(builder, value, other, total)
-        return total
-
-    return vec(vecs, others), codegen
-
-
-@intrinsic
-@no_type_check
 def monomials(typingctx, x, y):
     """`Vecs` of 1, x, y, x x, x y and y y."""
 
