@@ -87,34 +87,35 @@ class _Blend(Function):
         order = tiles.depth_order(*_arrays(depths, radii))
         rows = means2d.new_zeros(len(order), tiles.row_stride(channels))
         tiles.pack_rows(order, *_arrays(*inputs, rows))
-        lists = tiles.tile_lists(order, *_arrays(rows, radii), width, height, get_num_threads())
+        flat, stride = rows.view(-1).numpy(), rows.shape[1]
+        lists = tiles.tile_lists(
+            order, flat, stride, radii.numpy(), width, height, get_num_threads()
+        )
         image = means2d.new_empty(height, width, channels)
-        transmittances = means2d.new_empty(height, width)
+        alphas = means2d.new_empty(height, width, 1)
         blend.blend(
-            *((0,) * channels, rows.view(-1).numpy(), rows.shape[1], lists, width, height),
-            *_arrays(image.view(-1), transmittances.view(-1)),
+            *((0,) * channels, flat, stride, lists, width, height),
+            *_arrays(image.view(-1), alphas.view(-1)),
             get_num_threads(),
         )
         ctx.order, ctx.lists, ctx.geometry_channels = order, lists, geometry_channels
-        ctx.save_for_backward(*inputs, rows, image, transmittances)
-        return image, (1 - transmittances)[..., None]
+        ctx.save_for_backward(*inputs, rows, image, alphas)
+        return image, alphas
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_image, v_alphas):
-        *inputs, rows, image, transmittances = ctx.saved_tensors
+        *inputs, rows, image, alphas = ctx.saved_tensors
         channels = image.shape[-1]
+        head = min(channels, blend.HEAD)
         stride = blend.gradient_stride(channels)
-        if ctx.geometry_channels < channels:
-            rows = rows.clone()
-            rows[:, tiles.ROW_COLORS + ctx.geometry_channels :] = 0
         partial = rows.new_zeros(get_num_threads(), len(rows), stride)
-        pixels = _plain(image, transmittances, v_image, v_alphas)
+        pixels = _plain(image, alphas, v_image, v_alphas)
         height, width, _ = image.shape
         blend.blend_backward(
-            *((0,) * channels, rows.view(-1).numpy(), rows.shape[1], ctx.lists, width, height),
+            *((0,) * n for n in (head, channels - head, ctx.geometry_channels)),
+            *(rows.view(-1).numpy(), rows.shape[1], ctx.lists, width, height),
             tuple(t.view(-1).numpy() for t in pixels),
-            ctx.geometry_channels,
             partial.view(len(partial), -1).numpy(),
         )
         gradients = [torch.zeros_like(t) for t in inputs]

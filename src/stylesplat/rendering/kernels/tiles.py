@@ -16,10 +16,11 @@ from stylesplat.rendering.kernels import vec
 
 TILE = 16
 BLOCK = 4
-BLOCK_SIDE = float(BLOCK)
+ZERO, HALF = np.float32(0), np.float32(0.5)
+BLOCK_SIDE, LAST = np.float32(BLOCK), np.float32(BLOCK - 1)
 ROW_COLORS = 8  # where the colours start in a packed row
 RADIX_BITS = 11
-SLACK = 1e-3  # widens the block test: rounding must not lose a pixel
+SLACK = np.float32(1e-4)  # widens the block test: rounding must not lose a pixel
 
 
 def row_stride(channels: int) -> int:
@@ -60,15 +61,15 @@ def depth_order(depths, radii):
 def pack_rows(order, means2d, conics, opacities, colors, rows):
     """Gather what blending reads of a Gaussian into one row, in depth order.
 
-    Columns: mean x y; factors of x x, x y and y y in the exponent; the exponent below which it is
-    invisible; opacity; unused; colours.
+    Columns: mean x y; factors of x x, x y and y y in an eighth of the exponent (see `vec.py`); the
+    eighth below which it is invisible; opacity; unused; colours.
     """
     for rank in numba.prange(order.shape[0]):
         i = order[rank]
         rows[rank, 0], rows[rank, 1] = means2d[i, 0], means2d[i, 1]
-        rows[rank, 2], rows[rank, 3] = -0.5 * conics[i, 0], -conics[i, 1]
-        rows[rank, 4] = -0.5 * conics[i, 2]
-        rows[rank, 5] = -log(opacities[i] / const.MIN_ALPHA)
+        rows[rank, 2], rows[rank, 3] = -conics[i, 0] / 16, -conics[i, 1] / 8
+        rows[rank, 4] = -conics[i, 2] / 16
+        rows[rank, 5] = -log(opacities[i] / const.MIN_ALPHA) / 8
         rows[rank, 6] = opacities[i]
         for c in range(colors.shape[1]):
             rows[rank, ROW_COLORS + c] = colors[i, c]
@@ -76,23 +77,23 @@ def pack_rows(order, means2d, conics, opacities, colors, rows):
 
 @no_type_check
 @numba.njit(cache=True)
-def block_mask(row, tile_x, tile_y):
+def block_mask(rows, row, slope_x, slope_y, left, top):
     """Bit b is set if the ellipse of a packed row reaches a pixel centre's box in block b.
 
-    The exponent is greatest over a box at the Gaussian's centre if that is inside, else on one of
-    the two sides that face it: lane b tries both.
+    `left` and `top` are the first pixel centre of the tile, relative to the Gaussian's. The
+    exponent is greatest over a box at the Gaussian's centre if that is inside, else on one of the
+    two sides that face it: lane b tries both. Along a side at x it is greatest at `slope_y` x.
     """
-    a, b, c = row[2], row[3], row[4]
-    low_x = vec.fma(vec.columns(), BLOCK_SIDE, TILE * tile_x + 0.5 - row[0])
-    low_y = vec.fma(vec.rows(), BLOCK_SIDE, TILE * tile_y + 0.5 - row[1])
-    high_x, high_y = low_x + (BLOCK - 1.0), low_y + (BLOCK - 1.0)
-    near_x = vec.minimum(vec.maximum(low_x, 0.0), high_x)
-    near_y = vec.minimum(vec.maximum(low_y, 0.0), high_y)
-    best_y = vec.minimum(vec.maximum(near_x * (-0.5 * b / c), low_y), high_y)
-    best_x = vec.minimum(vec.maximum(near_y * (-0.5 * b / a), low_x), high_x)
-    side_x = near_x * (near_x * a + best_y * b) + best_y * best_y * c
-    side_y = best_x * (best_x * a + near_y * b) + near_y * near_y * c
-    return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), row[5] - SLACK))
+    a, b, c = vec.spread(rows, row + 2), vec.spread(rows, row + 3), vec.spread(rows, row + 4)
+    low_x, low_y = vec.fma(vec.columns(), BLOCK_SIDE, left), vec.fma(vec.rows(), BLOCK_SIDE, top)
+    high_x, high_y = low_x + LAST, low_y + LAST
+    near_x = vec.minimum(vec.maximum(low_x, ZERO), high_x)
+    near_y = vec.minimum(vec.maximum(low_y, ZERO), high_y)
+    best_y = vec.minimum(vec.maximum(near_x * slope_y, low_y), high_y)
+    best_x = vec.minimum(vec.maximum(near_y * slope_x, low_x), high_x)
+    side_x = vec.fma(near_x, vec.fma(near_x, a, best_y * b), best_y * best_y * c)
+    side_y = vec.fma(best_x, vec.fma(best_x, a, near_y * b), near_y * near_y * c)
+    return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), rows[row + 5] - SLACK))
 
 
 @no_type_check
@@ -105,7 +106,7 @@ def tile_span(center, radius, tiles):
 
 @no_type_check
 @numba.njit(cache=True, parallel=True)
-def list_entries(order, rows, radii, tiles_x, tiles_y, starts, tiles, ranks, masks):
+def list_entries(order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ranks, masks):
     """List (tile, rank, mask) chunk by chunk; count the entries of each chunk and tile.
 
     Returns:
@@ -118,16 +119,21 @@ def list_entries(order, rows, radii, tiles_x, tiles_y, starts, tiles, ranks, mas
     for chunk in numba.prange(chunks):
         entry = starts[chunk]
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            radius = radii[order[rank]]
-            first_x, last_x = tile_span(rows[rank, 0], radius[0], tiles_x)
-            first_y, last_y = tile_span(rows[rank, 1], radius[1], tiles_y)
+            row, i = rank * stride, order[rank]
+            x, y = rows[row], rows[row + 1]
+            first_x, last_x = tile_span(x, radii[i, 0], tiles_x)
+            first_y, last_y = tile_span(y, radii[i, 1], tiles_y)
+            lean = np.float32(-0.5) * rows[row + 3]
+            slope_x, slope_y = lean / rows[row + 2], lean / rows[row + 4]
             for tile_y in range(first_y, last_y):
+                top = np.float32(TILE * tile_y) + HALF - y
                 for tile_x in range(first_x, last_x):
-                    mask = block_mask(rows[rank], tile_x, tile_y)
+                    left = np.float32(TILE * tile_x) + HALF - x
+                    mask = block_mask(rows, row, slope_x, slope_y, left, top)
                     if mask != 0:
-                        tiles[entry] = tile_y * tiles_x + tile_x
-                        ranks[entry], masks[entry] = rank, mask
-                        counts[chunk, tiles[entry]] += 1
+                        tile = tile_y * tiles_x + tile_x
+                        tiles[entry], ranks[entry], masks[entry] = tile, rank, mask
+                        counts[chunk, tile] += 1
                         entry += 1
         written[chunk] = entry - starts[chunk]
     return counts, written
@@ -135,16 +141,16 @@ def list_entries(order, rows, radii, tiles_x, tiles_y, starts, tiles, ranks, mas
 
 @no_type_check
 @numba.njit(cache=True, parallel=True)
-def entry_bounds(order, rows, radii, tiles_x, tiles_y, chunks):
+def entry_bounds(order, rows, stride, radii, tiles_x, tiles_y, chunks):
     """Where each chunk may start to write its entries: the tiles under the bounding boxes."""
     starts = np.zeros(chunks + 1, np.int64)
     n = order.shape[0]
     for chunk in numba.prange(chunks):
         total = 0
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            radius = radii[order[rank]]
-            first_x, last_x = tile_span(rows[rank, 0], radius[0], tiles_x)
-            first_y, last_y = tile_span(rows[rank, 1], radius[1], tiles_y)
+            row, i = rank * stride, order[rank]
+            first_x, last_x = tile_span(rows[row], radii[i, 0], tiles_x)
+            first_y, last_y = tile_span(rows[row + 1], radii[i, 1], tiles_y)
             total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
         starts[chunk + 1] = total
     return np.cumsum(starts)
@@ -163,19 +169,19 @@ def scatter_entries(starts, written, tiles, ranks, masks, offsets, tile_ranks, t
 
 @no_type_check
 @numba.njit(cache=True)
-def tile_lists(order, rows, radii, width, height, chunks):
-    """The list of every tile, made by `chunks` threads.
+def tile_lists(order, rows, stride, radii, width, height, chunks):
+    """The list of every tile, made by `chunks` threads, from flat `rows` of length `stride`.
 
     Returns:
         `tile_starts` [tiles + 1], and the `ranks` and `masks` that they cut into lists.
     """
     tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
-    starts = entry_bounds(order, rows, radii, tiles_x, tiles_y, chunks)
+    starts = entry_bounds(order, rows, stride, radii, tiles_x, tiles_y, chunks)
     room = starts[-1]
     tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
     masks = np.empty(room, np.uint16)
     counts, written = list_entries(
-        order, rows, radii, tiles_x, tiles_y, starts, tiles, ranks, masks
+        order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ranks, masks
     )
     tile_starts = np.zeros(tiles_x * tiles_y + 1, np.int64)
     offsets = np.empty_like(counts)

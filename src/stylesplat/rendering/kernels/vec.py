@@ -136,8 +136,10 @@ greater_equal = _lane_op(2, lambda b, x, y: b.fcmp_ordered(">=", x, y), mask)
 both = _lane_op(2, lambda b, x, y: b.and_(x, y), mask)
 select = _lane_op(3, lambda b, m, x, y: b.select(m, x, y))
 """Lanes of the second argument where the mask holds, else of the third."""
-negative = _lane_op(1, lambda b, x: b.fneg(x))
-absolute = _lane_op(1, lambda b, x: emit_call(b, "llvm.fabs.v16f32", VEC, [x]))
+reciprocal = _lane_op(
+    1, lambda b, x: b.fdiv(ir.Constant(VEC, [1.0] * LANES), x, flags=("arcp", "contract"))
+)
+"""1 / x to float32 precision, by an estimate and a Newton step where the processor has one."""
 
 
 @intrinsic
@@ -147,6 +149,18 @@ def load(typingctx, array, index):
 
     def codegen(context, builder, signature, args):
         return emit_load(builder, emit_address(context, builder, signature.args[0], *args))
+
+    return vec(array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def spread(typingctx, array, index):
+    """All lanes set to one number of a flat float32 array; the index must not be negative."""
+
+    def codegen(context, builder, signature, args):
+        address = emit_address(context, builder, signature.args[0], *args)
+        return emit_broadcast(builder, builder.load(address))
 
     return vec(array, types.intp), codegen
 
@@ -212,6 +226,8 @@ def _constant(numbers):
     return constant
 
 
+zero = _constant([0.0] * LANES)
+"""All lanes 0."""
 columns = _constant([float(lane % 4) for lane in range(LANES)])
 """Lane l holds the column of pixel l in a 4 x 4 block, 0 to 3."""
 rows = _constant([float(lane // 4) for lane in range(LANES)])
@@ -220,16 +236,15 @@ rows = _constant([float(lane // 4) for lane in range(LANES)])
 
 # Minimax polynomial of exp on -0.7..0, relative error 2e-7 before the eighth power.
 EXP_TERMS = (
-    *(0.9999999403953552, 0.9999925494194031, 0.4998825788497925),
+    *(0.9999999403953552, 0.9999925494193031, 0.4998825788497925),
     *(0.1659739762544632, 0.039772555232048035, 0.005846756976097822),
 )
 
 
 @register_jitable
 @no_type_check
-def exp(x):
-    """exp(x) for -5.6 <= x <= 0, to 2e-6 relative: a polynomial in x / 8, to the eighth power."""
-    y = x * 0.125
+def exp_of_eighth(y):
+    """exp(8 y) for -0.7 <= y <= 0, to 2e-6 relative: a polynomial, to the eighth power."""
     p = fma(y, EXP_TERMS[5], EXP_TERMS[4])
     p = fma(p, y, EXP_TERMS[3])
     p = fma(p, y, EXP_TERMS[2])

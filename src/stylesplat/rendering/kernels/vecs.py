@@ -142,15 +142,19 @@ def add_products(typingctx, vecs, weight, others):
 
 @intrinsic
 @no_type_check
-def monomials(typingctx, x, y):
-    """`Vecs` of 1, x, y, x x, x y and y y."""
+def add_moments(typingctx, moments, weight, x, y):
+    """`Vecs` of six plus the weight times 1, x, y, x x, x y and y y."""
 
     def codegen(context, builder, signature, args):
-        x, y = args
-        squares = [builder.fmul(x, x), builder.fmul(x, y), builder.fmul(y, y)]
-        return _pack(builder, [ir.Constant(VEC, [1.0] * LANES), x, y, *squares])
+        sums = _unpack(builder, args[0], 6)
+        weight, x, y = args[1:]
+        by_x, by_y = builder.fmul(weight, x), builder.fmul(weight, y)
+        added = [builder.fadd(s, w) for s, w in zip(sums, (weight, by_x, by_y), strict=False)]
+        squares = ((by_x, x), (by_x, y), (by_y, y))
+        added += [emit_fma(builder, *pair, s) for pair, s in zip(squares, sums[3:], strict=True)]
+        return _pack(builder, added)
 
-    return VecsType(6)(vec, vec), codegen
+    return moments(moments, vec, vec, vec), codegen
 
 
 def _sum_16(builder, values):

@@ -1,0 +1,131 @@
+"""What the benchmarks share: scenes, clocks, memory and tables."""
+
+import platform
+import re
+import resource
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+import stylesplat as ss
+from stylesplat.evaluation.metrics import psnr
+from stylesplat.io.scene_folder import Scene, read_scene, write_scene
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+OUT = Path(__file__).resolve().parent / "out"
+MIB = 2**20
+CALIBRATION_NUMBERS = 1024  # fit the first cache level of any processor
+CALIBRATION_ROUNDS = 500_000
+
+
+def capture(name: str, downscale: float = 1.0, *, identities: bool = True) -> Capture:
+    """A real scene of the development data; exits with a reason where it is absent."""
+    path = DATA / name
+    if not path.is_dir():
+        raise SystemExit(f"This benchmark needs the scene {path}, which is not here.")
+    loaded = ss.load(path, downscale=downscale)
+    return loaded if identities else replace(loaded, label_maps=None)
+
+
+def trained_fox(gaussians: int = 50_000, seconds: float = 60.0) -> Splats:
+    """Fox with identities, trained once at half size and kept in `benchmarks/out`."""
+    folder = OUT / f"fox_{gaussians}"
+    if not folder.exists():
+        fox = capture("fox", 2)
+        splats = ss.train(fox, max_seconds=seconds, max_gaussians=gaussians)
+        write_scene(Scene(splats=splats, cameras=fox.cameras), folder)
+    return read_scene(folder).splats
+
+
+def held_out_psnr(splats: Splats, views: Capture, rows: Sequence[int]) -> float:
+    """Mean PSNR of some views in decibels; renders are clamped to 0..1."""
+    total = 0.0
+    for row in rows:
+        image, _, _ = rasterize(splats, views.cameras[row])
+        photo = views.photos[row].to(image) / 255
+        total += float(psnr(image[0].clamp(0, 1), photo))
+    return total / len(rows)
+
+
+@no_type_check
+@numba.njit(parallel=True, fastmath=True)
+def _known_work(numbers, rounds, threads):
+    for thread in numba.prange(threads):
+        mine = numbers[thread]
+        for _ in range(rounds):
+            for i in range(mine.shape[0]):
+                mine[i] = mine[i] * np.float32(0.5) + np.float32(1)
+
+
+def calibration_ms() -> float:
+    """Milliseconds of a fixed loop: 512 million multiply-adds on every thread.
+
+    It tells how fast, and how quiet, the machine was at that moment.
+    """
+    threads = numba.get_num_threads()
+    numbers = np.zeros((threads, CALIBRATION_NUMBERS), np.float32)
+    _known_work(numbers, 1, threads)
+    start = time.perf_counter()
+    _known_work(numbers, CALIBRATION_ROUNDS, threads)
+    return 1e3 * (time.perf_counter() - start)
+
+
+def median_ms(work: Callable[[], object], repeats: int = 15, warm_up: int = 3) -> float:
+    """Median wall time of some work in milliseconds, after a few runs that do not count."""
+    for _ in range(warm_up):
+        work()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(1e3 * (time.perf_counter() - start))
+    return median(times)
+
+
+def processor_ms(work: Callable[[], object], repeats: int = 15) -> float:
+    """Mean time of all threads together, which other processes lengthen less than wall time."""
+    start = resource.getrusage(resource.RUSAGE_SELF)
+    for _ in range(repeats):
+        work()
+    end = resource.getrusage(resource.RUSAGE_SELF)
+    spent = end.ru_utime + end.ru_stime - start.ru_utime - start.ru_stime
+    return 1e3 * spent / repeats
+
+
+def memory_now() -> int:
+    """Resident bytes of this process."""
+    return _status("VmRSS")
+
+
+def peak_memory(work: Callable[[], object]) -> int:
+    """The most resident bytes of this process while it does some work (Linux)."""
+    Path("/proc/self/clear_refs").write_text("5")  # forget earlier peaks
+    work()
+    return _status("VmHWM")
+
+
+def _status(field: str) -> int:
+    found = re.search(rf"{field}:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found is not None
+    return 1024 * int(found[1])
+
+
+def machine() -> str:
+    """The processor and its threads, for the head of a report."""
+    found = re.search(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())
+    return f"{found[1] if found else platform.processor()}, {numba.get_num_threads()} threads"
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A Markdown table."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)

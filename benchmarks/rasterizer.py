@@ -1,0 +1,132 @@
+"""Time and memory of one rasterised training step of a trained scene, by number of channels.
+
+    .venv/bin/python benchmarks/rasterizer.py
+
+Fox at 540x960 with 50,000 Gaussians: spherical harmonics, projection, binning, blending and the
+way back to the gradients of all parameters. "identities" are 16 more channels; in training their
+gradients stop at the features (`identity_geometry` off), "all gradients" lets them through.
+"""
+
+import gc
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+import torch
+import tyro
+from bench import (
+    MIB,
+    calibration_ms,
+    capture,
+    machine,
+    median_ms,
+    memory_now,
+    peak_memory,
+    processor_ms,
+    table,
+    trained_fox,
+)
+
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+ROUNDS = 5  # each measures every variant, so that a noisy moment hits them alike
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to rasterise."""
+
+    gaussians: int = 50_000
+    """Gaussians of the scene."""
+    views: int = 5
+    """How many views to take the mean over."""
+
+
+def step(splats: Splats, camera: Cameras, *, identities: bool, all_gradients: bool) -> None:
+    """Render and fill the gradients, with the render's own gradient all ones."""
+    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
+    attached = Splats(**leaves, classifier=None)
+    image, _, _ = rasterize(
+        attached,
+        camera,
+        features=attached.identities if identities else None,
+        features_move_geometry=all_gradients,
+    )
+    image.backward(torch.ones_like(image))
+
+
+def variants(splats: Splats, cameras: Cameras) -> dict[str, Callable[[], None]]:
+    """The steps to compare, each over all cameras."""
+
+    def over_cameras(identities: bool, all_gradients: bool) -> Callable[[], None]:
+        def run() -> None:
+            for i in range(len(cameras)):
+                step(splats, cameras[i], identities=identities, all_gradients=all_gradients)
+
+        return run
+
+    return {
+        "colour, 3 channels": over_cameras(False, True),
+        "with identities, 19 channels": over_cameras(True, False),
+        "the same, all gradients": over_cameras(True, True),
+    }
+
+
+def timings(splats: Splats, cameras: Cameras) -> str:
+    """The table of times."""
+    steps = variants(splats, cameras)
+    wall: dict[str, list[float]] = {name: [] for name in steps}
+    processor: dict[str, list[float]] = {name: [] for name in steps}
+    calibration = []
+    for _ in range(ROUNDS):
+        calibration.append(calibration_ms())
+        for name, run in steps.items():
+            wall[name].append(median_ms(run, repeats=3, warm_up=1) / len(cameras))
+            processor[name].append(processor_ms(run, repeats=1) / len(cameras))
+    loop, first = median(calibration), median(next(iter(wall.values())))
+    rows = [
+        [
+            name,
+            f"{min(times):.1f}",
+            f"{median(times):.1f}",
+            f"{median(processor[name]):.1f}",
+            f"{median(times) / first:.2f}",
+            f"{median(times) / loop:.2f}",
+        ]
+        for name, times in wall.items()
+    ]
+    heads = ["step", "ms, best", "ms, median", "processor ms", "over 3 channels", "over the loop"]
+    return f"{table(heads, rows)}\n\ncalibration loop: {loop:.1f} ms"
+
+
+def memory(splats: Splats, camera: Cameras, *, identities: bool) -> list[object]:
+    """A row: what the step must hold, and its highest memory above the parameters."""
+    channels = 19 if identities else 3
+    names = {"identities"} if not identities else set()
+    numbers = sum(t.numel() for name, t in splats.tensors().items() if name not in names)
+    width, height = camera.size
+    needed = 4 * (2 * numbers + 2 * width * height * (channels + 1))
+    torch.set_num_threads(torch.get_num_threads())
+    gc.collect()
+    before = memory_now()
+
+    def run() -> None:
+        step(splats, camera, identities=identities, all_gradients=False)
+
+    peak = peak_memory(run) - before + 4 * numbers
+    return [channels, f"{needed / MIB:.0f} MiB", f"{peak / MIB:.0f} MiB", f"{peak / needed:.2f}"]
+
+
+def main(options: Options) -> None:
+    """Print both tables."""
+    splats = trained_fox(options.gaussians)
+    cameras = capture("fox").cameras[:: max(50 // options.views, 1)]
+    width, height = cameras[0].size
+    print(f"fox {width}x{height}, {len(splats):,} Gaussians, {len(cameras)} views, {machine()}\n")
+    print(timings(splats, cameras))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
