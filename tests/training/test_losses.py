@@ -2,8 +2,12 @@ import pytest
 import torch
 
 from stylesplat.scene.splats import Classifier
-from stylesplat.training import ssim, ssim_cpu
-from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
+from stylesplat.training.losses import (
+    identity_loss,
+    neighbor_loss,
+    photometric_loss,
+    photometric_spec,
+)
 
 
 @pytest.fixture
@@ -18,22 +22,28 @@ def classifier() -> Classifier:
     return Classifier(8 * torch.eye(3, 16), torch.zeros(3), ids=(0, 4, 9))
 
 
-def test_ssim_kernel_matches_torch(images):
-    image, target = images
+@pytest.mark.parametrize("size", [(37, 53), (5, 4), (40, 64)])
+def test_photometric_kernel_matches_torch(images, size: tuple[int, int]):
+    image, target = (each[: size[0], : size[1]] for each in images)
+    image = 1.2 * image - 0.1  # also below 0 and above 1
     fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
-    value, expected = ssim_cpu.ssim(fast, target), ssim.ssim(exact, target.double())
-    value.backward()
-    expected.backward()
+    (loss, error), expected = (
+        photometric_loss(fast, target),
+        photometric_spec(exact, target.double()),
+    )
+    (3 * loss).backward()
+    (3 * expected[0]).backward()
     assert fast.grad is not None and exact.grad is not None
-    assert abs(value.item() - expected.item()) < 1e-6
+    assert abs(loss.item() - expected[0].item()) < 1e-6
+    assert abs(error.item() - expected[1].item()) < 1e-6
     # Float32 against float64: rounding only.
     assert (fast.grad - exact.grad).norm() < 1e-5 * exact.grad.norm()
 
 
 def test_photometric_loss_is_zero_for_equal_images_only(images):
     image, target = images
-    assert photometric_loss(image, image).abs() < 1e-6
-    assert photometric_loss(image, target) > 0.01
+    assert photometric_loss(image, image)[0].abs() < 1e-6
+    assert photometric_loss(image, target)[0] > 0.01
 
 
 def test_identity_loss_rewards_the_right_class(classifier: Classifier):

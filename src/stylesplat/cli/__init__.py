@@ -10,6 +10,7 @@ import tyro
 
 from stylesplat.cli import looking, making
 from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.kernels.compiling import announce_compilation
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
 
@@ -39,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
         args=arguments,
     )
+    announce_compilation()
     try:
         result = command.run()
     except StyleSplatError as error:

@@ -13,9 +13,11 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
-from stylesplat.rendering.kernels import blend, project, sh, tiles
+from stylesplat.rendering.kernels import blend, project, project_backward, sh, tiles
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
+
+INFO = ("means2d", "conics", "depths", "radii")  # what `_Project` returns
 
 
 def _plain(*tensors: Tensor) -> list[Tensor]:
@@ -40,7 +42,7 @@ class _SphericalHarmonics(Function):
     @once_differentiable
     def backward(ctx, v_out):
         *inputs, out = ctx.saved_tensors
-        gradients = [torch.zeros_like(t) for t in inputs]
+        gradients = [torch.empty_like(t) for t in inputs]
         arrays = _arrays(*inputs, out, *_plain(v_out), *gradients)
         sh.colors_backward(ctx.bases, *arrays, get_num_threads())
         return None, *gradients
@@ -49,31 +51,32 @@ class _SphericalHarmonics(Function):
 class _Project(Function):
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, viewmat, K, width, height):
-        means, quats, scales, opacities, viewmat, K = _plain(
-            means, quats, scales, opacities, viewmat, K
-        )
+        *geometry, viewmat, K = _plain(means, quats, scales, opacities, viewmat, K)
         n = len(means)
-        means2d, conics, depths = means.new_zeros(n, 2), means.new_zeros(n, 3), means.new_zeros(n)
-        radii = torch.zeros(n, 2, dtype=torch.int32)
+        means2d, conics = means.new_empty(n, 2), means.new_empty(n, 3)
+        depths, radii = means.new_empty(n, 1), torch.empty(n, 2, dtype=torch.int32)
         project.project(
-            *_arrays(means, quats, scales, opacities, viewmat, K),
-            *(width, height),
-            *_arrays(means2d, conics, depths, radii),
+            tuple(_arrays(*geometry)),
+            *(*_arrays(viewmat, K), width, height),
+            tuple(_arrays(means2d, conics, depths, radii)),
+            get_num_threads(),
         )
         ctx.size = width, height
-        ctx.save_for_backward(means, quats, scales, viewmat, K, conics, radii)
+        ctx.save_for_backward(*geometry[:3], viewmat, K, conics, radii)
         ctx.mark_non_differentiable(depths, radii)
-        return means2d, conics, depths, radii
+        return means2d, conics, depths[:, 0], radii
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_means2d, v_conics, v_depths, v_radii):
-        means, quats, scales, viewmat, K, conics, radii = ctx.saved_tensors
-        gradients = [torch.zeros_like(t) for t in (means, quats, scales)]
-        project.project_backward(
-            *_arrays(means, quats, scales, viewmat, K),
-            *ctx.size,
-            *_arrays(conics, radii, *_plain(v_means2d, v_conics), *gradients),
+        *geometry, viewmat, K, conics, radii = ctx.saved_tensors
+        gradients = [torch.empty_like(t) for t in geometry]
+        project_backward.project_backward(
+            tuple(_arrays(*geometry)),
+            *(*_arrays(viewmat, K), *ctx.size, *_arrays(conics, radii)),
+            tuple(_arrays(*_plain(v_means2d, v_conics))),
+            tuple(_arrays(*gradients)),
+            get_num_threads(),
         )
         return *gradients, None, None, None, None, None
 
@@ -146,7 +149,7 @@ def rasterize(
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render activated Gaussians; see `reference.rasterize`."""
-    images, alphas, infos = [], [], []
+    views = []
     for viewmat, K, camera_colors in zip(viewmats, Ks, colors, strict=True):
         projected = _Project.apply(means, quats, scales, opacities, viewmat, K, width, height)
         means2d, conics, depths, radii = projected
@@ -154,8 +157,13 @@ def rasterize(
             *(means2d, conics, opacities, camera_colors, depths, radii),
             *((width, height), geometry_channels),
         )
-        images.append(image)
-        alphas.append(alpha)
-        infos.append({"means2d": means2d, "conics": conics, "depths": depths, "radii": radii})
-    info = {key: torch.stack([i[key] for i in infos]) for key in infos[0]}
-    return torch.stack(images), torch.stack(alphas), info
+        views.append((image, alpha, *projected))
+    render_colors, render_alphas, *projections = (
+        _stacked(each) for each in zip(*views, strict=True)
+    )
+    return render_colors, render_alphas, dict(zip(INFO, projections, strict=True))
+
+
+def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:
+    """The tensors along a new first axis; a single one is not copied."""
+    return tensors[0][None] if len(tensors) == 1 else torch.stack(tensors)

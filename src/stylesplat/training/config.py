@@ -23,7 +23,7 @@ class TrainConfig:
     """Seed of everything random; the same seed and thread count reproduce a run."""
     coarse_to_fine: bool = True
     """Start on photos of a quarter, then half the size."""
-    growth_end: float = 0.5
+    growth_end: float = 0.4
     """Share of the run after which no Gaussians are added."""
     object_growth: float = 4.0
     """How many times likelier an object's Gaussians are to be copied than the background's."""

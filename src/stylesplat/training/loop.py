@@ -235,11 +235,11 @@ def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
         sh_degree=schedule.sh_degree(progress, config),
     )
     image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
-    loss = photometric_loss(image, photo) + mcmc.regularizer(state.params)
+    loss, error = photometric_loss(image, photo)
+    loss = loss + mcmc.regularizer(state.params)
     if classes is not None:
         loss = loss + _identity_losses(run, state, rendered, classes)
     loss.backward()
-    error = (image.detach().clamp(0, 1) - photo).square().mean()
     return info, float(loss.detach()), float(-10 * torch.log10(error.clamp(min=1e-10)))
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
 from stylesplat.scene.splats import Classifier
-from stylesplat.training import ssim_cpu
+from stylesplat.training import photometric_cpu
 from stylesplat.training.ssim import ssim
 
 DSSIM_WEIGHT = 0.2
@@ -16,11 +16,24 @@ NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
 
 def photometric_loss(
     image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
-) -> Float[Tensor, ""]:
-    """0.8 L1 + 0.2 (1 - SSIM), the loss of 3D Gaussian splatting."""
-    similarity = ssim_cpu.ssim if image.device.type == "cpu" else ssim
-    dissimilarity = 1 - similarity(image, target)
-    return (1 - DSSIM_WEIGHT) * l1_loss(image, target) + DSSIM_WEIGHT * dissimilarity
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """0.8 L1 + 0.2 (1 - SSIM), the loss of 3D Gaussian splatting.
+
+    Returns:
+        The loss; and the mean squared error of the image clamped to 0..1, without gradient.
+    """
+    if image.device.type == "cpu":
+        return photometric_cpu.photometric_loss(image, target, DSSIM_WEIGHT)
+    return photometric_spec(image, target)
+
+
+def photometric_spec(
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """`photometric_loss` in plain torch, on any device and in any precision."""
+    dissimilarity = 1 - ssim(image, target)
+    error = (image.detach().clamp(0, 1) - target).square().mean()
+    return (1 - DSSIM_WEIGHT) * l1_loss(image, target) + DSSIM_WEIGHT * dissimilarity, error
 
 
 def identity_loss(

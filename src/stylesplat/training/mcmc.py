@@ -16,6 +16,7 @@ DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
 NOISE_RATE = 5e5  # official, times the learning rate of the means
 NOISE_SHARPNESS = 100.0
+OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.01
 
@@ -31,21 +32,23 @@ def regularizer(params: Params) -> Float[Tensor, ""]:
 @torch.no_grad()
 def add_noise(params: Params, means_rate: float, generator: torch.Generator) -> None:
     """Move the means at random, along their own covariance, the fainter the more."""
-    n = len(params["means"])
-    noise = torch.randn(n, 3, generator=generator).to(params["means"])
-    faint = 1 - torch.sigmoid(params["opacities"])
-    gate = torch.sigmoid(NOISE_SHARPNESS * (faint - (1 - DEAD_OPACITY)))
+    faint = (params["opacities"] < OPAQUE).nonzero()[:, 0]
+    noise = torch.randn(len(faint), 3, generator=generator).to(params["means"])
+    opacities = torch.sigmoid(params["opacities"][faint])
+    gate = torch.sigmoid(NOISE_SHARPNESS * (DEAD_OPACITY - opacities))
     # The covariance times isotropic noise, which may as well be drawn along the axes.
-    along_axes = noise * gate[:, None] * (2 * params["scales"]).exp()
-    params["means"] += NOISE_RATE * means_rate * _rotate(params["quats"], along_axes)
+    along_axes = noise * gate[:, None] * (2 * params["scales"][faint]).exp()
+    moves = NOISE_RATE * means_rate * _rotate(params["quats"][faint], along_axes)
+    params["means"].index_add_(0, faint, moves)
 
 
 def _rotate(quats: Float[Tensor, "N 4"], vectors: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
     """Vectors turned by quaternions of any norm, without building matrices."""
-    unit = torch.nn.functional.normalize(quats, dim=-1)
-    w, axis = unit[:, :1], unit[:, 1:]
-    across = 2 * torch.linalg.cross(axis, vectors)
-    return vectors + w * across + torch.linalg.cross(axis, across)
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).T.contiguous()
+    a, b, c = vectors.T.contiguous()
+    d, e, f = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)  # twice axis x vector
+    turned = a + w * d + y * f - z * e, b + w * e + z * d - x * f, c + w * f + x * e - y * d
+    return torch.stack(turned, dim=-1)
 
 
 @torch.no_grad()

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
+from stylesplat.rendering.kernels.compiling import announce_compilation
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.state import State
 
@@ -20,7 +21,9 @@ def progress_bar(
     total = config.max_seconds if config.max_seconds is not None else config.steps
     shown: dict[str, float] = {}
     with tqdm(total=total, unit="s" if timed else "step", disable=not enabled) as bar:
-        bar.set_description("compiling kernels (first run only)")
+        if enabled:
+            announce_compilation()
+        bar.set_description("starting")
 
         def report(state: State, loss: float, psnr: float) -> None:
             for name, value in (("loss", loss), ("psnr", psnr)):

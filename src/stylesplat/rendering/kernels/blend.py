@@ -231,9 +231,7 @@ def block_gradients(geometry, rows, row, dx, dy, state, place, moments, sums):
 
 @no_type_check
 @numba.njit(cache=True, parallel=True)
-def blend_backward(
-    head, tail, geometry, rows, row_stride, lists, width, height, pixels, out
-):
+def blend_backward(head, tail, geometry, rows, row_stride, lists, width, height, pixels, out):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
 
     `pixels` are the flat image and coverage of `blend` and their gradients. A row of `out`
@@ -255,9 +253,7 @@ def blend_backward(
             x, y = tile % tiles_x, tile // tiles_x
             inside_x, inside_y = min(TILE, width - TILE * x), min(TILE, height - TILE * y)
             first = TILE * (y * width + x)
-            open_gradients(
-                channels, state, inside_x, inside_y, first, width, pixels, len(geometry)
-            )
+            open_gradients(channels, state, inside_x, inside_y, first, width, pixels, len(geometry))
             left, top = TILE * x + np.float32(0.5), TILE * y + np.float32(0.5)
             for entry in range(starts[tile], starts[tile + 1]):
                 ahead = ranks[min(entry + AHEAD, ranks.shape[0] - 1)]

@@ -14,6 +14,7 @@ from stylesplat.rendering.sh import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL
 A2, B2, C2 = SH_C2
 A3, B3, C3 = SH_C3
 ZONAL, TESSERAL = SH_C3_ZONAL
+ZERO, HALF = np.float32(0), np.float32(0.5)
 
 
 @no_type_check
@@ -77,32 +78,45 @@ def colors(bases, dirs, sh0, shN, out):
     for i in numba.prange(dirs.shape[0]):
         x, y, z, _ = unit(dirs[i])
         values = basis(x, y, z)
-        for c in range(3):
-            total = 0.5 + values[0] * sh0[i, 0, c]
-            for k in range(1, bases):
-                total += values[k] * shN[i, k - 1, c]
-            out[i, c] = max(total, 0.0)
+        value = np.float32(values[0])
+        r, g, b = value * sh0[i, 0, 0], value * sh0[i, 0, 1], value * sh0[i, 0, 2]
+        for k in range(1, bases):
+            value = np.float32(values[k])
+            r += value * shN[i, k - 1, 0]
+            g += value * shN[i, k - 1, 1]
+            b += value * shN[i, k - 1, 2]
+        out[i, 0], out[i, 1], out[i, 2] = (
+            max(r + HALF, ZERO),
+            max(g + HALF, ZERO),
+            max(b + HALF, ZERO),
+        )
 
 
 @no_type_check
 @numba.njit(cache=True, parallel=True)
 def colors_backward(bases, dirs, sh0, shN, out, v_out, v_dirs, v_sh0, v_shN, threads):
-    """Fill the gradients of directions and coefficients; rows without gradient stay 0."""
+    """Fill the gradients of directions and coefficients."""
     n = dirs.shape[0]
     for t in numba.prange(threads):
-        sums = np.empty(16)
+        sums = np.zeros(16, np.float32)
         for i in range(t * n // threads, (t + 1) * n // threads):
             if v_out[i, 0] == 0 and v_out[i, 1] == 0 and v_out[i, 2] == 0:
+                v_dirs[i], v_sh0[i], v_shN[i] = 0, 0, 0
                 continue
             x, y, z, inverse = unit(dirs[i])
             values = basis(x, y, z)
-            sums[:] = 0
-            for c in range(3):
-                v = v_out[i, c] if out[i, c] > 0 else 0.0
-                v_sh0[i, 0, c] = values[0] * v
-                for k in range(1, bases):
-                    v_shN[i, k - 1, c] = values[k] * v
-                    sums[k] += shN[i, k - 1, c] * v
+            r = v_out[i, 0] if out[i, 0] > 0 else ZERO
+            g = v_out[i, 1] if out[i, 1] > 0 else ZERO
+            b = v_out[i, 2] if out[i, 2] > 0 else ZERO
+            value = np.float32(values[0])
+            v_sh0[i, 0, 0], v_sh0[i, 0, 1], v_sh0[i, 0, 2] = value * r, value * g, value * b
+            for k in range(1, shN.shape[1] + 1):
+                value = np.float32(values[k]) if k < bases else ZERO
+                v_shN[i, k - 1, 0] = value * r
+                v_shN[i, k - 1, 1] = value * g
+                v_shN[i, k - 1, 2] = value * b
+                total = shN[i, k - 1, 0] * r + shN[i, k - 1, 1] * g + shN[i, k - 1, 2] * b
+                sums[k] = total if k < bases else ZERO
             v_x, v_y, v_z = basis_gradient(x, y, z, sums)
             radial = v_x * x + v_y * y + v_z * z
             v_dirs[i, 0] = (v_x - radial * x) * inverse

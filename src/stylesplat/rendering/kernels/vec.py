@@ -93,11 +93,14 @@ def _lanes(builder, types_, args):
     ]
 
 
+NUMBERS = types.Float, types.Integer
+
+
 def _lane_op(arity, emit, result=vec):
-    """An intrinsic of Vecs or masks; float arguments are broadcast to all lanes."""
+    """An intrinsic of Vecs or masks; numbers are broadcast to all lanes."""
 
     def typed(*operands):
-        operands = [types.float32 if isinstance(o, types.Float) else o for o in operands]
+        operands = [types.float32 if isinstance(o, NUMBERS) else o for o in operands]
 
         def codegen(context, builder, signature, args):
             return emit(builder, *_lanes(builder, signature.args, args))
@@ -117,7 +120,7 @@ def _overload_operator(symbol, name):
     @overload(symbol)
     @no_type_check
     def implementation(a, b):
-        operands = isinstance(a, (VecType, types.Float)), isinstance(b, (VecType, types.Float))
+        operands = (isinstance(each, (VecType, *NUMBERS)) for each in (a, b))
         if all(operands) and (a is vec or b is vec):
             return lambda a, b: operation(a, b)
 
@@ -133,9 +136,13 @@ minimum = _lane_op(2, lambda b, x, y: emit_call(b, "llvm.minnum.v16f32", VEC, [x
 maximum = _lane_op(2, lambda b, x, y: emit_call(b, "llvm.maxnum.v16f32", VEC, [x, y]))
 greater = _lane_op(2, lambda b, x, y: b.fcmp_ordered(">", x, y), mask)
 greater_equal = _lane_op(2, lambda b, x, y: b.fcmp_ordered(">=", x, y), mask)
+equal = _lane_op(2, lambda b, x, y: b.fcmp_ordered("==", x, y), mask)
 both = _lane_op(2, lambda b, x, y: b.and_(x, y), mask)
 select = _lane_op(3, lambda b, m, x, y: b.select(m, x, y))
 """Lanes of the second argument where the mask holds, else of the third."""
+sqrt = _lane_op(1, lambda b, x: emit_call(b, "llvm.sqrt.v16f32", VEC, [x]))
+ceil = _lane_op(1, lambda b, x: emit_call(b, "llvm.ceil.v16f32", VEC, [x]))
+absolute = _lane_op(1, lambda b, x: emit_call(b, "llvm.fabs.v16f32", VEC, [x]))
 reciprocal = _lane_op(
     1, lambda b, x: b.fdiv(ir.Constant(VEC, [1.0] * LANES), x, flags=("arcp", "contract"))
 )

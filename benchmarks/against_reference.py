@@ -1,0 +1,62 @@
+"""A step of the CPU rasteriser against one of the plain-torch reference, on the same scenes.
+
+    .venv/bin/python benchmarks/against_reference.py
+
+A step is a render with 3 or 19 channels and its gradients. The reference runs in float32, on all
+cores, as torch does.
+"""
+
+from dataclasses import replace
+
+import torch
+from bench import calibration_ms, capture, machine, median_ms, table, trained_fox
+
+from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+SCENES = ((500, 8), (2000, 6), (5000, 4))  # Gaussians, downscale of 540 x 960
+
+
+def sample(splats: Splats, count: int) -> Splats:
+    """Some of the Gaussians, enlarged to cover what the others did."""
+    rows = torch.randperm(len(splats), generator=torch.Generator().manual_seed(0))[:count]
+    fewer = splats[rows]
+    return replace(fewer, scales=fewer.scales + (len(splats) / count) ** (1 / 3) / 4)
+
+
+def step(splats: Splats, camera: Cameras, backend: Backend, *, identities: bool) -> None:
+    """Render and fill the gradients of all parameters."""
+    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
+    attached = Splats(**leaves)
+    features = attached.identities if identities else None
+    image, _, _ = rasterize(attached, camera, features=features, backend=backend)
+    image.sum().backward()
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"{machine()}, calibration loop {calibration_ms():.0f} ms")
+    trained, full = trained_fox(), capture("fox").cameras[0]
+    rows = []
+    for count, downscale in SCENES:
+        splats, camera = sample(trained, count), full.downscale(downscale)
+        for identities in (False, True):
+
+            def run(backend: Backend) -> None:
+                step(splats, camera, backend, identities=identities)  # noqa: B023
+
+            reference = median_ms(lambda: run("reference"), repeats=3, warm_up=1)
+            cpu = median_ms(lambda: run("cpu"), repeats=30)
+            width, height = camera.size
+            rows.append(
+                [
+                    *(f"{count:,}", f"{width}x{height}", 19 if identities else 3),
+                    *(f"{reference:.0f}", f"{cpu:.2f}", f"{reference / cpu:.0f}"),
+                ]
+            )
+    print(table(["Gaussians", "image", "channels", "reference ms", "CPU ms", "ratio"], rows))
+
+
+if __name__ == "__main__":
+    main()

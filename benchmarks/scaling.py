@@ -1,0 +1,118 @@
+"""How the time of a step grows with the image and with the number of Gaussians.
+
+    .venv/bin/python benchmarks/scaling.py
+
+Fox from 100x180 to 1080x1920 with 50,000 Gaussians; and with 5,000 to 500,000 at 540x960, where
+Gaussians are left out, or split into smaller ones beside each other. The work is linear if
+"ns per pair" does not grow: a pair is a pixel and a Gaussian that reaches its 4x4 block. Writes a
+plot to `benchmarks/scaling.png`.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from bench import calibration_ms, capture, machine, median_ms, table, trained_fox
+
+from stylesplat.rendering.kernels import tiles
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+PLOT = Path(__file__).parent / "scaling.png"
+WIDTHS = (100, 180, 270, 540, 810, 1080)
+COUNTS = (5_000, 15_000, 50_000, 150_000, 500_000)
+BLOCK_PIXELS = 16
+
+
+def resized(splats: Splats, count: int) -> Splats:
+    """Fewer Gaussians at random, or more: copies beside the originals, smaller by their number."""
+    n, generator = len(splats), torch.Generator().manual_seed(0)
+    if count <= n:
+        return splats[torch.randperm(n, generator=generator)[:count]]
+    rows = torch.arange(count) % n
+    more = splats[rows]
+    scales = more.scales - np.log(count / n) / 3
+    jitter = torch.randn(count, 3, generator=generator) * more.scales.exp()
+    return replace(more, means=more.means + jitter, scales=scales)
+
+
+def pairs(splats: Splats, camera: Cameras) -> int:
+    """How many times a Gaussian meets a pixel's block in the tile lists."""
+    _, _, info = rasterize(splats, camera)
+    depths, radii = info["depths"][0].numpy(), info["radii"][0].numpy()
+    order = tiles.depth_order(depths, radii)
+    rows = np.zeros((len(order), tiles.row_stride(3)), np.float32)
+    arrays = (info["means2d"][0], info["conics"][0], splats.opacities.sigmoid(), splats.means)
+    tiles.pack_rows(order, *(t.detach().contiguous().numpy() for t in arrays), rows)
+    _, _, masks = tiles.tile_lists(order, rows.reshape(-1), rows.shape[1], radii, *camera.size, 1)
+    return BLOCK_PIXELS * int(np.bitwise_count(masks).sum())
+
+
+def step(splats: Splats, camera: Cameras) -> None:
+    """Render and fill the gradients of all parameters but the identities."""
+    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
+    image, _, _ = rasterize(Splats(**leaves), camera)
+    image.sum().backward()
+
+
+def measure(splats: Splats, camera: Cameras) -> tuple[float, int]:
+    """Milliseconds of a step, and its pairs."""
+    return median_ms(lambda: step(splats, camera), repeats=7), pairs(splats, camera)
+
+
+def row(name: str, splats: Splats, camera: Cameras, ms: float, met: int) -> list[object]:
+    """A line of a table."""
+    width, height = camera.size
+    return [
+        *(name, f"{len(splats):,}", f"{met / (width * height):.0f}", f"{met / 1e6:.1f} M"),
+        *(f"{ms:.1f}", f"{1e6 * ms / met:.2f}", f"{1e6 * ms / (met + 16 * len(splats)):.2f}"),
+    ]
+
+
+def plot(series: dict[str, tuple[list[int], list[float]]]) -> None:
+    """Draw time over pairs on logarithmic axes, with a line of slope 1."""
+    figure, axes = plt.subplots(figsize=(6, 4.5))
+    for name, (met, times) in series.items():
+        axes.loglog(met, times, "o-", label=name)
+    met, times = next(iter(series.values()))
+    ends = np.array([min(met), max(met)])
+    axes.loglog(ends, times[-1] * ends / met[-1], "k:", label="linear")
+    axes.set(xlabel="pairs of a pixel and a Gaussian", ylabel="ms per step")
+    axes.legend()
+    figure.tight_layout()
+    figure.savefig(PLOT, dpi=100)
+
+
+def main() -> None:
+    """Print both tables and draw the plot."""
+    print(f"{machine()}, calibration loop {calibration_ms():.0f} ms")
+    trained, full = trained_fox(), capture("fox").cameras[0]
+    by_size, by_count = [], []
+    series: dict[str, tuple[list[int], list[float]]] = {
+        "50,000 Gaussians, 100x178 to 1080x1920": ([], []),
+        "540x960, 5,000 to 500,000 Gaussians": ([], []),
+    }
+    sizes, counts = series.values()
+    for width in WIDTHS:
+        camera = full.downscale(full.size[0] / width)
+        ms, met = measure(trained, camera)
+        by_size.append(row("x".join(map(str, camera.size)), trained, camera, ms, met))
+        sizes[0].append(met)
+        sizes[1].append(ms)
+    for count in COUNTS:
+        splats = resized(trained, count)
+        ms, met = measure(splats, full)
+        by_count.append(row("x".join(map(str, full.size)), splats, full, ms, met))
+        counts[0].append(met)
+        counts[1].append(ms)
+    heads = ["image", "Gaussians", "overlap", "pairs", "ms", "ns per pair", "ns per pair + 16 N"]
+    print(table(heads, by_size), table(heads, by_count), sep="\n\n")
+    plot(series)
+    print(f"\nPlot: {PLOT}")
+
+
+if __name__ == "__main__":
+    main()

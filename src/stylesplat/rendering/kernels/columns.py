@@ -1,0 +1,63 @@
+"""Between rows of numbers in memory and columns of sixteen in vectors."""
+
+from typing import no_type_check
+
+import numba
+
+from stylesplat.rendering.kernels import vec
+
+
+@no_type_check
+@numba.njit(cache=True)
+def span(rows, thread, threads):
+    """First row of a thread's share and the one after its last; shares are whole vectors."""
+    vectors = -(-rows // vec.LANES)
+    low, high = vectors * thread // threads, vectors * (thread + 1) // threads
+    return low * vec.LANES, min(high * vec.LANES, rows)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def read_columns(array, first, count, columns, buffer):
+    """Copy the first columns of up to 16 rows into `buffer`, one after the other."""
+    for lane in range(count):
+        for column in range(columns):
+            buffer[column * vec.LANES + lane] = array[first + lane, column]
+
+
+@no_type_check
+@numba.njit(cache=True)
+def read_two(array, first, count, buffer):
+    """Two columns of up to 16 rows from `first` on; `buffer` has room for four."""
+    read_columns(array, first, count, 2, buffer)
+    return vec.load(buffer, 0), vec.load(buffer, vec.LANES)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def read_three(array, first, count, buffer):
+    """Three columns; see `read_two`."""
+    read_columns(array, first, count, 3, buffer)
+    return vec.load(buffer, 0), vec.load(buffer, vec.LANES), vec.load(buffer, 2 * vec.LANES)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def read_four(array, first, count, buffer):
+    """Four columns; see `read_two`."""
+    read_columns(array, first, count, 4, buffer)
+    first_two = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
+    return *first_two, vec.load(buffer, 2 * vec.LANES), vec.load(buffer, 3 * vec.LANES)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def write_column(array, column, where, value):
+    """Write a column of up to 16 rows, 0 where the mask does not hold.
+
+    `where` are the first row, their number, the mask, and room for a vector.
+    """
+    first, count, mask, buffer = where
+    vec.store(buffer, 0, vec.select(mask, value, 0))
+    for lane in range(count):
+        array[first + lane, column] = buffer[lane]

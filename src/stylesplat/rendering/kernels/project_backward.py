@@ -1,0 +1,148 @@
+"""Gradients of the projection: from ellipses back to means, quaternions and scales."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from stylesplat.rendering.kernels import vec
+from stylesplat.rendering.kernels.columns import read_four, read_three, read_two, span, write_column
+from stylesplat.rendering.kernels.project import (
+    camera_axes,
+    camera_space,
+    combine,
+    dot,
+    image_axes,
+    plus,
+    rotation,
+    rotation_backward,
+    scaled,
+    unit_quaternion,
+)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def covariance_gradient(conic, v_conic):
+    """Gradient of the 2D covariance (xx, xy, yy) from that of its inverse: -X V X."""
+    a, b, c = conic
+    va, vb, vc = v_conic[0], 0.5 * v_conic[1], v_conic[2]
+    xx, xy = a * va + b * vb, a * vb + b * vc
+    yx, yy = b * va + c * vb, b * vb + c * vc
+    return 0 - (xx * a + xy * b), 0 - (xx * b + xy * c), 0 - (yx * b + yy * c)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def jacobian_backward(p, K, slopes, v_rows, axes):
+    """Gradient of the camera-space mean through the perspective Jacobian."""
+    fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
+    slope_x, slope_y = slopes
+    v_a0, v_a1 = v_rows
+    v_slope_x = -fx * inverse_z * dot(v_a0, axes[2])
+    v_slope_y = -fy * inverse_z * dot(v_a1, axes[2])
+    v_z = 0 - (fx * dot(v_a0, axes[0]) + fy * dot(v_a1, axes[1])) * inverse_z * inverse_z
+    v_z = v_z - (v_slope_x * slope_x + v_slope_y * slope_y) * inverse_z
+    # a clamped slope does not depend on the mean
+    v_x = vec.select(vec.equal(slope_x, p[0] * inverse_z), v_slope_x * inverse_z, 0)
+    v_y = vec.select(vec.equal(slope_y, p[1] * inverse_z), v_slope_y * inverse_z, 0)
+    return v_x, v_y, v_z - v_x * slope_x - v_y * slope_y
+
+
+@no_type_check
+@numba.njit(cache=True)
+def axes_backward(v_axes, unit, rows, scale, viewmat):
+    """Gradients of scale and quaternion from that of `camera_axes`."""
+    w, x, y, z, inverse_norm = unit
+    d0, d1, d2 = v_axes
+    e0 = combine((viewmat[0, 0], viewmat[1, 0], viewmat[2, 0]), d0, d1, d2)
+    e1 = combine((viewmat[0, 1], viewmat[1, 1], viewmat[2, 1]), d0, d1, d2)
+    e2 = combine((viewmat[0, 2], viewmat[1, 2], viewmat[2, 2]), d0, d1, d2)
+    r0, r1, r2 = rows
+    v_scale = (
+        e0[0] * r0[0] + e1[0] * r1[0] + e2[0] * r2[0],
+        e0[1] * r0[1] + e1[1] * r1[1] + e2[1] * r2[1],
+        e0[2] * r0[2] + e1[2] * r1[2] + e2[2] * r2[2],
+    )
+    sx, sy, sz = scale
+    v_w, v_x, v_y, v_z = rotation_backward(
+        *(w, x, y, z),
+        (e0[0] * sx, e0[1] * sy, e0[2] * sz),
+        (e1[0] * sx, e1[1] * sy, e1[2] * sz),
+        (e2[0] * sx, e2[1] * sy, e2[2] * sz),
+    )
+    radial = w * v_w + x * v_x + y * v_y + z * v_z
+    v_quat = (
+        (v_w - radial * w) * inverse_norm,
+        (v_x - radial * x) * inverse_norm,
+        (v_y - radial * y) * inverse_norm,
+        (v_z - radial * z) * inverse_norm,
+    )
+    return v_scale, v_quat
+
+
+@no_type_check
+@numba.njit(cache=True)
+def gaussian_gradients(p, unit, scale, conic, viewmat, K, width, height, v_mean2d, v_conic):
+    """Gradients of mean, quaternion and scale."""
+    w, x, y, z, _ = unit
+    rows = rotation(w, x, y, z)
+    axes = camera_axes(rows, scale, viewmat)
+    a0, a1, slope_x, slope_y = image_axes(axes, p, K, width, height)
+    g_xx, g_xy, g_yy = covariance_gradient(conic, v_conic)
+    v_a0 = plus(scaled(a0, 2 * g_xx), scaled(a1, 2 * g_xy))
+    v_a1 = plus(scaled(a0, 2 * g_xy), scaled(a1, 2 * g_yy))
+    fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
+    v_axes = (
+        scaled(v_a0, fx * inverse_z),
+        scaled(v_a1, fy * inverse_z),
+        plus(
+            scaled(v_a0, -fx * slope_x * inverse_z),
+            scaled(v_a1, -fy * slope_y * inverse_z),
+        ),
+    )
+    v_scale, v_quat = axes_backward(v_axes, unit, rows, scale, viewmat)
+    v_x, v_y, v_z = jacobian_backward(p, K, (slope_x, slope_y), (v_a0, v_a1), axes)
+    v_u, v_v = fx * inverse_z * v_mean2d[0], fy * inverse_z * v_mean2d[1]
+    v_z = v_z - (v_u * p[0] + v_v * p[1]) * inverse_z
+    v_mean = combine((v_x + v_u, v_y + v_v, v_z), viewmat[0], viewmat[1], viewmat[2])
+    return v_mean, v_quat, v_scale
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def project_backward(geometry, viewmat, K, width, height, conics, radii, v_out, out, threads):
+    """Fill the gradients of the Gaussians that one camera sees, and 0 for the others.
+
+    `geometry` are means, quats and scales, `out` their gradients; `v_out` are the gradients of
+    means2d and conics.
+    """
+    means, quats, scales = geometry
+    v_means2d, v_conics = v_out
+    v_means, v_quats, v_scales = out
+    for thread in numba.prange(threads):
+        buffer = np.zeros(4 * vec.LANES, np.float32)
+        low, high = span(means.shape[0], thread, threads)
+        for first in range(low, high, vec.LANES):
+            count = min(vec.LANES, high - first)
+            radius, _ = read_two(radii, first, count, buffer)
+            v_mean, v_quat, v_scale = gaussian_gradients(
+                camera_space(read_three(means, first, count, buffer), viewmat),
+                unit_quaternion(read_four(quats, first, count, buffer)),
+                read_three(scales, first, count, buffer),
+                read_three(conics, first, count, buffer),
+                *(viewmat, K, width, height),
+                read_two(v_means2d, first, count, buffer),
+                read_three(v_conics, first, count, buffer),
+            )
+            where = (first, count, vec.greater(radius, 0), buffer)
+            write_column(v_means, 0, where, v_mean[0])
+            write_column(v_means, 1, where, v_mean[1])
+            write_column(v_means, 2, where, v_mean[2])
+            write_column(v_scales, 0, where, v_scale[0])
+            write_column(v_scales, 1, where, v_scale[1])
+            write_column(v_scales, 2, where, v_scale[2])
+            write_column(v_quats, 0, where, v_quat[0])
+            write_column(v_quats, 1, where, v_quat[1])
+            write_column(v_quats, 2, where, v_quat[2])
+            write_column(v_quats, 3, where, v_quat[3])

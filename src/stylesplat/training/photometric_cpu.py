@@ -1,0 +1,205 @@
+"""The photometric loss on the CPU: value and gradient in two passes of separable filters.
+
+Images are rows of 3 W numbers inside a frame of zeros (SSIM's padding), so that vectors of 16 may
+be read anywhere. Tested against `losses.photometric_spec`.
+"""
+# pyright: reportCallIssue=false, reportIncompatibleMethodOverride=false
+# (it cannot count starred arguments, and torch's own signature of `backward` is (*args))
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+import torch
+from jaxtyping import Float
+from numba import get_num_threads
+from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
+
+from stylesplat.rendering.kernels import vec
+from stylesplat.training.ssim import C1, C2, WINDOW, ssim_window
+
+CHANNELS = 3
+HALF = WINDOW // 2  # rows of the frame above and below
+MARGIN = HALF * CHANNELS  # numbers of the frame at the left
+FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vectors
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+FIRST, SECOND = np.float32(C1), np.float32(C2)
+
+
+def stride_of(numbers: int) -> int:
+    """Length of a framed row: whole vectors and the frame at both ends."""
+    return -(-numbers // vec.LANES) * vec.LANES + FRAME
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def frame(image, stride):
+    """An image [H, 3W] in a frame of zeros, flat."""
+    height, n = image.shape
+    framed = np.zeros((height + 2 * HALF) * stride, np.float32)
+    for row in numba.prange(height):
+        start = (row + HALF) * stride + MARGIN
+        framed[start : start + n] = image[row]
+    return framed
+
+
+@no_type_check
+@numba.njit(cache=True)
+def products_down(window, x, y, row, stride, out):
+    """Filter x, y, x x, y y and x y along y at one row, into the five rows of `out`."""
+    for j in range(0, stride, vec.LANES):
+        mean_x, mean_y = vec.zero(), vec.zero()
+        xx, yy, xy = vec.zero(), vec.zero(), vec.zero()
+        for tap in range(WINDOW):
+            at, weight = (row + tap) * stride + j, vec.spread(window, tap)
+            u, v = vec.load(x, at), vec.load(y, at)
+            weighted_u, weighted_v = weight * u, weight * v
+            mean_x, mean_y = mean_x + weighted_u, mean_y + weighted_v
+            xx, xy = vec.fma(weighted_u, u, xx), vec.fma(weighted_u, v, xy)
+            yy = vec.fma(weighted_v, v, yy)
+        vec.store(out, j, mean_x)
+        vec.store(out, stride + j, mean_y)
+        vec.store(out, 2 * stride + j, xx)
+        vec.store(out, 3 * stride + j, yy)
+        vec.store(out, 4 * stride + j, xy)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def down(window, framed, row, stride, out):
+    """Filter a framed image along y at one row."""
+    for j in range(0, stride, vec.LANES):
+        total = vec.zero()
+        for tap in range(WINDOW):
+            at = (row + tap) * stride + j
+            total = vec.fma(vec.load(framed, at), vec.spread(window, tap), total)
+        vec.store(out, j, total)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def across(window, row, start):
+    """Filter 16 numbers of a framed row along x."""
+    total = vec.zero()
+    for tap in range(WINDOW):
+        number = vec.load(row, start + tap * CHANNELS)
+        total = vec.fma(number, vec.spread(window, tap), total)
+    return total
+
+
+@no_type_check
+@numba.njit(cache=True)
+def similarity(mean_x, mean_y, xx, yy, xy):
+    """SSIM from blurred x, y and products; its gradients by blurred x, x x and x y."""
+    var_x, var_y = xx - mean_x * mean_x, yy - mean_y * mean_y
+    a = vec.fma(TWO * mean_x, mean_y, FIRST)
+    b = vec.fma(TWO, xy - mean_x * mean_y, SECOND)
+    c = vec.fma(mean_x, mean_x, vec.fma(mean_y, mean_y, FIRST))
+    d = var_x + var_y + SECOND
+    inverse = vec.reciprocal(c * d)
+    value = a * b * inverse
+    v_xx, v_xy = ZERO - value * (inverse * c), TWO * a * inverse
+    v_mean = TWO * (mean_y * b * inverse - mean_x * value * (inverse * d))
+    return value, v_mean - TWO * mean_x * v_xx - mean_y * v_xy, v_xx, v_xy
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def forward(window, x, y, stride, inside, v_maps, threads):
+    """Sums over all numbers: SSIM, absolute and squared error (of x clamped to 0..1).
+
+    Fills the gradients of SSIM by the three blurred maps, one framed image after the other.
+    `inside` is 1 for the numbers of a row and 0 behind them.
+    """
+    height = x.shape[0] // stride - 2 * HALF
+    totals = np.zeros((threads, 3))
+    for thread in numba.prange(threads):
+        blurred, lanes = np.zeros(5 * stride, np.float32), np.empty(3 * vec.LANES, np.float32)
+        for row in range(thread * height // threads, (thread + 1) * height // threads):
+            products_down(window, x, y, row, stride, blurred)
+            ssim, absolute, squared = vec.zero(), vec.zero(), vec.zero()
+            for j in range(0, stride - FRAME, vec.LANES):
+                value, v_mean, v_xx, v_xy = similarity(
+                    across(window, blurred, j),
+                    across(window, blurred, stride + j),
+                    across(window, blurred, 2 * stride + j),
+                    across(window, blurred, 3 * stride + j),
+                    across(window, blurred, 4 * stride + j),
+                )
+                at, mask = (row + HALF) * stride + MARGIN + j, vec.load(inside, j)
+                vec.store(v_maps, at, v_mean * mask)
+                vec.store(v_maps, at + x.shape[0], v_xx * mask)
+                vec.store(v_maps, at + 2 * x.shape[0], v_xy * mask)
+                u, v = vec.load(x, at), vec.load(y, at)
+                difference = vec.minimum(vec.maximum(u, ZERO), ONE) - v
+                ssim = vec.fma(value, mask, ssim)
+                absolute = absolute + vec.absolute(u - v)
+                squared = vec.fma(difference, difference, squared)
+            vec.store(lanes, 0, ssim)
+            vec.store(lanes, vec.LANES, absolute)
+            vec.store(lanes, 2 * vec.LANES, squared)
+            for k in range(3):
+                totals[thread, k] += lanes[k * vec.LANES : (k + 1) * vec.LANES].sum()
+    return totals.sum(axis=0)
+
+
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def backward(window, x, y, stride, v_maps, v_ssim, v_absolute, v_x, threads):
+    """Fill the gradient [H, 3W] of the first image: the filter is its own adjoint."""
+    height, n = v_x.shape
+    for thread in numba.prange(threads):
+        blurred = np.zeros(3 * stride, np.float32)
+        gradient = np.empty(stride, np.float32)
+        for row in range(thread * height // threads, (thread + 1) * height // threads):
+            for k in range(3):
+                framed = v_maps[k * x.shape[0] : (k + 1) * x.shape[0]]
+                down(window, framed, row, stride, blurred[k * stride :])
+            for j in range(0, stride - FRAME, vec.LANES):
+                at = (row + HALF) * stride + MARGIN + j
+                u, v = vec.load(x, at), vec.load(y, at)
+                total = vec.fma(TWO * u, across(window, blurred, stride + j), ZERO)
+                total = vec.fma(v, across(window, blurred, 2 * stride + j), total)
+                total = v_ssim * (total + across(window, blurred, j))
+                sign = vec.select(vec.greater(u, v), v_absolute, -v_absolute)
+                vec.store(gradient, j, total + vec.select(vec.equal(u, v), ZERO, sign))
+            v_x[row] = gradient[:n]
+
+
+class _Photometric(Function):
+    @staticmethod
+    def forward(ctx, image, target, dssim_weight):
+        rows = [t.detach().float().contiguous().view(len(t), -1).numpy() for t in (image, target)]
+        height, n = rows[0].shape
+        stride, threads = stride_of(n), get_num_threads()
+        x, y = (frame(each, stride) for each in rows)
+        inside = np.zeros(stride, np.float32)
+        inside[:n] = 1
+        v_maps = np.zeros(3 * len(x), np.float32)
+        window = ssim_window().float().numpy()
+        sums = forward(window, x, y, stride, inside, v_maps, threads) / (height * n)
+        ctx.arrays = window, x, y, stride, v_maps
+        ctx.shape, ctx.dssim_weight = image.shape, dssim_weight
+        loss = (1 - dssim_weight) * sums[1] + dssim_weight * (1 - sums[0])
+        error = image.new_tensor(sums[2])
+        ctx.mark_non_differentiable(error)
+        return image.new_tensor(loss), error
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_loss, v_error):
+        v_x = torch.empty(ctx.shape)
+        share = v_loss.item() / v_x.numel()
+        factors = -ctx.dssim_weight * share, (1 - ctx.dssim_weight) * share
+        v_rows = v_x.view(len(v_x), -1).numpy()
+        backward(*ctx.arrays, *(np.float32(f) for f in factors), v_rows, get_num_threads())
+        return v_x, None, None
+
+
+def photometric_loss(
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], dssim_weight: float
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """L1 and D-SSIM, weighted, and the squared error; gradients reach `image` only."""
+    return _Photometric.apply(image, target, dssim_weight)
