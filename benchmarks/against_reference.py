@@ -9,10 +9,9 @@ cores, as torch does.
 from dataclasses import replace
 
 import torch
-from bench import calibration_ms, capture, machine, median_ms, table, trained_fox
+from bench import calibration_ms, capture, machine, median_ms, step, table, trained_fox
 
-from stylesplat.rendering.rasterize import Backend, rasterize
-from stylesplat.scene.cameras import Cameras
+from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.splats import Splats
 
 SCENES = ((500, 8), (2000, 6), (5000, 4))  # Gaussians, downscale of 540 x 960
@@ -25,15 +24,6 @@ def sample(splats: Splats, count: int) -> Splats:
     return replace(fewer, scales=fewer.scales + (len(splats) / count) ** (1 / 3) / 4)
 
 
-def step(splats: Splats, camera: Cameras, backend: Backend, *, identities: bool) -> None:
-    """Render and fill the gradients of all parameters."""
-    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
-    attached = Splats(**leaves)
-    features = attached.identities if identities else None
-    image, _, _ = rasterize(attached, camera, features=features, backend=backend)
-    image.sum().backward()
-
-
 def main() -> None:
     """Print the table."""
     print(f"{machine()}, calibration loop {calibration_ms():.0f} ms")
@@ -44,7 +34,7 @@ def main() -> None:
         for identities in (False, True):
 
             def run(backend: Backend) -> None:
-                step(splats, camera, backend, identities=identities)  # noqa: B023
+                step(splats, camera, identities=identities, backend=backend)  # noqa: B023
 
             reference = median_ms(lambda: run("reference"), repeats=3, warm_up=1)
             cpu = median_ms(lambda: run("cpu"), repeats=30)

@@ -1,5 +1,7 @@
 """What the benchmarks share: scenes, clocks, memory and tables."""
 
+import ctypes
+import gc
 import platform
 import re
 import resource
@@ -15,7 +17,8 @@ import torch
 import stylesplat as ss
 from stylesplat.evaluation.metrics import psnr
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 
@@ -41,6 +44,27 @@ def trained_fox(gaussians: int = 50_000, seconds: float = 60.0) -> Splats:
         splats = ss.train(fox, max_seconds=seconds, max_gaussians=gaussians)
         write_scene(Scene(splats=splats, cameras=fox.cameras), folder)
     return read_scene(folder).splats
+
+
+def step(
+    splats: Splats,
+    camera: Cameras,
+    *,
+    identities: bool = False,
+    all_gradients: bool = True,
+    backend: Backend = "auto",
+) -> None:
+    """Render with 3 or 19 channels and fill the gradients of all parameters."""
+    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
+    attached = replace(splats, **leaves)
+    image, _, _ = rasterize(
+        attached,
+        camera,
+        features=attached.identities if identities else None,
+        features_move_geometry=all_gradients,
+        backend=backend,
+    )
+    image.backward(torch.ones_like(image))
 
 
 def held_out_psnr(splats: Splats, views: Capture, rows: Sequence[int]) -> float:
@@ -87,6 +111,12 @@ def processor_ms(work: Callable[[], object], repeats: int = 15) -> float:
 def memory_now() -> int:
     """Resident bytes of this process."""
     return _status("VmRSS")
+
+
+def release_memory() -> None:
+    """Give freed memory back to the system, so that the next peak is one's own (glibc)."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
 
 
 def peak_memory(work: Callable[[], object]) -> int:

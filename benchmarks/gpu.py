@@ -17,6 +17,7 @@ import argparse
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import torch
 
+    from stylesplat.rendering.rasterize import Backend
     from stylesplat.scene.cameras import Cameras
     from stylesplat.scene.splats import Splats
 
@@ -79,7 +81,9 @@ def camera(width: int, height: int) -> "Cameras":
     return Cameras(viewmat[None], K[None], torch.tensor([[width, height]]), ("view",))
 
 
-def gradients(splats: "Splats", backend: str, dtype: "torch.dtype") -> dict[str, "torch.Tensor"]:
+def gradients(
+    splats: "Splats", backend: "Backend", dtype: "torch.dtype"
+) -> dict[str, "torch.Tensor"]:
     """The image of a view and the gradients of a random function of it, as float64."""
     import torch
 
@@ -87,7 +91,7 @@ def gradients(splats: "Splats", backend: str, dtype: "torch.dtype") -> dict[str,
 
     tensors = splats.tensors()
     leaves = {name: t.to(dtype).requires_grad_() for name, t in tensors.items()}
-    attached = type(splats)(**leaves)
+    attached = replace(splats, **leaves)
     image, alphas, _ = rasterize(
         attached, camera(200, 120), features=attached.identities, backend=backend
     )

@@ -7,7 +7,6 @@ way back to the gradients of all parameters. "identities" are 16 more channels; 
 gradients stop at the features (`identity_geometry` off), "all gradients" lets them through.
 """
 
-import gc
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
@@ -23,11 +22,12 @@ from bench import (
     memory_now,
     peak_memory,
     processor_ms,
+    release_memory,
+    step,
     table,
     trained_fox,
 )
 
-from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -42,19 +42,6 @@ class Options:
     """Gaussians of the scene."""
     views: int = 5
     """How many views to take the mean over."""
-
-
-def step(splats: Splats, camera: Cameras, *, identities: bool, all_gradients: bool) -> None:
-    """Render and fill the gradients, with the render's own gradient all ones."""
-    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
-    attached = Splats(**leaves, classifier=None)
-    image, _, _ = rasterize(
-        attached,
-        camera,
-        features=attached.identities if identities else None,
-        features_move_geometry=all_gradients,
-    )
-    image.backward(torch.ones_like(image))
 
 
 def variants(splats: Splats, cameras: Cameras) -> dict[str, Callable[[], None]]:
@@ -102,20 +89,20 @@ def timings(splats: Splats, cameras: Cameras) -> str:
 
 
 def memory(splats: Splats, camera: Cameras, *, identities: bool) -> list[object]:
-    """A row: what the step must hold, and its highest memory above the parameters."""
+    """A row: what the step cannot do without, and the most that the process held for it."""
     channels = 19 if identities else 3
-    names = {"identities"} if not identities else set()
-    numbers = sum(t.numel() for name, t in splats.tensors().items() if name not in names)
+    unused = set() if identities else {"identities"}
+    numbers = sum(t.numel() for name, t in splats.tensors().items() if name not in unused)
     width, height = camera.size
     needed = 4 * (2 * numbers + 2 * width * height * (channels + 1))
-    torch.set_num_threads(torch.get_num_threads())
-    gc.collect()
+
+    def run(gaussians: Splats, view: Cameras) -> None:
+        step(gaussians, view, identities=identities, all_gradients=False)
+
+    run(splats[torch.arange(100)], camera.downscale(8))  # loads the kernels
+    release_memory()
     before = memory_now()
-
-    def run() -> None:
-        step(splats, camera, identities=identities, all_gradients=False)
-
-    peak = peak_memory(run) - before + 4 * numbers
+    peak = peak_memory(lambda: run(splats, camera)) - before + 4 * numbers
     return [channels, f"{needed / MIB:.0f} MiB", f"{peak / MIB:.0f} MiB", f"{peak / needed:.2f}"]
 
 
@@ -125,7 +112,9 @@ def main(options: Options) -> None:
     cameras = capture("fox").cameras[:: max(50 // options.views, 1)]
     width, height = cameras[0].size
     print(f"fox {width}x{height}, {len(splats):,} Gaussians, {len(cameras)} views, {machine()}\n")
-    print(timings(splats, cameras))
+    rows = [memory(splats, cameras[0], identities=identities) for identities in (False, True)]
+    heads = ["channels", "parameters, gradients, images", "peak", "ratio"]
+    print(timings(splats, cameras), table(heads, rows), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from bench import calibration_ms, capture, machine, median_ms, table, trained_fox
+from bench import calibration_ms, capture, machine, median_ms, step, table, trained_fox
 
 from stylesplat.rendering.kernels import tiles
 from stylesplat.rendering.rasterize import rasterize
@@ -46,16 +46,10 @@ def pairs(splats: Splats, camera: Cameras) -> int:
     order = tiles.depth_order(depths, radii)
     rows = np.zeros((len(order), tiles.row_stride(3)), np.float32)
     arrays = (info["means2d"][0], info["conics"][0], splats.opacities.sigmoid(), splats.means)
-    tiles.pack_rows(order, *(t.detach().contiguous().numpy() for t in arrays), rows)
+    means2d, conics, opacities, colors = (t.detach().contiguous().numpy() for t in arrays)
+    tiles.pack_rows(order, means2d, conics, opacities, colors, rows)
     _, _, masks = tiles.tile_lists(order, rows.reshape(-1), rows.shape[1], radii, *camera.size, 1)
     return BLOCK_PIXELS * int(np.bitwise_count(masks).sum())
-
-
-def step(splats: Splats, camera: Cameras) -> None:
-    """Render and fill the gradients of all parameters but the identities."""
-    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
-    image, _, _ = rasterize(Splats(**leaves), camera)
-    image.sum().backward()
 
 
 def measure(splats: Splats, camera: Cameras) -> tuple[float, int]:

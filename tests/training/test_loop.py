@@ -158,7 +158,7 @@ def test_extent_is_the_radius_of_the_cameras(capture: Capture):
 
 
 def test_schedules():
-    config = TrainConfig(max_gaussians=1000)
+    config = TrainConfig(max_gaussians=1000, growth_end=0.5)
     assert [photo_downscale(p, (480, 360), config) for p in (0.0, 0.2, 0.5)] == [4, 2, 1]
     assert photo_downscale(0.0, (100, 100), config) == 1
     assert [sh_degree(p, config) for p in (0.0, 0.15, 0.99)] == [0, 1, 3]

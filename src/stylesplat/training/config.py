@@ -38,6 +38,10 @@ class TrainConfig:
     """Steps between those that train identities too; they cost over twice as much."""
     identity_stride: int = 3
     """The identity loss looks at every n-th pixel along x and y, from a random offset."""
+    means_rate: float = 4.8e-4
+    """Learning rate of the means at first, over the scene's extent; it falls to a hundredth."""
+    bands_rate: float = 5e-4
+    """Learning rate of the higher colour bands."""
     classifier_rate: float = 2.5e-3
     """Learning rate of the classifier."""
     identity_geometry: bool = False
@@ -60,6 +64,8 @@ PRESETS = {
         object_growth=1.0,
         identity_every=1,
         identity_stride=1,
+        means_rate=1.6e-4,
+        bands_rate=1.25e-4,
         classifier_rate=5e-4,
         identity_geometry=True,
     ),

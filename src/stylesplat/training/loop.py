@@ -34,15 +34,13 @@ from stylesplat.training.state import (
 )
 from stylesplat.training.views import Views, split_views, training_views
 
-# The official code's learning rates; that of the means is times the extent of the scene, and
-# that of the classifier is a setting.
+# The official code's learning rates; those of the means, the higher colour bands and the
+# classifier are settings.
 RATES = {
-    "means": 1.6e-4,
     "quats": 1e-3,
     "scales": 5e-3,
     "opacities": 5e-2,
     "sh0": 2.5e-3,
-    "shN": 2.5e-3 / 20,
     "identities": 2.5e-3,
 }
 NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
@@ -196,11 +194,12 @@ def _step(run: Run, state: State) -> tuple[State, float, float]:
     start = time.perf_counter()
     progress, config = run.progress(state), run.config
     info, loss, psnr = _gradients(run, state)
+    unit = run.extent * schedule.means_decay(progress)
     rates = RATES | dict.fromkeys(CLASSIFIER, config.classifier_rate)
-    rates["means"] *= run.extent * schedule.means_rate(progress)
+    rates |= {"means": config.means_rate * unit, "shN": config.bands_rate}
     seen = (info["radii"][0] > 0).all(dim=-1)
     adam_step(state.params, state.moments, rates, state.step + 1, seen)
-    mcmc.add_noise(state.params, rates["means"], run.generator)
+    mcmc.add_noise(state.params, unit, run.generator)
     params, moments = state.params, state.moments
     refining = state.step % config.refine_every == config.refine_every - 1
     if refining and config.object_pixels is not None:

@@ -4,17 +4,20 @@ Kheradmand et al. 2024. A Gaussian that is joined by copies is made fainter and 
 the sum looks as before; noise in proportion to transparency lets Gaussians explore.
 """
 
-from math import comb
+from math import comb, exp
+from typing import no_type_check
 
+import numba
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.training.adam import Moments
 
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
-NOISE_RATE = 5e5  # official, times the learning rate of the means
+NOISE_RATE = 80.0  # official: 5e5 times the learning rate of the means, 1.6e-4
 NOISE_SHARPNESS = 100.0
 OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
@@ -30,25 +33,51 @@ def regularizer(params: Params) -> Float[Tensor, ""]:
 
 
 @torch.no_grad()
-def add_noise(params: Params, means_rate: float, generator: torch.Generator) -> None:
-    """Move the means at random, along their own covariance, the fainter the more."""
-    faint = (params["opacities"] < OPAQUE).nonzero()[:, 0]
-    noise = torch.randn(len(faint), 3, generator=generator).to(params["means"])
-    opacities = torch.sigmoid(params["opacities"][faint])
-    gate = torch.sigmoid(NOISE_SHARPNESS * (DEAD_OPACITY - opacities))
+def add_noise(params: Params, unit: float, generator: torch.Generator) -> None:
+    """Move the means at random, along their own covariance, the fainter the more.
+
+    Args:
+        params: Trained tensors; the means change in place.
+        unit: Of length, smaller as training goes on.
+        generator: Source of randomness.
+    """
+    n = len(params["means"])
+    noise = torch.randn(n, 3, generator=generator).to(params["means"])
+    tensors = [params[name].detach() for name in ("means", "quats", "scales", "opacities")]
+    if noise.device.type == "cpu":
+        _drift_cpu(*(t.numpy() for t in (*tensors, noise)), NOISE_RATE * unit)
+    else:
+        _drift_torch(*tensors, noise, NOISE_RATE * unit)
+
+
+def _drift_torch(
+    means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, noise: Tensor, rate: float
+) -> None:
+    gate = torch.sigmoid(NOISE_SHARPNESS * (DEAD_OPACITY - torch.sigmoid(opacities)))
     # The covariance times isotropic noise, which may as well be drawn along the axes.
-    along_axes = noise * gate[:, None] * (2 * params["scales"][faint]).exp()
-    moves = NOISE_RATE * means_rate * _rotate(params["quats"][faint], along_axes)
-    params["means"].index_add_(0, faint, moves)
+    along_axes = noise * gate[:, None] * (2 * scales).exp()
+    means += rate * (rotation_matrices(quats) @ along_axes[..., None])[..., 0]
 
 
-def _rotate(quats: Float[Tensor, "N 4"], vectors: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-    """Vectors turned by quaternions of any norm, without building matrices."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).T.contiguous()
-    a, b, c = vectors.T.contiguous()
-    d, e, f = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)  # twice axis x vector
-    turned = a + w * d + y * f - z * e, b + w * e + z * d - x * f, c + w * f + x * e - y * d
-    return torch.stack(turned, dim=-1)
+@no_type_check
+@numba.njit(cache=True, parallel=True)
+def _drift_cpu(means, quats, scales, opacities, noise, rate):
+    """`_drift_torch` for those that are faint enough to move."""
+    for i in numba.prange(means.shape[0]):
+        if opacities[i] > OPAQUE:
+            continue
+        opacity = 1 / (1 + exp(-opacities[i]))
+        step = rate / (1 + exp(-NOISE_SHARPNESS * (DEAD_OPACITY - opacity)))
+        a = step * noise[i, 0] * exp(2 * scales[i, 0])
+        b = step * noise[i, 1] * exp(2 * scales[i, 1])
+        c = step * noise[i, 2] * exp(2 * scales[i, 2])
+        w, x, y, z = quats[i]
+        double = 2 / (w * w + x * x + y * y + z * z)
+        # the rotation as v + 2 w (q x v) + 2 q x (q x v)
+        d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+        means[i, 0] += a + double * (w * d + y * f - z * e)
+        means[i, 1] += b + double * (w * e + z * d - x * f)
+        means[i, 2] += c + double * (w * f + x * e - y * d)
 
 
 @torch.no_grad()

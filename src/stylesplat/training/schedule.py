@@ -22,8 +22,8 @@ def sh_degree(progress: float, config: TrainConfig) -> int:
     return min(config.sh_degree, int(progress / SH_DEGREE_EVERY))
 
 
-def means_rate(progress: float) -> float:
-    """Factor on the learning rate of the means."""
+def means_decay(progress: float) -> float:
+    """Factor on the learning rate of the means and on their noise."""
     return MEANS_DECAY**progress
 
 
