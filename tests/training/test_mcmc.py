@@ -107,8 +107,8 @@ def test_noise_kernel_matches_torch():
     noise = torch.randn(500, 3, generator=generator)
     names = ("means", "quats", "scales", "opacities")
     fast, slow = ([splats.tensors()[n].clone() for n in names] for _ in range(2))
-    mcmc._drift_cpu(*(t.numpy() for t in (*fast, noise)), 100.0)
-    mcmc._drift_torch(*slow, noise, 100.0)
+    mcmc._drift_cpu(tuple(t.numpy() for t in (*fast, noise)), 100.0)
+    mcmc._drift_torch((*slow, noise), 100.0)
     # In those that the kernel leaves out, the gate is below 1e-6.
     assert torch.allclose(fast[0][faint], slow[0][faint], atol=1e-5)
     assert torch.allclose(fast[0][~faint], slow[0][~faint], atol=1e-3)

@@ -13,7 +13,14 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
-from stylesplat.rendering.kernels import blend, project, project_backward, sh, tiles
+from stylesplat.rendering.kernels import (
+    blend,
+    blend_backward,
+    project,
+    project_backward,
+    sh,
+    tiles,
+)
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
 
@@ -110,19 +117,19 @@ class _Blend(Function):
     def backward(ctx, v_image, v_alphas):
         *inputs, rows, image, alphas = ctx.saved_tensors
         channels = image.shape[-1]
-        head = min(channels, blend.HEAD)
-        stride = blend.gradient_stride(channels)
+        head = min(channels, blend_backward.HEAD)
+        stride = blend_backward.gradient_stride(channels)
         partial = rows.new_zeros(get_num_threads(), len(rows), stride)
         pixels = _plain(image, alphas, v_image, v_alphas)
         height, width, _ = image.shape
-        blend.blend_backward(
+        blend_backward.blend_backward(
             *((0,) * n for n in (head, channels - head, ctx.geometry_channels)),
             *(rows.view(-1).numpy(), rows.shape[1], ctx.lists, width, height),
             tuple(t.view(-1).numpy() for t in pixels),
             partial.view(len(partial), -1).numpy(),
         )
         gradients = [torch.zeros_like(t) for t in inputs]
-        blend.collect_gradients(ctx.order, *_arrays(rows, partial, *gradients))
+        blend_backward.collect_gradients(ctx.order, *_arrays(rows, partial, *gradients))
         return *gradients, None, None, None, None
 
 

@@ -15,6 +15,8 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
+from stylesplat.rendering.kernels.jit import kernel
+
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # the 3D Gaussian splatting code's
 
@@ -30,6 +32,11 @@ class Moments:
     def zeros(cls, params: dict[str, Tensor]) -> "Moments":
         """The state before the first step."""
         return cls(*({k: torch.zeros_like(v) for k, v in params.items()} for _ in range(2)))
+
+    def clone(self) -> "Moments":
+        """A copy that shares no tensors."""
+        first, second = ({k: v.clone() for k, v in t.items()} for t in (self.first, self.second))
+        return Moments(first, second)
 
     def take(self, rows: Int[Tensor, " M"], names: tuple[str, ...]) -> "Moments":
         """The same state with other rows in the tensors called `names`; row -1 is zero."""
@@ -99,7 +106,7 @@ def _step_torch(tensors: tuple, rate: float, correction: float, rows: Tensor | N
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def update(param, grad, first, second, rate, correction, rows):
     """One step for the rows that are True."""
     b1, b2, eps = np.float32(BETA1), np.float32(BETA2), np.float32(EPS)

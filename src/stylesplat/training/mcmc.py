@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.training.adam import Moments
 
@@ -43,16 +44,16 @@ def add_noise(params: Params, unit: float, generator: torch.Generator) -> None:
     """
     n = len(params["means"])
     noise = torch.randn(n, 3, generator=generator).to(params["means"])
-    tensors = [params[name].detach() for name in ("means", "quats", "scales", "opacities")]
+    names = ("means", "quats", "scales", "opacities")
+    tensors = (*(params[name].detach() for name in names), noise)
     if noise.device.type == "cpu":
-        _drift_cpu(*(t.numpy() for t in (*tensors, noise)), NOISE_RATE * unit)
+        _drift_cpu(tuple(t.numpy() for t in tensors), NOISE_RATE * unit)
     else:
-        _drift_torch(*tensors, noise, NOISE_RATE * unit)
+        _drift_torch(tensors, NOISE_RATE * unit)
 
 
-def _drift_torch(
-    means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, noise: Tensor, rate: float
-) -> None:
+def _drift_torch(tensors: tuple[Tensor, ...], rate: float) -> None:
+    means, quats, scales, opacities, noise = tensors
     gate = torch.sigmoid(NOISE_SHARPNESS * (DEAD_OPACITY - torch.sigmoid(opacities)))
     # The covariance times isotropic noise, which may as well be drawn along the axes.
     along_axes = noise * gate[:, None] * (2 * scales).exp()
@@ -60,9 +61,10 @@ def _drift_torch(
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
-def _drift_cpu(means, quats, scales, opacities, noise, rate):
+@kernel
+def _drift_cpu(arrays, rate):
     """`_drift_torch` for those that are faint enough to move."""
+    means, quats, scales, opacities, noise = arrays
     for i in numba.prange(means.shape[0]):
         if opacities[i] > OPAQUE:
             continue

@@ -16,8 +16,10 @@ from numba import get_num_threads
 from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
+from torch.nn.functional import pad
 
 from stylesplat.rendering.kernels import vec
+from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.training.ssim import C1, C2, WINDOW, ssim_window
 
 CHANNELS = 3
@@ -33,20 +35,15 @@ def stride_of(numbers: int) -> int:
     return -(-numbers // vec.LANES) * vec.LANES + FRAME
 
 
-@no_type_check
-@numba.njit(cache=True, parallel=True)
-def frame(image, stride):
-    """An image [H, 3W] in a frame of zeros, flat."""
-    height, n = image.shape
-    framed = np.zeros((height + 2 * HALF) * stride, np.float32)
-    for row in numba.prange(height):
-        start = (row + HALF) * stride + MARGIN
-        framed[start : start + n] = image[row]
-    return framed
+def framed(image: Tensor, stride: int) -> np.ndarray:
+    """An image [H, W, 3] in a frame of zeros, flat."""
+    rows = image.detach().float().flatten(1)
+    behind = stride - rows.shape[1] - MARGIN
+    return pad(rows, (MARGIN, behind, HALF, HALF)).view(-1).numpy()
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def products_down(window, x, y, row, stride, out):
     """Filter x, y, x x, y y and x y along y at one row, into the five rows of `out`."""
     for j in range(0, stride, vec.LANES):
@@ -67,7 +64,7 @@ def products_down(window, x, y, row, stride, out):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def down(window, framed, row, stride, out):
     """Filter a framed image along y at one row."""
     for j in range(0, stride, vec.LANES):
@@ -79,7 +76,7 @@ def down(window, framed, row, stride, out):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def across(window, row, start):
     """Filter 16 numbers of a framed row along x."""
     total = vec.zero()
@@ -90,7 +87,7 @@ def across(window, row, start):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def similarity(mean_x, mean_y, xx, yy, xy):
     """SSIM from blurred x, y and products; its gradients by blurred x, x x and x y."""
     var_x, var_y = xx - mean_x * mean_x, yy - mean_y * mean_y
@@ -106,9 +103,9 @@ def similarity(mean_x, mean_y, xx, yy, xy):
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def forward(window, x, y, stride, inside, v_maps, threads):
-    """Sums over all numbers: SSIM, absolute and squared error (of x clamped to 0..1).
+    """Each thread's sums of SSIM, absolute and squared error (of x clamped to 0..1).
 
     Fills the gradients of SSIM by the three blurred maps, one framed image after the other.
     `inside` is 1 for the numbers of a row and 0 behind them.
@@ -140,13 +137,13 @@ def forward(window, x, y, stride, inside, v_maps, threads):
             vec.store(lanes, 0, ssim)
             vec.store(lanes, vec.LANES, absolute)
             vec.store(lanes, 2 * vec.LANES, squared)
-            for k in range(3):
-                totals[thread, k] += lanes[k * vec.LANES : (k + 1) * vec.LANES].sum()
-    return totals.sum(axis=0)
+            for k in range(3 * vec.LANES):
+                totals[thread, k // vec.LANES] += lanes[k]
+    return totals
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def backward(window, x, y, stride, v_maps, v_ssim, v_absolute, v_x, threads):
     """Fill the gradient [H, 3W] of the first image: the filter is its own adjoint."""
     height, n = v_x.shape
@@ -155,8 +152,8 @@ def backward(window, x, y, stride, v_maps, v_ssim, v_absolute, v_x, threads):
         gradient = np.empty(stride, np.float32)
         for row in range(thread * height // threads, (thread + 1) * height // threads):
             for k in range(3):
-                framed = v_maps[k * x.shape[0] : (k + 1) * x.shape[0]]
-                down(window, framed, row, stride, blurred[k * stride :])
+                v_map = v_maps[k * x.shape[0] : (k + 1) * x.shape[0]]
+                down(window, v_map, row, stride, blurred[k * stride :])
             for j in range(0, stride - FRAME, vec.LANES):
                 at = (row + HALF) * stride + MARGIN + j
                 u, v = vec.load(x, at), vec.load(y, at)
@@ -165,21 +162,22 @@ def backward(window, x, y, stride, v_maps, v_ssim, v_absolute, v_x, threads):
                 total = v_ssim * (total + across(window, blurred, j))
                 sign = vec.select(vec.greater(u, v), v_absolute, -v_absolute)
                 vec.store(gradient, j, total + vec.select(vec.equal(u, v), ZERO, sign))
-            v_x[row] = gradient[:n]
+            for j in range(n):
+                v_x[row, j] = gradient[j]
 
 
 class _Photometric(Function):
     @staticmethod
     def forward(ctx, image, target, dssim_weight):
-        rows = [t.detach().float().contiguous().view(len(t), -1).numpy() for t in (image, target)]
-        height, n = rows[0].shape
+        height, n = len(image), image[0].numel()
         stride, threads = stride_of(n), get_num_threads()
-        x, y = (frame(each, stride) for each in rows)
+        x, y = framed(image, stride), framed(target, stride)
         inside = np.zeros(stride, np.float32)
         inside[:n] = 1
         v_maps = np.zeros(3 * len(x), np.float32)
         window = ssim_window().float().numpy()
-        sums = forward(window, x, y, stride, inside, v_maps, threads) / (height * n)
+        totals = forward(window, x, y, stride, inside, v_maps, threads)
+        sums = totals.sum(axis=0) / (height * n)
         ctx.arrays = window, x, y, stride, v_maps
         ctx.shape, ctx.dssim_weight = image.shape, dssim_weight
         loss = (1 - dssim_weight) * sums[1] + dssim_weight * (1 - sums[0])

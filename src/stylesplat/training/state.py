@@ -1,6 +1,6 @@
 """What training carries from step to step, and its checkpoint on disk."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -36,6 +36,11 @@ class State:
     def names(self) -> tuple[str, ...]:
         """The tensors that have one row per Gaussian."""
         return tuple(name for name in self.params if name not in CLASSIFIER)
+
+    def clone(self) -> "State":
+        """A copy that shares no tensors."""
+        params = {name: t.detach().clone().requires_grad_() for name, t in self.params.items()}
+        return replace(self, params=params, moments=self.moments.clone())
 
     @property
     def splats(self) -> Splats:

@@ -2,13 +2,12 @@
 
 from typing import no_type_check
 
-import numba
-
 from stylesplat.rendering.kernels import vec
+from stylesplat.rendering.kernels.jit import inner
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def span(rows, thread, threads):
     """First row of a thread's share and the one after its last; shares are whole vectors."""
     vectors = -(-rows // vec.LANES)
@@ -17,7 +16,7 @@ def span(rows, thread, threads):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def read_columns(array, first, count, columns, buffer):
     """Copy the first columns of up to 16 rows into `buffer`, one after the other."""
     for lane in range(count):
@@ -26,7 +25,7 @@ def read_columns(array, first, count, columns, buffer):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def read_two(array, first, count, buffer):
     """Two columns of up to 16 rows from `first` on; `buffer` has room for four."""
     read_columns(array, first, count, 2, buffer)
@@ -34,7 +33,7 @@ def read_two(array, first, count, buffer):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def read_three(array, first, count, buffer):
     """Three columns; see `read_two`."""
     read_columns(array, first, count, 3, buffer)
@@ -42,7 +41,7 @@ def read_three(array, first, count, buffer):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def read_four(array, first, count, buffer):
     """Four columns; see `read_two`."""
     read_columns(array, first, count, 4, buffer)
@@ -51,7 +50,7 @@ def read_four(array, first, count, buffer):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def write_column(array, column, where, value):
     """Write a column of up to 16 rows, 0 where the mask does not hold.
 

@@ -13,38 +13,39 @@ import numpy as np
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.columns import read_four, read_three, span, write_column
+from stylesplat.rendering.kernels.jit import inner, kernel
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def dot(a, b):
     """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def cross(a, b):
     """The vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def scaled(a, weight):
     """A vector times a number."""
     return a[0] * weight, a[1] * weight, a[2] * weight
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def plus(a, b):
     """The sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def combine(weights, r0, r1, r2):
     """The sum of three rows, weighted: a row vector times a matrix."""
     pair = plus(scaled(r0, weights[0]), scaled(r1, weights[1]))
@@ -52,7 +53,7 @@ def combine(weights, r0, r1, r2):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def rotation(w, x, y, z):
     """Rows of the rotation matrix of a unit quaternion."""
     return (
@@ -63,7 +64,7 @@ def rotation(w, x, y, z):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def rotation_backward(w, x, y, z, d0, d1, d2):
     """Gradient of a unit quaternion from that of the rows of its matrix."""
     return (
@@ -78,7 +79,7 @@ def rotation_backward(w, x, y, z, d0, d1, d2):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def unit_quaternion(quat):
     """w, x, y, z of norm 1, and the inverse of the norm that they had."""
     w, x, y, z = quat
@@ -87,7 +88,7 @@ def unit_quaternion(quat):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def camera_space(mean, viewmat):
     """A world point in camera coordinates."""
     return (
@@ -98,7 +99,7 @@ def camera_space(mean, viewmat):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def camera_axes(rows, scale, viewmat):
     """Rows of the matrix whose columns are a Gaussian's scaled axes in the camera."""
     r0, r1, r2 = rows
@@ -116,7 +117,7 @@ def camera_axes(rows, scale, viewmat):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def clamped_slope(slope, focal, centre, size):
     """The slope at which the Jacobian is taken: held constant far outside the image."""
     margin = const.FOV_MARGIN * 0.5 * size / focal
@@ -125,7 +126,7 @@ def clamped_slope(slope, focal, centre, size):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def image_axes(axes, p, K, width, height):
     """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`."""
     m0, m1, m2 = axes
@@ -138,7 +139,7 @@ def image_axes(axes, p, K, width, height):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def ellipse(a0, a1):
     """The standard deviations in x and y of an ellipse with these axes, and its conic."""
     cov_xx, cov_xy, cov_yy = dot(a0, a0) + const.EPS2D, dot(a0, a1), dot(a1, a1) + const.EPS2D
@@ -149,7 +150,7 @@ def ellipse(a0, a1):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def read_extents(opacities, first, count, buffer):
     """How many standard deviations out 16 Gaussians are seen; negative for invisible ones."""
     for lane in range(count):
@@ -159,14 +160,14 @@ def read_extents(opacities, first, count, buffer):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def between(low, value, high):
     """Lanes in which a value lies strictly between two others."""
     return vec.both(vec.greater(value, low), vec.greater(high, value))
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def project(geometry, viewmat, K, width, height, out, threads):
     """Fill what one camera sees of the Gaussians.
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.columns import read_four, read_three, read_two, span, write_column
+from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.rendering.kernels.project import (
     camera_axes,
     camera_space,
@@ -22,7 +23,7 @@ from stylesplat.rendering.kernels.project import (
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def covariance_gradient(conic, v_conic):
     """Gradient of the 2D covariance (xx, xy, yy) from that of its inverse: -X V X."""
     a, b, c = conic
@@ -33,7 +34,7 @@ def covariance_gradient(conic, v_conic):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def jacobian_backward(p, K, slopes, v_rows, axes):
     """Gradient of the camera-space mean through the perspective Jacobian."""
     fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
@@ -50,7 +51,7 @@ def jacobian_backward(p, K, slopes, v_rows, axes):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def axes_backward(v_axes, unit, rows, scale, viewmat):
     """Gradients of scale and quaternion from that of `camera_axes`."""
     w, x, y, z, inverse_norm = unit
@@ -82,7 +83,7 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def gaussian_gradients(p, unit, scale, conic, viewmat, K, width, height, v_mean2d, v_conic):
     """Gradients of mean, quaternion and scale."""
     w, x, y, z, _ = unit
@@ -110,7 +111,7 @@ def gaussian_gradients(p, unit, scale, conic, viewmat, K, width, height, v_mean2
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def project_backward(geometry, viewmat, K, width, height, conics, radii, v_out, out, threads):
     """Fill the gradients of the Gaussians that one camera sees, and 0 for the others.
 

@@ -9,6 +9,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.rendering.sh import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL
 
 A2, B2, C2 = SH_C2
@@ -18,7 +19,7 @@ ZERO, HALF = np.float32(0), np.float32(0.5)
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def basis(x, y, z):
     """The 16 basis functions at a unit direction."""
     xx, yy, zz = x * x, y * y, z * z
@@ -43,7 +44,7 @@ def basis(x, y, z):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def basis_gradient(x, y, z, s):
     """The gradient by direction of the sum of `s[k]` times basis function k.
 
@@ -63,7 +64,7 @@ def basis_gradient(x, y, z, s):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def unit(direction):
     """A direction of norm 1, and the inverse of the norm that it had."""
     x, y, z = direction[0], direction[1], direction[2]
@@ -72,7 +73,7 @@ def unit(direction):
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def colors(bases, dirs, sh0, shN, out):
     """Fill `out` [N,3] with the colours, clamped at 0; `bases` is 1, 4, 9 or 16."""
     for i in numba.prange(dirs.shape[0]):
@@ -93,7 +94,7 @@ def colors(bases, dirs, sh0, shN, out):
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def colors_backward(bases, dirs, sh0, shN, out, v_out, v_dirs, v_sh0, v_shN, threads):
     """Fill the gradients of directions and coefficients."""
     n = dirs.shape[0]

@@ -13,6 +13,7 @@ import numpy as np
 
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
+from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
 
 TILE = 16
 BLOCK = 4
@@ -29,7 +30,7 @@ def row_stride(channels: int) -> int:
 
 
 @no_type_check
-@numba.njit(cache=True)
+@serial_kernel
 def depth_order(depths, radii):
     """Indices of the Gaussians with a radius, nearest first: a stable radix sort."""
     order = np.empty(depths.shape[0], np.int32)
@@ -57,7 +58,7 @@ def depth_order(depths, radii):
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def pack_rows(order, means2d, conics, opacities, colors, rows):
     """Gather what blending reads of a Gaussian into one row, in depth order.
 
@@ -76,7 +77,7 @@ def pack_rows(order, means2d, conics, opacities, colors, rows):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def block_mask(rows, row, slope_x, slope_y, left, top):
     """Bit b is set if the ellipse of a packed row reaches a pixel centre's box in block b.
 
@@ -97,7 +98,7 @@ def block_mask(rows, row, slope_x, slope_y, left, top):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def tile_span(center, radius, tiles):
     """First tile and the one after the last that an interval of pixels touches."""
     first = max(floor((center - radius) / TILE), 0)
@@ -105,7 +106,7 @@ def tile_span(center, radius, tiles):
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def list_entries(order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ranks, masks):
     """List (tile, rank, mask) chunk by chunk; count the entries of each chunk and tile.
 
@@ -140,24 +141,23 @@ def list_entries(order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ra
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@inner
 def entry_bounds(order, rows, stride, radii, tiles_x, tiles_y, chunks):
     """Where each chunk may start to write its entries: the tiles under the bounding boxes."""
     starts = np.zeros(chunks + 1, np.int64)
-    n = order.shape[0]
-    for chunk in numba.prange(chunks):
-        total = 0
+    n, total = order.shape[0], 0
+    for chunk in range(chunks):
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             row, i = rank * stride, order[rank]
             first_x, last_x = tile_span(rows[row], radii[i, 0], tiles_x)
             first_y, last_y = tile_span(rows[row + 1], radii[i, 1], tiles_y)
             total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
         starts[chunk + 1] = total
-    return np.cumsum(starts)
+    return starts
 
 
 @no_type_check
-@numba.njit(cache=True, parallel=True)
+@kernel
 def scatter_entries(starts, written, tiles, ranks, masks, offsets, tile_ranks, tile_masks):
     """Move the chunks' entries to their tiles; chunks are in depth order, so lists are too."""
     for chunk in numba.prange(written.shape[0]):
@@ -168,7 +168,7 @@ def scatter_entries(starts, written, tiles, ranks, masks, offsets, tile_ranks, t
 
 
 @no_type_check
-@numba.njit(cache=True)
+@serial_kernel
 def tile_lists(order, rows, stride, radii, width, height, chunks):
     """The list of every tile, made by `chunks` threads, from flat `rows` of length `stride`.
 

@@ -13,7 +13,8 @@ from typing import no_type_check
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, overload, register_jitable, register_model
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_jitable, register_model
 
 LANES = 16
 F32 = ir.FloatType()
@@ -115,14 +116,23 @@ def _lane_op(arity, emit, result=vec):
 
 
 def _overload_operator(symbol, name):
-    operation = _lane_op(2, lambda builder, a, b: getattr(builder, name)(a, b))
+    """Give an operator a meaning for two Vecs, or a Vec and a number.
 
-    @overload(symbol)
-    @no_type_check
-    def implementation(a, b):
-        operands = (isinstance(each, (VecType, *NUMBERS)) for each in (a, b))
-        if all(operands) and (a is vec or b is vec):
-            return lambda a, b: operation(a, b)
+    Typed and lowered directly: numba's `overload` would compile a function per pair of types.
+    """
+
+    @infer_global(symbol)  # pyright: ignore[reportOptionalCall]
+    class _Operator(AbstractTemplate):
+        def generic(self, args, kws):
+            if vec in args and all(isinstance(each, (VecType, *NUMBERS)) for each in args):
+                return signature(vec, *(each if each is vec else types.float32 for each in args))
+            return None
+
+    def lower(context, builder, signature, args):
+        return getattr(builder, name)(*_lanes(builder, signature.args, args))
+
+    for operands in ((VecType, VecType), (VecType, types.Float), (types.Float, VecType)):
+        lower_builtin(symbol, *operands)(lower)
 
 
 _overload_operator(operator.add, "fadd")
