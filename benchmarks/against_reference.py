@@ -7,6 +7,7 @@ cores, as torch does.
 """
 
 from dataclasses import replace
+from math import log
 
 import torch
 from bench import calibration_ms, capture, machine, median_ms, step, table, trained_fox
@@ -21,7 +22,7 @@ def sample(splats: Splats, count: int) -> Splats:
     """Some of the Gaussians, enlarged to cover what the others did."""
     rows = torch.randperm(len(splats), generator=torch.Generator().manual_seed(0))[:count]
     fewer = splats[rows]
-    return replace(fewer, scales=fewer.scales + (len(splats) / count) ** (1 / 3) / 4)
+    return replace(fewer, scales=fewer.scales + log(len(splats) / count) / 3)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from bench import DATA, machine, table
+from bench import DATA, capture, machine, table
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Options:
 
 def main(options: Options) -> None:
     """Train in a process of its own and print the table."""
+    capture("fox")
     with tempfile.TemporaryDirectory() as folder:
         command = [
             *(str(Path(sys.executable).with_name("stylesplat")), "train", str(DATA / "fox")),
@@ -38,13 +39,13 @@ def main(options: Options) -> None:
         ]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     metrics = json.loads(done.stdout)
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
     print(f"fox 540x960, {machine()}")
     heads = ["Gaussians", "steps", "training", "held-out PSNR", "SSIM", "mIoU", "peak memory"]
     line = [
         *(f"{metrics['gaussians']:,}", metrics["steps"], f"{metrics['seconds']:.0f} s"),
         *(f"{metrics['psnr']:.2f} dB", f"{metrics['ssim']:.3f}", f"{metrics['miou']:.3f}"),
-        f"{peak:.2f} GiB",
+        f"{peak:.2f} GB",
     ]
     print(table(heads, [line]))
 

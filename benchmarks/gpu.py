@@ -3,8 +3,9 @@
     python benchmarks/gpu.py --wheels wheels/ --fox ../shared/data/fox
 
 The machine needs torch, nvcc and a GPU. `--wheels` is a folder of wheels, made where there is a
-network by `pip download -d wheels '.[cuda]'` (leave torch's out if the machine has its own); what
-is missing is installed from it, and gsplat compiles its kernels when it is first used. Prints
+network by `pip download -d wheels '.[cuda]' hatchling` (leave torch's out if the machine has its
+own); what is missing is installed from it, and gsplat compiles its kernels when it is first used.
+Prints
 
 1. correctness: images and gradients against the float64 reference;
 2. frames per second of 1,000,000 Gaussians at 1920x1080 (target: 300);
@@ -39,9 +40,9 @@ def install(wheels: Path | None) -> None:
     """Make `stylesplat` and gsplat importable, from the folder of wheels if one is given."""
     sys.path.insert(0, str(ROOT / "src"))
     if wheels is not None:
-        offline = ["--no-index", "--find-links", str(wheels)]
-        command = [sys.executable, "-m", "pip", "install", *offline, f"{ROOT}[cuda]", "hatchling"]
-        subprocess.run([*command, "--no-build-isolation"], check=True)
+        pip = [sys.executable, "-m", "pip", "install", "--no-index", "--find-links", str(wheels)]
+        subprocess.run([*pip, "hatchling"], check=True)
+        subprocess.run([*pip, "--no-build-isolation", f"{ROOT}[cuda]"], check=True)
     if find_spec("gsplat") is None:
         raise SystemExit("gsplat is not installed. Pass --wheels, or `pip install gsplat==1.5.3`.")
 
@@ -146,7 +147,7 @@ def train_fox(path: Path) -> None:
     from stylesplat.training.views import split_views
 
     fox = ss.load(path)
-    state = fit(fox, TrainConfig(steps=7000), device="cuda")
+    state = fit(fox, TrainConfig(steps=7000, identity_every=1), device="cuda")
     _, held_out = split_views(fox, 8)
     metrics = evaluate_views(state.splats.detach(), fox, held_out)
     print(f"  {state.seconds:.1f} s, {len(state.splats):,} Gaussians, {metrics}")

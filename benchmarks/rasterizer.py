@@ -109,7 +109,8 @@ def memory(splats: Splats, camera: Cameras, *, identities: bool) -> list[object]
 def main(options: Options) -> None:
     """Print both tables."""
     splats = trained_fox(options.gaussians)
-    cameras = capture("fox").cameras[:: max(50 // options.views, 1)]
+    every = capture("fox").cameras
+    cameras = every[:: max(len(every) // options.views, 1)][: options.views]
     width, height = cameras[0].size
     print(f"fox {width}x{height}, {len(splats):,} Gaussians, {len(cameras)} views, {machine()}\n")
     rows = [memory(splats, cameras[0], identities=identities) for identities in (False, True)]

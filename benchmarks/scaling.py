@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/scaling.py
 
-Fox from 100x180 to 1080x1920 with 50,000 Gaussians; and with 5,000 to 500,000 at 540x960, where
+Fox from 100x178 to 1080x1920 with 50,000 Gaussians; and with 5,000 to 500,000 at 540x960, where
 Gaussians are left out, or split into smaller ones beside each other. The work is linear if
 "ns per pair" does not grow: a pair is a pixel and a Gaussian that reaches its 4x4 block. Writes a
 plot to `benchmarks/scaling.png`.

@@ -7,7 +7,7 @@ views, the IoU of the corrupted label maps and of those rendered from the identi
 the paper's figures 2 and 3). Targets: mean IoU of 0.95, every object clearly above its input.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 import tyro
@@ -48,11 +48,12 @@ def main(options: Options) -> None:
     splats = ss.train(given, max_seconds=options.seconds, max_gaussians=options.max_gaussians)
     _, held_out = split_views(given, 8)
     pairs = list(label_pairs(given, exact, held_out))
-    metrics = evaluate_views(splats, replace(exact, photos=given.photos), held_out)
+    metrics = evaluate_views(splats, exact, held_out)
     before, before_boundary = object_iou(pairs), object_iou(pairs, boundary=True)
     columns = before, metrics["iou"], before_boundary, metrics["boundary_iou"]
     rows = [
-        [names.get(id, id), *(f"{column[id]:.3f}" for column in columns)] for id in metrics["iou"]
+        [names.get(id, id), *(f"{column.get(id, 0):.3f}" for column in columns)]
+        for id in metrics["iou"]
     ]
     means = (sum(column.values()) / len(column) for column in columns)
     rows.append(["mean", *(f"{mean:.3f}" for mean in means)])

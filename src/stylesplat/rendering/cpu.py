@@ -68,10 +68,11 @@ class _Project(Function):
             tuple(_arrays(means2d, conics, depths, radii)),
             get_num_threads(),
         )
+        depths = depths[:, 0]
         ctx.size = width, height
         ctx.save_for_backward(*geometry[:3], viewmat, K, conics, radii)
         ctx.mark_non_differentiable(depths, radii)
-        return means2d, conics, depths[:, 0], radii
+        return means2d, conics, depths, radii
 
     @staticmethod
     @once_differentiable

@@ -61,6 +61,7 @@ PRESETS = {
         steps=30_000,
         max_gaussians=1_000_000,
         coarse_to_fine=False,
+        growth_end=0.5,
         object_growth=1.0,
         identity_every=1,
         identity_stride=1,

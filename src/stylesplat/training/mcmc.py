@@ -74,7 +74,7 @@ def _drift_cpu(arrays, rate):
         b = step * noise[i, 1] * exp(2 * scales[i, 1])
         c = step * noise[i, 2] * exp(2 * scales[i, 2])
         w, x, y, z = quats[i]
-        double = 2 / (w * w + x * x + y * y + z * z)
+        double = 2 / max(w * w + x * x + y * y + z * z, 1e-24)
         # the rotation as v + 2 w (q x v) + 2 q x (q x v)
         d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
         means[i, 0] += a + double * (w * d + y * f - z * e)

@@ -1,9 +1,14 @@
+from collections import defaultdict
+
 import numba
+from numba.core import event
 
 from stylesplat.rendering.kernels.compiling import LINE, announce_compilation
 
 
-def test_compilation_is_announced_once(capsys):
+def test_compilation_is_announced_once(capsys, monkeypatch):
+    # Other tests may have registered a listener that has not spoken yet.
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
     announce_compilation.cache_clear()
     announce_compilation()
     announce_compilation()

@@ -3,8 +3,8 @@
 LLVM lowers `<16 x float>` to AVX-512, two AVX2 or four NEON registers. Plain loops that numba
 vectorises by itself were several times slower here. `Vec` has `+ - * /` with another `Vec` or a
 number, fused multiply-add, comparisons that give a 16-lane mask, and exp; `vecs.py` adds tuples
-of vectors. numba does not notice edits of these two files in the caches of their callers: after
-an edit, delete `__pycache__` in this folder.
+of vectors. numba does not notice edits of a file in the caches of its callers: after an edit of a
+kernel that others import, delete `__pycache__` in this folder and in `training/`.
 """
 
 import operator
