@@ -35,6 +35,8 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         (["select", "{scene}", "--name", "x", "--point", "lost.jpg:1,1"], "No view is called"),
         (["select", "{scene}", "--name", "x", "--box", VIEW + ":9,9,3,3"], "empty"),
         (["stylize", "{scene}", "--style", "red", "-o", "{tmp}/y"], "OBJECT=IMAGE"),
+        (["adjust", "{scene}", "--intensity", "0.5"], "is not styled"),
+        (["adjust", "{scene}", "--intensity", "2"], "use 0 to 1.5"),
         (["stylize", "{scene}", "--style", "red={style}", "-o", "{tmp}/y"], "no object 'red'"),
         (["stylize", "{scene}", "--style", "3={tmp}/none.png", "-o", "{tmp}/y"], "none.png"),
         (["stylize", "{scene}", "--style", "3={style}", "-o", "{tmp}"], "--overwrite"),
@@ -69,7 +71,9 @@ def test_wrong_usage_exits_with_2(arguments: list[str], capsys):
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("verb", ["demo", "train", "objects", "select", "stylize", "render"])
+@pytest.mark.parametrize(
+    "verb", ["demo", "train", "objects", "select", "stylize", "adjust", "render"]
+)
 def test_help_has_an_example(verb: str, capsys):
     with pytest.raises(SystemExit) as stopped:
         main([verb, "--help"])

@@ -14,6 +14,7 @@ from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.io.splat_ply import read_splat_ply
+from stylesplat.selection.pick import select
 
 
 def run(*arguments: object) -> int:
@@ -123,6 +124,51 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
     assert styled.base_colors is not None and torch.equal(styled.base_colors["sh0"], before.sh0)
     assert styled.recipe is not None and len(styled.recipe["objects"][0]["sha256"]) == 64
     assert styled.metrics["train"] == {"psnr": 30.0}
+
+
+@pytest.fixture
+def styled(scene: Path, style: Path) -> Path:
+    """Two balls in stripes, at half intensity."""
+    out = scene.with_name("styled")
+    options = ("--features", "random", "--steps", 2, "--intensity", 0.5)
+    styles = ("--style", f"3={style}", "--style", f"7={style}")
+    assert run("stylize", scene, "-o", out, *options, *styles) == 0
+    return out
+
+
+def test_adjust_blends_exactly_and_can_be_undone(scene: Path, styled: Path, capsys):
+    files = {p.name: p.read_bytes() for p in styled.iterdir()}
+    (styled / "notes.txt").write_text("mine")
+    base, half = read_scene(scene).splats, read_scene(styled).splats
+    capsys.readouterr()
+    shown = result(capsys, "adjust", styled, "--intensity", 1)
+    assert shown["intensity"] == {"3": 1.0, "7": 1.0}
+    full = read_scene(styled).splats
+    assert torch.allclose(full.sh0 - base.sh0, 2 * (half.sh0 - base.sh0), atol=1e-6)
+    assert (full.sh0 - half.sh0).abs().max() > 0.01
+    assert run("adjust", styled, "--intensity", 0.5) == 0
+    assert torch.allclose(read_scene(styled).splats.sh0, half.sh0, atol=1e-6)
+    assert run("adjust", styled, "--intensity", 0) == 0
+    assert (styled / "splats.ply").read_bytes() == (scene / "splats.ply").read_bytes()
+    assert run("adjust", styled, "--intensity", 1) == 0
+    assert torch.equal(read_scene(styled).splats.sh0, full.sh0)
+    assert (styled / "notes.txt").read_text() == "mine"
+    assert (styled / "base_colors.safetensors").read_bytes() == files["base_colors.safetensors"]
+
+
+def test_adjust_one_object_into_a_new_scene(styled: Path, tmp_path: Path, capsys):
+    before, out = (styled / "splats.ply").read_bytes(), tmp_path / "loud"
+    capsys.readouterr()
+    shown = result(capsys, "adjust", styled, "--object", 3, "--intensity", 1.5, "-o", out)
+    assert shown["intensity"] == {"3": 1.5, "7": 0.5}
+    assert (styled / "splats.ply").read_bytes() == before
+    half, loud = read_scene(styled).splats, read_scene(out).splats
+    changed = (loud.sh0 != half.sh0).flatten(1).any(dim=1)
+    assert changed.any() and torch.equal(changed, changed & select(half, object_id=3))
+    assert run("adjust", out, "--intensity", 0.5) == 0
+    assert torch.allclose(read_scene(out).splats.sh0, half.sh0, atol=1e-6)
+    assert run("adjust", out, "--object", 300, "--intensity", 1) == 1
+    assert "Styled objects: 3, 7" in capsys.readouterr().err
 
 
 def test_render_writes_pictures_and_videos(scene: Path, tmp_path: Path):

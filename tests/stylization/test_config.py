@@ -13,7 +13,7 @@ from stylesplat.stylization.config import PRESETS, StyleConfig
         ({"scale": -1.0}, r"scale -1\.0: it must exceed 0"),
         ({"lr": float("nan")}, "lr nan"),
         ({"object_size": 0}, "object_size 0"),
-        ({"intensity": 1.5}, r"intensity 1\.5: use 0 to 1"),
+        ({"intensity": 1.6}, r"intensity 1\.6: use 0 to 1\.5"),
         ({"view_share": 0.0}, r"share of 0\.0 of the views"),
         ({"blocks": ()}, "name at least one block"),
     ],

@@ -20,6 +20,7 @@ VERBS = {
     "objects": looking.Objects,
     "select": making.Select,
     "stylize": making.Stylize,
+    "adjust": making.Adjust,
     "render": looking.Render,
     "export": looking.Export,
     "evaluate": looking.Evaluate,

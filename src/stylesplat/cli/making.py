@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+from stylesplat.cli.options import Device, Json, OptionalOutput, Output, Overwrite, given
 from stylesplat.cli.parse import parse_box, parse_point, parse_style
 
 
@@ -145,7 +145,7 @@ class Stylize:
     scale: float | None = None
     """Size of the style picture relative to the object: larger makes larger strokes."""
     intensity: float | None = None
-    """How much of the new colours to blend into the old, 0 to 1."""
+    """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
     seed: int | None = None
     """The same seed and number of threads give the same result."""
     device: Device = "auto"
@@ -167,5 +167,36 @@ class Stylize:
             features=self.features,
             weights=self.weights,
             device=self.device,
+            overwrite=self.overwrite,
+        )
+
+
+@dataclass(frozen=True)
+class Adjust:
+    """Change how strong a style is, at once and without optimising; can be undone.
+
+    Example: stylesplat adjust garden-wave --intensity 0.6
+    """
+
+    scene: Positional[Path]
+    """Folder of the styled scene."""
+    intensity: float
+    """0 for the colours before, 1 for the style's, up to 1.5 to exaggerate."""
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """Adjust this object only. May be repeated."""
+    output: OptionalOutput = None
+    """Folder of a scene to make; without it the scene itself is changed."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.verbs.adjust import adjust_scene
+
+        return adjust_scene(
+            self.scene,
+            self.intensity,
+            names=self.object,
+            output=self.output,
             overwrite=self.overwrite,
         )

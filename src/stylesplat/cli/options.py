@@ -7,6 +7,7 @@ from tyro.conf import FlagCreatePairsOff, arg
 
 Device = Literal["auto", "cpu", "cuda"]
 Output = Annotated[Path, arg(aliases=["-o"])]
+OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
 Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
 

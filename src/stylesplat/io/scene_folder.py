@@ -24,6 +24,7 @@ OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
 BASE_COLORS = "base_colors.safetensors"
+STYLE_COLORS = "style_colors.safetensors"
 RECIPE = "recipe.json"
 VERSION = 1  # of the folder's layout
 
@@ -46,6 +47,8 @@ class Scene:
     """What was measured."""
     base_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
     """`sh0` and `shN` before styling; None if the scene is not styled."""
+    style_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
+    """`sh0` and `shN` at full intensity; None if the scene was not adjusted."""
     recipe: dict[str, Any] | None = None
     """How the scene was styled; None if it is not."""
 
@@ -61,9 +64,8 @@ def write_scene(scene: Scene, path: Path | str, *, overwrite: bool = False) -> N
         write_splat_ply(scene.splats, folder / SPLATS)
         _write_identities(scene.splats, folder)
         _write_cameras(scene.cameras, folder)
-        if scene.base_colors is not None:
-            shN = pad_bands(scene.base_colors["shN"])
-            _write_tensors({**scene.base_colors, "shN": shN}, folder / BASE_COLORS)
+        _write_colors(scene.base_colors, folder / BASE_COLORS)
+        _write_colors(scene.style_colors, folder / STYLE_COLORS)
         if scene.recipe is not None:
             write_json(scene.recipe, folder / RECIPE)
         write_json({"version": VERSION, **scene.info}, folder / SCENE)
@@ -91,6 +93,20 @@ def update_scene(
         write_json(metrics, folder / METRICS)
 
 
+def update_colors(scene: Scene, path: Path | str) -> None:
+    """Replace the colours of a styled scene, and their recipe, and leave the rest.
+
+    What is needed to undo it is written first.
+
+    Raises:
+        StyleSplatError: If the folder is no scene or cannot be written.
+    """
+    folder = _scene_folder(path)
+    _write_colors(scene.style_colors, folder / STYLE_COLORS)
+    write_splat_ply(scene.splats, folder / SPLATS)
+    write_json(scene.recipe or {}, folder / RECIPE)
+
+
 def read_scene(path: Path | str) -> Scene:
     """Read a scene.
 
@@ -107,7 +123,6 @@ def read_scene(path: Path | str) -> Scene:
         )
     splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
     count = len(splats)
-    base_colors = folder / BASE_COLORS
     recipe = folder / RECIPE
     return Scene(
         splats=splats,
@@ -116,7 +131,8 @@ def read_scene(path: Path | str) -> Scene:
         objects=_read_objects(folder / OBJECTS),
         info=info,
         metrics=read_json(folder / METRICS),
-        base_colors=_read_tensors(base_colors, count) if base_colors.exists() else None,
+        base_colors=_read_colors(folder / BASE_COLORS, count),
+        style_colors=_read_colors(folder / STYLE_COLORS, count),
         recipe=read_json(recipe) if recipe.exists() else None,
     )
 
@@ -200,6 +216,15 @@ def _write_tensors(tensors: dict[str, Tensor], path: Path) -> None:
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
         temporary.write_bytes(safetensors.torch.save(whole))
+
+
+def _write_colors(colors: dict[str, Tensor] | None, path: Path) -> None:
+    if colors is not None:
+        _write_tensors({**colors, "shN": pad_bands(colors["shN"])}, path)
+
+
+def _read_colors(path: Path, count: int) -> dict[str, Tensor] | None:
+    return _read_tensors(path, count) if path.exists() else None
 
 
 def _load_tensors(path: Path) -> dict[str, Tensor]:

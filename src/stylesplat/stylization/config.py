@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from stylesplat.errors import StyleSplatError
 
+MAX_INTENSITY = 1.5  # beyond it colours leave their range
+
 
 @dataclass(frozen=True)
 class StyleConfig:
@@ -16,7 +18,10 @@ class StyleConfig:
     scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     intensity: float = 1.0
-    """How much of the new colours to blend into the old: 0 changes nothing, 1 takes all."""
+    """How much of the new colours to blend into the old: 0 changes nothing, 1 takes all.
+
+    More, up to 1.5, exaggerates.
+    """
     lr: float = 0.1
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
@@ -42,12 +47,17 @@ class StyleConfig:
                 raise StyleSplatError(f"Cannot stylise with {name} {value}: it must exceed 0.")
         if not self.blocks:
             raise StyleSplatError("Cannot stylise without features: name at least one block.")
-        if not 0 <= self.intensity <= 1:
-            raise StyleSplatError(f"Cannot blend with intensity {self.intensity}: use 0 to 1.")
+        check_intensity(self.intensity)
         if not 0 < self.view_share <= 1:
             raise StyleSplatError(
                 f"Cannot use a share of {self.view_share} of the views: use more than 0, up to 1."
             )
+
+
+def check_intensity(intensity: float) -> None:
+    """Raise a StyleSplatError if colours cannot be blended so."""
+    if not 0 <= intensity <= MAX_INTENSITY:
+        raise StyleSplatError(f"Cannot blend with intensity {intensity}: use 0 to {MAX_INTENSITY}.")
 
 
 PRESETS = {

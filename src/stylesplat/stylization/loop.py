@@ -114,7 +114,7 @@ def stylize_objects(
     jobs = [replace(j, picked=j.picked.to(base.device), style=j.style.to(base.means)) for j in jobs]
     for job in jobs:
         alone, objects[job.name] = _stylize_one(scene, job)
-        styled = _blend(styled, alone, job.picked, intensity=1.0)
+        styled = blend_colors(styled, alone, job.picked, intensity=1.0)
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
     views = held_out[evenly(range(len(held_out)), MEASURED_VIEWS)]
     metrics = changes(base, styled, views, picked, backend=backend)
@@ -159,7 +159,7 @@ def _stylize_one(scene: _Scene, job: StyleJob) -> tuple[Splats, dict[str, int | 
         title=job.name,
         backend=backend,
     )
-    styled = _blend(splats, moved, job.picked, config.intensity)
+    styled = blend_colors(splats, moved, job.picked, config.intensity)
     measured = _measure(scene, job, boxes, styled)
     counts = {"steps": config.steps, "views": len(views), "gaussians": int(job.picked.sum())}
     return styled, {**measured, **counts, "seconds": time.perf_counter() - start}
@@ -199,10 +199,16 @@ def _targets(scene: _Scene, job: StyleJob, length: float) -> tuple[Tensor, ...]:
     return style_features(job.style, scene.network, scene.config.blocks, length=size)
 
 
-def _blend(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
+def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
     """The base with the colours of picked Gaussians moved towards the styled ones.
 
     Renders are linear in the colours, so this blends the renders.
+
+    Args:
+        base: Colours at intensity 0.
+        styled: The same Gaussians with their colours at intensity 1.
+        picked: Which of them to move.
+        intensity: How far; more than 1 goes beyond.
     """
     mask = picked[:, None, None]
     return replace(

@@ -75,6 +75,7 @@ def stylize_scene(
         scene,
         splats=splats.to("cpu"),
         base_colors=base_colors,
+        style_colors=None,
         recipe=recipe,
         metrics=metrics | {"train": scene.metrics.get("train", scene.metrics)},
     )

@@ -1,0 +1,104 @@
+"""`adjust`: change how strong a style is, afterwards and without optimising."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import refuse_occupied
+from stylesplat.io.scene_folder import SCENE, Scene, read_scene, update_colors, write_scene
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import check_intensity
+from stylesplat.stylization.loop import blend_colors
+from stylesplat.verbs.objects import find_object
+
+
+def adjust_scene(
+    path: Path,
+    intensity: float,
+    *,
+    names: Sequence[str] = (),
+    output: Path | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Blend the styled colours of a scene with those before, exactly: renders are linear in them.
+
+    Args:
+        path: A styled scene.
+        intensity: 0 for the colours before, 1 for the style's, up to 1.5 to exaggerate.
+        names: Objects to adjust; all that were styled by default.
+        output: A scene to make; by default the scene itself is changed. Either can be adjusted
+            again, back to what it was too.
+        overwrite: Whether `output` may hold a scene already.
+
+    Returns:
+        The intensity of each styled object, and the `scene`.
+
+    Raises:
+        StyleSplatError: If the scene is not styled, or not in these objects.
+    """
+    check_intensity(intensity)
+    if output is not None and not overwrite:
+        refuse_occupied(output, marker=SCENE)
+    scene = read_scene(path)
+    full = _full_colors(scene, path)
+    objects = _styled_objects(scene)
+    for name in names or objects:
+        if name not in objects:
+            raise StyleSplatError(
+                f"{name} is not styled in {path}. Styled objects: {', '.join(objects)}."
+            )
+        objects[name] = {**objects[name], "intensity": intensity}
+        scene = _blended(scene, full, name, intensity)
+    scene = replace(
+        scene,
+        style_colors={"sh0": full.sh0, "shN": full.shN},
+        recipe={**(scene.recipe or {}), "objects": list(objects.values())},
+    )
+    if output is None:
+        update_colors(scene, path)
+    else:
+        write_scene(scene, output, overwrite=overwrite)
+    shown = {name: how["intensity"] for name, how in objects.items()}
+    return {"scene": output or path, "intensity": shown}
+
+
+def _styled_objects(scene: Scene) -> dict[str, dict[str, Any]]:
+    """What the recipe says of each styled object, its intensity included."""
+    recipe = scene.recipe or {}
+    default = {"intensity": recipe.get("settings", {}).get("intensity", 1.0)}
+    return {how["name"]: default | how for how in recipe.get("objects", [])}
+
+
+def _full_colors(scene: Scene, path: Path) -> Splats:
+    """The splats with the style's colours at intensity 1."""
+    if scene.base_colors is None or not _styled_objects(scene):
+        raise StyleSplatError(
+            f"{path} is not styled. Style it with `stylesplat stylize {path} --style OBJECT=IMAGE`."
+        )
+    if scene.style_colors is not None:
+        return replace(scene.splats, **scene.style_colors)
+    full = scene.splats
+    for name, how in _styled_objects(scene).items():
+        if how["intensity"] == 0:
+            raise StyleSplatError(
+                f"Cannot adjust {path}: {name} was styled with intensity 0, which kept nothing of "
+                "the style. Style it again with `--intensity 1`."
+            )
+        picked = find_object(scene, name)
+        undone = blend_colors(_base(scene), scene.splats, picked, 1 / how["intensity"])
+        full = blend_colors(full, undone, picked, 1.0)
+    return full
+
+
+def _base(scene: Scene) -> Splats:
+    """The splats with the colours before styling."""
+    return replace(scene.splats, **(scene.base_colors or {}))
+
+
+def _blended(scene: Scene, full: Splats, name: str, intensity: float) -> Scene:
+    """The scene with one object at an intensity."""
+    picked = find_object(scene, name)
+    blended = blend_colors(_base(scene), full, picked, intensity)
+    return replace(scene, splats=blend_colors(scene.splats, blended, picked, 1.0))
