@@ -9,8 +9,7 @@ cores, as torch does.
 from dataclasses import replace
 from math import log
 
-import torch
-from bench import calibration_ms, capture, machine, median_ms, step, table, trained_fox
+from bench import calibration_ms, capture, machine, median_ms, resized, step, table, trained_fox
 
 from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.splats import Splats
@@ -20,8 +19,7 @@ SCENES = ((500, 8), (2000, 6), (5000, 4))  # Gaussians, downscale of 540 x 960
 
 def sample(splats: Splats, count: int) -> Splats:
     """Some of the Gaussians, enlarged to cover what the others did."""
-    rows = torch.randperm(len(splats), generator=torch.Generator().manual_seed(0))[:count]
-    fewer = splats[rows]
+    fewer = resized(splats, count)
     return replace(fewer, scales=fewer.scales + log(len(splats) / count) / 3)
 
 

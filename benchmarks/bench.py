@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import math
 import platform
 import re
 import resource
@@ -15,7 +16,6 @@ import numba
 import torch
 
 import stylesplat as ss
-from stylesplat.evaluation.metrics import psnr
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
@@ -67,14 +67,16 @@ def step(
     image.backward(torch.ones_like(image))
 
 
-def held_out_psnr(splats: Splats, views: Capture, rows: Sequence[int]) -> float:
-    """Mean PSNR of some views in decibels; renders are clamped to 0..1."""
-    total = 0.0
-    for row in rows:
-        image, _, _ = rasterize(splats, views.cameras[row])
-        photo = views.photos[row].to(image) / 255
-        total += float(psnr(image[0].clamp(0, 1), photo))
-    return total / len(rows)
+def resized(splats: Splats, count: int) -> Splats:
+    """Fewer Gaussians at random, or more: copies beside the originals, smaller by their number."""
+    n, generator = len(splats), torch.Generator().manual_seed(0)
+    if count <= n:
+        return splats[torch.randperm(n, generator=generator)[:count]]
+    rows = torch.arange(count) % n
+    more = splats[rows]
+    scales = more.scales - math.log(count / n) / 3
+    jitter = torch.randn(count, 3, generator=generator) * more.scales.exp()
+    return replace(more, means=more.means + jitter, scales=scales)
 
 
 def calibration_ms() -> float:

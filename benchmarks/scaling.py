@@ -8,13 +8,11 @@ Gaussians are left out, or split into smaller ones beside each other. The work i
 plot to `benchmarks/scaling.png`.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-import torch
-from bench import calibration_ms, capture, machine, median_ms, step, table, trained_fox
+from bench import calibration_ms, capture, machine, median_ms, resized, step, table, trained_fox
 
 from stylesplat.rendering.kernels import tiles
 from stylesplat.rendering.rasterize import rasterize
@@ -25,18 +23,6 @@ PLOT = Path(__file__).parent / "scaling.png"
 WIDTHS = (100, 180, 270, 540, 810, 1080)
 COUNTS = (5_000, 15_000, 50_000, 150_000, 500_000)
 BLOCK_PIXELS = 16
-
-
-def resized(splats: Splats, count: int) -> Splats:
-    """Fewer Gaussians at random, or more: copies beside the originals, smaller by their number."""
-    n, generator = len(splats), torch.Generator().manual_seed(0)
-    if count <= n:
-        return splats[torch.randperm(n, generator=generator)[:count]]
-    rows = torch.arange(count) % n
-    more = splats[rows]
-    scales = more.scales - np.log(count / n) / 3
-    jitter = torch.randn(count, 3, generator=generator) * more.scales.exp()
-    return replace(more, means=more.means + jitter, scales=scales)
 
 
 def pairs(splats: Splats, camera: Cameras) -> int:

@@ -7,12 +7,13 @@ The clock counts training steps; compiling, reading photos and evaluating do not
 view is held out, and never trained on.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import tyro
-from bench import calibration_ms, capture, held_out_psnr, machine, table
+from bench import calibration_ms, capture, machine, table
 
+from stylesplat.evaluation.metrics import evaluate_views
 from stylesplat.scene.capture import Capture
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
@@ -61,7 +62,8 @@ def curve(options: Options, seconds: float, *, identities: bool) -> list[list[ob
 
 def _measure(state: State, photos: Capture, test_every: int) -> list[object]:
     _, held_out = split_views(photos, test_every)
-    quality = held_out_psnr(state.splats.detach(), photos, held_out)
+    views = replace(photos, label_maps=None)
+    quality = evaluate_views(state.splats.detach(), views, held_out)["psnr"]
     count = len(state.params["means"])
     return [f"{state.seconds:.0f} s", state.step, f"{count:,}", f"{quality:.2f} dB"]
 

@@ -10,7 +10,6 @@ import tyro
 
 from stylesplat.cli import looking, making
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.kernels.compiling import announce_compilation
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
 
@@ -41,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
         args=arguments,
     )
+    from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
+
     announce_compilation()
     try:
         result = command.run()

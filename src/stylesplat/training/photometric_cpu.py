@@ -26,8 +26,6 @@ CHANNELS = 3
 HALF = WINDOW // 2  # rows of the frame above and below
 MARGIN = HALF * CHANNELS  # numbers of the frame at the left
 FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vectors
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
-FIRST, SECOND = np.float32(C1), np.float32(C2)
 
 
 def stride_of(numbers: int) -> int:
@@ -91,15 +89,15 @@ def across(window, row, start):
 def similarity(mean_x, mean_y, xx, yy, xy):
     """SSIM from blurred x, y and products; its gradients by blurred x, x x and x y."""
     var_x, var_y = xx - mean_x * mean_x, yy - mean_y * mean_y
-    a = vec.fma(TWO * mean_x, mean_y, FIRST)
-    b = vec.fma(TWO, xy - mean_x * mean_y, SECOND)
-    c = vec.fma(mean_x, mean_x, vec.fma(mean_y, mean_y, FIRST))
-    d = var_x + var_y + SECOND
+    a = vec.fma(2 * mean_x, mean_y, C1)
+    b = vec.fma(2, xy - mean_x * mean_y, C2)
+    c = vec.fma(mean_x, mean_x, vec.fma(mean_y, mean_y, C1))
+    d = var_x + var_y + C2
     inverse = vec.reciprocal(c * d)
     value = a * b * inverse
-    v_xx, v_xy = ZERO - value * (inverse * c), TWO * a * inverse
-    v_mean = TWO * (mean_y * b * inverse - mean_x * value * (inverse * d))
-    return value, v_mean - TWO * mean_x * v_xx - mean_y * v_xy, v_xx, v_xy
+    v_xx, v_xy = 0 - value * (inverse * c), 2 * a * inverse
+    v_mean = 2 * (mean_y * b * inverse - mean_x * value * (inverse * d))
+    return value, v_mean - 2 * mean_x * v_xx - mean_y * v_xy, v_xx, v_xy
 
 
 @no_type_check
@@ -130,7 +128,7 @@ def forward(window, x, y, stride, inside, v_maps, threads):
                 vec.store(v_maps, at + x.shape[0], v_xx * mask)
                 vec.store(v_maps, at + 2 * x.shape[0], v_xy * mask)
                 u, v = vec.load(x, at), vec.load(y, at)
-                difference = vec.minimum(vec.maximum(u, ZERO), ONE) - v
+                difference = vec.minimum(vec.maximum(u, 0), 1) - v
                 ssim = vec.fma(value, mask, ssim)
                 absolute = absolute + vec.absolute(u - v)
                 squared = vec.fma(difference, difference, squared)
@@ -157,11 +155,11 @@ def backward(window, x, y, stride, v_maps, v_ssim, v_absolute, v_x, threads):
             for j in range(0, stride - FRAME, vec.LANES):
                 at = (row + HALF) * stride + MARGIN + j
                 u, v = vec.load(x, at), vec.load(y, at)
-                total = vec.fma(TWO * u, across(window, blurred, stride + j), ZERO)
+                total = 2 * u * across(window, blurred, stride + j)
                 total = vec.fma(v, across(window, blurred, 2 * stride + j), total)
                 total = v_ssim * (total + across(window, blurred, j))
                 sign = vec.select(vec.greater(u, v), v_absolute, -v_absolute)
-                vec.store(gradient, j, total + vec.select(vec.equal(u, v), ZERO, sign))
+                vec.store(gradient, j, total + vec.select(vec.equal(u, v), 0, sign))
             for j in range(n):
                 v_x[row, j] = gradient[j]
 

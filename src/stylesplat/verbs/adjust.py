@@ -5,6 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from jaxtyping import Bool
+from torch import Tensor
+
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import refuse_occupied
 from stylesplat.io.scene_folder import SCENE, Scene, read_scene, update_colors, write_scene
@@ -42,17 +45,22 @@ def adjust_scene(
     if output is not None and not overwrite:
         refuse_occupied(output, marker=SCENE)
     scene = read_scene(path)
-    full = _full_colors(scene, path)
-    objects = _styled_objects(scene)
+    objects = _styled_objects(scene, path)
+    unknown = next((name for name in names if name not in objects), None)
+    if unknown is not None:
+        raise StyleSplatError(
+            f"{unknown} is not styled in {path}. Styled objects: {', '.join(objects)}."
+        )
+    picks = {name: find_object(scene, name) for name in objects}
+    base = replace(scene.splats, **(scene.base_colors or {}))
+    full = _full_colors(scene, base, objects, picks, path)
+    splats = scene.splats
     for name in names or objects:
-        if name not in objects:
-            raise StyleSplatError(
-                f"{name} is not styled in {path}. Styled objects: {', '.join(objects)}."
-            )
+        splats = _repainted(splats, base, full, picks[name], intensity)
         objects[name] = {**objects[name], "intensity": intensity}
-        scene = _blended(scene, full, name, intensity)
     scene = replace(
         scene,
+        splats=splats,
         style_colors={"sh0": full.sh0, "shN": full.shN},
         recipe={**(scene.recipe or {}), "objects": list(objects.values())},
     )
@@ -64,41 +72,41 @@ def adjust_scene(
     return {"scene": output or path, "intensity": shown}
 
 
-def _styled_objects(scene: Scene) -> dict[str, dict[str, Any]]:
+def _styled_objects(scene: Scene, path: Path) -> dict[str, dict[str, Any]]:
     """What the recipe says of each styled object, its intensity included."""
     recipe = scene.recipe or {}
     default = {"intensity": recipe.get("settings", {}).get("intensity", 1.0)}
-    return {how["name"]: default | how for how in recipe.get("objects", [])}
-
-
-def _full_colors(scene: Scene, path: Path) -> Splats:
-    """The splats with the style's colours at intensity 1."""
-    if scene.base_colors is None or not _styled_objects(scene):
+    objects = {how["name"]: default | how for how in recipe.get("objects", [])}
+    if scene.base_colors is None or not objects:
         raise StyleSplatError(
             f"{path} is not styled. Style it with `stylesplat stylize {path} --style OBJECT=IMAGE`."
         )
+    return objects
+
+
+def _full_colors(
+    scene: Scene,
+    base: Splats,
+    objects: dict[str, dict[str, Any]],
+    picks: dict[str, Bool[Tensor, " N"]],
+    path: Path,
+) -> Splats:
+    """The splats with the style's colours at intensity 1."""
     if scene.style_colors is not None:
         return replace(scene.splats, **scene.style_colors)
     full = scene.splats
-    for name, how in _styled_objects(scene).items():
+    for name, how in objects.items():
         if how["intensity"] == 0:
             raise StyleSplatError(
                 f"Cannot adjust {path}: {name} was styled with intensity 0, which kept nothing of "
                 "the style. Style it again with `--intensity 1`."
             )
-        picked = find_object(scene, name)
-        undone = blend_colors(_base(scene), scene.splats, picked, 1 / how["intensity"])
-        full = blend_colors(full, undone, picked, 1.0)
+        full = _repainted(full, base, scene.splats, picks[name], 1 / how["intensity"])
     return full
 
 
-def _base(scene: Scene) -> Splats:
-    """The splats with the colours before styling."""
-    return replace(scene.splats, **(scene.base_colors or {}))
-
-
-def _blended(scene: Scene, full: Splats, name: str, intensity: float) -> Scene:
-    """The scene with one object at an intensity."""
-    picked = find_object(scene, name)
-    blended = blend_colors(_base(scene), full, picked, intensity)
-    return replace(scene, splats=blend_colors(scene.splats, blended, picked, 1.0))
+def _repainted(
+    splats: Splats, base: Splats, styled: Splats, picked: Bool[Tensor, " N"], intensity: float
+) -> Splats:
+    """The splats with the picked colours between base and styled."""
+    return blend_colors(splats, blend_colors(base, styled, picked, intensity), picked, 1.0)

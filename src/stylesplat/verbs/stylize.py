@@ -61,22 +61,12 @@ def stylize_scene(
     )
     metrics = flat_metrics(measured)
     base_colors = scene.base_colors or {"sh0": scene.splats.sh0, "shN": scene.splats.shN}
-    recipe = {
-        "objects": [
-            {"name": name, "style": image.resolve(), "sha256": _digest(image)}
-            for name, image in styles
-        ],
-        "settings": asdict(config),
-        "features": features,
-        "weights": weights and weights.resolve(),
-        "scene": path.resolve(),
-    }
     styled = replace(
         scene,
         splats=splats.to("cpu"),
         base_colors=base_colors,
         style_colors=None,
-        recipe=recipe,
+        recipe=_recipe(path, styles, config, features, weights),
         metrics=metrics | {"train": scene.metrics.get("train", scene.metrics)},
     )
     write_scene(styled, output, overwrite=overwrite)
@@ -97,6 +87,26 @@ def flat_metrics(measured: dict[str, Any]) -> dict[str, Any]:
     for number in ("nnfm_before", "nnfm_after"):
         metrics[number] = {name: one[number] for name, one in measured["objects"].items()}
     return metrics
+
+
+def _recipe(
+    path: Path,
+    styles: Sequence[tuple[str, Path]],
+    config: StyleConfig,
+    features: Network,
+    weights: Path | None,
+) -> dict[str, Any]:
+    """All that it takes to style the scene again with the same result."""
+    return {
+        "objects": [
+            {"name": name, "style": image.resolve(), "sha256": _digest(image)}
+            for name, image in styles
+        ],
+        "settings": asdict(config),
+        "features": features,
+        "weights": weights and weights.resolve(),
+        "scene": path.resolve(),
+    }
 
 
 def _digest(path: Path) -> str:

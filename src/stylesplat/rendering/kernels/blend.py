@@ -54,12 +54,12 @@ def pass_light(rows, row, y, hit, transmittance):
         pixel is finished), and which pixels are unfinished.
     """
     raw = vec.exp_of_eighth(y) * vec.spread(rows, row + 6)
-    alpha = vec.select(hit, vec.minimum(raw, np.float32(const.MAX_ALPHA)), np.float32(0))
+    alpha = vec.select(hit, vec.minimum(raw, const.MAX_ALPHA), 0)
     weight = alpha * transmittance
     after = transmittance - weight
-    live = vec.greater(after, np.float32(const.MIN_TRANSMITTANCE))
-    weight = vec.select(live, weight, np.float32(0))
-    return raw, alpha, weight, vec.select(live, after, np.float32(0)), live
+    live = vec.greater(after, const.MIN_TRANSMITTANCE)
+    weight = vec.select(live, weight, 0)
+    return raw, alpha, weight, vec.select(live, after, 0), live
 
 
 @no_type_check

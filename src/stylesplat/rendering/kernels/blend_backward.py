@@ -80,9 +80,9 @@ def block_gradients(geometry, rows, row, dx, dy, state, place, moments, sums):
     sums = vecs.add_products(sums, weight, vecs.load_vecs(state, place + 2 * PIXELS, sums))
     vec.store(state, place, after)
     vec.store(state, place + PIXELS, rest)
-    follows = vec.both(vec.both(hit, live), vec.greater_equal(np.float32(const.MAX_ALPHA), raw))
-    behind = alpha * rest * vec.reciprocal(np.float32(1) - alpha)
-    v_s = vec.select(follows, gain - behind, np.float32(0))
+    follows = vec.both(vec.both(hit, live), vec.greater_equal(const.MAX_ALPHA, raw))
+    behind = alpha * rest * vec.reciprocal(1 - alpha)
+    v_s = vec.select(follows, gain - behind, 0)
     return weight, vecs.add_moments(moments, v_s, dx, dy), sums
 
 

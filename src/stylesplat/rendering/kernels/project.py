@@ -65,21 +65,6 @@ def rotation(w, x, y, z):
 
 @no_type_check
 @inner
-def rotation_backward(w, x, y, z, d0, d1, d2):
-    """Gradient of a unit quaternion from that of the rows of its matrix."""
-    return (
-        2 * (z * (d1[0] - d0[1]) + y * (d0[2] - d2[0]) + x * (d2[1] - d1[2])),
-        2 * (y * (d0[1] + d1[0]) + z * (d0[2] + d2[0]) + w * (d2[1] - d1[2]))
-        - 4 * x * (d1[1] + d2[2]),
-        2 * (x * (d0[1] + d1[0]) + z * (d1[2] + d2[1]) + w * (d0[2] - d2[0]))
-        - 4 * y * (d0[0] + d2[2]),
-        2 * (x * (d0[2] + d2[0]) + y * (d1[2] + d2[1]) + w * (d1[0] - d0[1]))
-        - 4 * z * (d0[0] + d1[1]),
-    )
-
-
-@no_type_check
-@inner
 def unit_quaternion(quat):
     """w, x, y, z of norm 1, and the inverse of the norm that they had."""
     w, x, y, z = quat

@@ -16,7 +16,6 @@ from stylesplat.rendering.kernels.project import (
     image_axes,
     plus,
     rotation,
-    rotation_backward,
     scaled,
     unit_quaternion,
 )
@@ -48,6 +47,21 @@ def jacobian_backward(p, K, slopes, v_rows, axes):
     v_x = vec.select(vec.equal(slope_x, p[0] * inverse_z), v_slope_x * inverse_z, 0)
     v_y = vec.select(vec.equal(slope_y, p[1] * inverse_z), v_slope_y * inverse_z, 0)
     return v_x, v_y, v_z - v_x * slope_x - v_y * slope_y
+
+
+@no_type_check
+@inner
+def rotation_backward(w, x, y, z, d0, d1, d2):
+    """Gradient of a unit quaternion from that of the rows of its matrix."""
+    return (
+        2 * (z * (d1[0] - d0[1]) + y * (d0[2] - d2[0]) + x * (d2[1] - d1[2])),
+        2 * (y * (d0[1] + d1[0]) + z * (d0[2] + d2[0]) + w * (d2[1] - d1[2]))
+        - 4 * x * (d1[1] + d2[2]),
+        2 * (x * (d0[1] + d1[0]) + z * (d1[2] + d2[1]) + w * (d0[2] - d2[0]))
+        - 4 * y * (d0[0] + d2[2]),
+        2 * (x * (d0[2] + d2[0]) + y * (d1[2] + d2[1]) + w * (d1[0] - d0[1]))
+        - 4 * z * (d0[0] + d1[1]),
+    )
 
 
 @no_type_check

@@ -17,8 +17,7 @@ from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
 
 TILE = 16
 BLOCK = 4
-ZERO, HALF = np.float32(0), np.float32(0.5)
-BLOCK_SIDE, LAST = np.float32(BLOCK), np.float32(BLOCK - 1)
+HALF = np.float32(0.5)
 ROW_COLORS = 8  # where the colours start in a packed row
 RADIX_BITS = 11
 SLACK = np.float32(1e-4)  # widens the block test: rounding must not lose a pixel
@@ -86,10 +85,10 @@ def block_mask(rows, row, slope_x, slope_y, left, top):
     two sides that face it: lane b tries both. Along a side at x it is greatest at `slope_y` x.
     """
     a, b, c = vec.spread(rows, row + 2), vec.spread(rows, row + 3), vec.spread(rows, row + 4)
-    low_x, low_y = vec.fma(vec.columns(), BLOCK_SIDE, left), vec.fma(vec.rows(), BLOCK_SIDE, top)
-    high_x, high_y = low_x + LAST, low_y + LAST
-    near_x = vec.minimum(vec.maximum(low_x, ZERO), high_x)
-    near_y = vec.minimum(vec.maximum(low_y, ZERO), high_y)
+    low_x, low_y = vec.fma(vec.columns(), BLOCK, left), vec.fma(vec.rows(), BLOCK, top)
+    high_x, high_y = low_x + (BLOCK - 1), low_y + (BLOCK - 1)
+    near_x = vec.minimum(vec.maximum(low_x, 0), high_x)
+    near_y = vec.minimum(vec.maximum(low_y, 0), high_y)
     best_y = vec.minimum(vec.maximum(near_x * slope_y, low_y), high_y)
     best_x = vec.minimum(vec.maximum(near_y * slope_x, low_x), high_x)
     side_x = vec.fma(near_x, vec.fma(near_x, a, best_y * b), best_y * best_y * c)
