@@ -83,14 +83,26 @@ def test_help_has_an_example(verb: str, capsys):
 
 def test_places_and_styles_are_parsed():
     assert parse_box("a:b.jpg:1,2,3,4.5") == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
-    assert parse_style("vase=a=b.jpg") == ("vase", Path("a=b.jpg"))
+    assert parse_style("vase=a=b.jpg") == ("vase", (Path("a=b.jpg"),))
+    assert parse_style("vase=a.jpg,b.jpg") == ("vase", (Path("a.jpg"), Path("b.jpg")))
     assert parse_point("a.jpg:1,2") == ("a.jpg", (1.0, 2.0))
     with pytest.raises(StyleSplatError, match="x0,y0,x1,y1"):
         parse_box("a.jpg:1,2")
     with pytest.raises(StyleSplatError, match="VIEW:x,y"):
         parse_point("a.jpg:1,b")
-    with pytest.raises(StyleSplatError, match="OBJECT=IMAGE"):
-        parse_style("=b.jpg")
+    for wrong in ("=b.jpg", "vase", "vase=", "vase=a.jpg,", "vase=a.jpg,,b.jpg"):
+        with pytest.raises(StyleSplatError, match=f"OBJECT=IMAGE.*got '{wrong}'"):
+            parse_style(wrong)
+
+
+def test_a_comma_may_belong_to_a_pictures_name(tmp_path: Path):
+    both = tmp_path / "day,night.jpg"
+    split = (tmp_path / "day", Path("night.jpg"))
+    assert parse_style(f"vase={both}") == ("vase", split)
+    both.touch()
+    assert parse_style(f"vase={both}") == ("vase", (both,))
+    many = ",".join(["picture.jpg"] * 99)  # longer than names of files may be
+    assert len(parse_style(f"vase={many}")[1]) == 99
 
 
 def test_a_wrong_capture_costs_no_checkpoint(tmp_path: Path, capsys):

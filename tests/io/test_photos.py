@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -39,6 +40,40 @@ def test_of_16_bits_the_upper_8_are_taken(tmp_path: Path):
     grey = PIXELS[..., 0].astype(np.uint16) * 256 + 77
     image = read_image(save(tmp_path / "a.png", grey)).numpy()
     np.testing.assert_array_equal(image, np.repeat(PIXELS[..., :1], 3, axis=2))
+
+
+def test_of_16_bit_colours_the_upper_8_are_taken(tmp_path: Path):
+    deep = PIXELS[..., ::-1].astype(np.uint16) * 256 + 77
+    cv2.imwrite(str(tmp_path / "a.png"), deep)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png").numpy(), PIXELS)
+
+
+def test_more_than_16_bits_are_refused(tmp_path: Path):
+    for level in (-1, 65536):
+        Image.fromarray(np.full((4, 4), level, np.int32)).save(tmp_path / "a.tiff")
+        with pytest.raises(StyleSplatError, match=r"a\.tiff: its pixels do not fit into 16 bits"):
+            read_image(tmp_path / "a.tiff")
+
+
+def test_other_kinds_of_colour(tmp_path: Path):
+    flat = Image.new("RGB", (8, 6), (10, 100, 200))
+    palette = flat.convert("P", palette=Image.Palette.ADAPTIVE)
+    palette.save(tmp_path / "palette.png")
+    clear = np.asarray(palette)[0, 0].item()
+    palette.save(tmp_path / "clear.png", transparency=clear)
+    flat.convert("CMYK").save(tmp_path / "print.jpg", quality=100)
+    Image.new("LA", (8, 6), (100, 51)).save(tmp_path / "veil.png")
+    Image.fromarray(PIXELS[..., 0] > 127).save(tmp_path / "bits.png")
+    for name, color in (
+        ("palette.png", (10, 100, 200)),
+        ("clear.png", (255, 255, 255)),
+        ("print.jpg", (10, 100, 200)),
+        ("veil.png", (224, 224, 224)),  # a fifth of 100 and four of white
+    ):
+        image = read_image(tmp_path / name).numpy()
+        np.testing.assert_allclose(image, np.full((6, 8, 3), color), atol=1, err_msg=name)  # JPEG
+    bits = read_image(tmp_path / "bits.png").numpy()
+    np.testing.assert_array_equal(bits, 255 * (PIXELS[..., :1] > 127).repeat(3, axis=2))
 
 
 def test_transparency_shows_white(tmp_path: Path):

@@ -1,5 +1,6 @@
-"""Small texts on the command line: `VIEW:x,y`, `VIEW:x0,y0,x1,y1` and `OBJECT=IMAGE`."""
+"""Small texts on the command line: `VIEW:x,y`, `VIEW:x0,y0,x1,y1` and `OBJECT=IMAGE,...`."""
 
+import os
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
@@ -39,23 +40,29 @@ def parse_box(text: str) -> tuple[str, tuple[float, float, float, float]]:
     return view, (x0, y0, x1, y1)
 
 
-def parse_style(text: str) -> tuple[str, Path]:
-    """An object and a style picture.
+def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:
+    """An object and its style pictures, one or several.
+
+    A comma belongs to the name if there is such a file.
 
     Raises:
-        StyleSplatError: If the text is no `OBJECT=IMAGE`.
+        StyleSplatError: If the text is no `OBJECT=IMAGE` or `OBJECT=IMAGE,IMAGE`.
 
     Example:
-        >>> name, image = parse_style("vase=wave.jpg")
-        >>> print(name, image)
-        vase wave.jpg
+        >>> name, images = parse_style("vase=wave.jpg,night.jpg")
+        >>> print(name, *images)
+        vase wave.jpg night.jpg
     """
-    name, equals, image = text.partition("=")
-    if not (name and equals and image):
+    name, _, images = text.partition("=")
+    # Unlike Path.is_file, it takes a list that is too long for a file's name
+    one_file = os.path.isfile(images)  # noqa: PTH113
+    parts = [images] if one_file else images.split(",")
+    if not (name and all(parts)):
         raise StyleSplatError(
-            f"Expected OBJECT=IMAGE, got {text!r}. OBJECT is a name that `select` gave, or an id."
+            f"Expected OBJECT=IMAGE or OBJECT=IMAGE,IMAGE, got {text!r}. "
+            "OBJECT is a name that `select` gave, or an id."
         )
-    return name, Path(image)
+    return name, tuple(Path(part) for part in parts)
 
 
 def _split_place(text: str) -> tuple[str, list[float]]:

@@ -25,6 +25,7 @@ UNREADABLE = (
     Image.DecompressionBombError,
 )
 UPRIGHT = 1  # EXIF's orientation of a photo to be shown as it is stored
+MAX_GREY = 0xFFFF  # Pillow's mode I is of 32 bits, but holds 16-bit grey of PGM files too
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
@@ -139,7 +140,10 @@ def _rgb(image: Image.Image) -> UInt8[np.ndarray, "H W 3"]:
     if image.mode == "F":
         raise ValueError("its pixels are floating-point numbers")
     if image.mode.startswith("I"):  # 16-bit grey, which convert("RGB") would clip
-        grey = (np.asarray(image) >> 8).astype(np.uint8)
+        deep = np.asarray(image)
+        if deep.min() < 0 or deep.max() > MAX_GREY:
+            raise ValueError("its pixels do not fit into 16 bits")
+        grey = (deep >> 8).astype(np.uint8)
         return np.repeat(grey[:, :, None], 3, axis=2)
     if image.has_transparency_data:
         image = image.convert("RGBA")

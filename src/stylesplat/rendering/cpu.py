@@ -6,6 +6,9 @@ taken as fixed.
 # pyright: reportCallIssue=false, reportIncompatibleMethodOverride=false
 # (it cannot count starred arguments, and torch's own signature of `backward` is (*args))
 
+from typing import NamedTuple
+
+import numpy as np
 import torch
 from jaxtyping import Float
 from numba import get_num_threads
@@ -89,28 +92,56 @@ class _Project(Function):
         return *gradients, None, None, None, None, None
 
 
+class Drawing(NamedTuple):
+    """Gaussians blended into one image, with what it takes to visit the same pixels again."""
+
+    order: np.ndarray
+    """The Gaussian of each rank, nearest first."""
+    rows: Tensor
+    """What blending reads, one row per rank; see `tiles.pack_rows`."""
+    lists: tuple[np.ndarray, ...]
+    """Ranks and masks by tile, without what other Gaussians hide; see `tiles.tile_lists`."""
+    image: Tensor
+    """Colours, [H, W, D]."""
+    alphas: Tensor
+    """Coverage, [H, W, 1]."""
+
+
+def draw(
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    depths: Tensor,
+    radii: Tensor,
+    size: tuple[int, int],
+) -> Drawing:
+    """Blend projected Gaussians, without gradients."""
+    width, height = size
+    inputs = _plain(means2d, conics, opacities, colors)
+    channels = colors.shape[1]
+    order = tiles.depth_order(*_arrays(depths, radii))
+    rows = means2d.new_zeros(len(order), tiles.row_stride(channels))
+    tiles.pack_rows(order, *_arrays(*inputs, rows))
+    flat, stride = rows.view(-1).numpy(), rows.shape[1]
+    lists = tiles.tile_lists(order, flat, stride, radii.numpy(), width, height, get_num_threads())
+    image = means2d.new_empty(height, width, channels)
+    alphas = means2d.new_empty(height, width, 1)
+    blend.blend(
+        *((0,) * channels, flat, stride, lists, width, height),
+        *_arrays(image.view(-1), alphas.view(-1)),
+        get_num_threads(),
+    )
+    return Drawing(order, rows, lists, image, alphas)
+
+
 class _Blend(Function):
     @staticmethod
     def forward(ctx, means2d, conics, opacities, colors, depths, radii, size, geometry_channels):
-        width, height = size
-        inputs = _plain(means2d, conics, opacities, colors)
-        channels = colors.shape[1]
-        order = tiles.depth_order(*_arrays(depths, radii))
-        rows = means2d.new_zeros(len(order), tiles.row_stride(channels))
-        tiles.pack_rows(order, *_arrays(*inputs, rows))
-        flat, stride = rows.view(-1).numpy(), rows.shape[1]
-        lists = tiles.tile_lists(
-            order, flat, stride, radii.numpy(), width, height, get_num_threads()
-        )
-        image = means2d.new_empty(height, width, channels)
-        alphas = means2d.new_empty(height, width, 1)
-        blend.blend(
-            *((0,) * channels, flat, stride, lists, width, height),
-            *_arrays(image.view(-1), alphas.view(-1)),
-            get_num_threads(),
-        )
+        drawing = draw(means2d, conics, opacities, colors, depths, radii, size)
+        order, rows, lists, image, alphas = drawing
         ctx.order, ctx.lists, ctx.geometry_channels = order, lists, geometry_channels
-        ctx.save_for_backward(*inputs, rows, image, alphas)
+        ctx.save_for_backward(*_plain(means2d, conics, opacities, colors), rows, image, alphas)
         return image, alphas
 
     @staticmethod
@@ -144,6 +175,19 @@ def spherical_harmonics(
     return _SphericalHarmonics.apply(sh_bases(degree), dirs, sh0, shN)
 
 
+def project_gaussians(
+    means: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    opacities: Float[Tensor, " N"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    size: tuple[int, int],
+) -> tuple[Tensor, ...]:
+    """`INFO` of activated Gaussians in one image of a width and height."""
+    return _Project.apply(means, quats, scales, opacities, viewmat, K, *size)
+
+
 def rasterize(
     means: Float[Tensor, "N 3"],
     quats: Float[Tensor, "N 4"],
@@ -159,7 +203,7 @@ def rasterize(
     """Render activated Gaussians; see `reference.rasterize`."""
     views = []
     for viewmat, K, camera_colors in zip(viewmats, Ks, colors, strict=True):
-        projected = _Project.apply(means, quats, scales, opacities, viewmat, K, width, height)
+        projected = project_gaussians(means, quats, scales, opacities, viewmat, K, (width, height))
         means2d, conics, depths, radii = projected
         image, alpha = _Blend.apply(
             *(means2d, conics, opacities, camera_colors, depths, radii),

@@ -1,56 +1,80 @@
 """Settings of the stylisation."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 
 MAX_INTENSITY = 1.5  # beyond it colours leave their range
+
+ColorMode = Literal["style", "keep", "blend", "free"]
+ViewDependence = Literal["drop", "keep", "train"]
+Pattern = Literal["small", "medium", "large"]
 
 
 @dataclass(frozen=True)
 class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
-    steps: int = 200
+    steps: int = 300
     """Optimiser steps per object, one view each."""
-    blocks: tuple[int, ...] = (3,)
-    """Blocks of VGG whose features are matched; deeper ones carry larger strokes."""
+    layers: tuple[int, ...] = (3,)
+    """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
+    pattern: Pattern = "medium"
+    """Size of the strokes and shapes that are taken over, by the size at which they are matched."""
     scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
+    rotate: float = 0.0
+    """Degrees to turn the style image by, counter-clockwise."""
+    region: tuple[int, int, int, int] | None = None
+    """The part of the style image to use: x0, y0, x1, y1 in its pixels; None takes it all."""
     intensity: float = 1.0
     """How much of the new colours to blend into the old: 0 changes nothing, 1 takes all.
 
     More, up to 1.5, exaggerates.
     """
+    color: ColorMode = "style"
+    """Whose hues the object has: the style's, its own (keep), half of both (blend), or whatever
+    matching features alone gives (free)."""
+    content: float = 0.0
+    """Weight of keeping the object's own features; 1 shows what it was clearly."""
+    smoothness: float = 0.0
+    """Weight of the total variation of the renders: more makes flatter areas."""
+    view_dependence: ViewDependence = "drop"
+    """What becomes of highlights and reflections: painted over, kept, or trained too."""
+    max_growth: float = 4.0
+    """Gaussians too large to show strokes are split, up to this many times as many; 1 splits none."""
     lr: float = 0.1
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
-    view_dependent: bool = False
-    """Whether the other bands are optimised too, at a twentieth of the rate."""
-    color_transfer: bool = True
-    """Whether the object first takes on the mean and covariance of the style's colours."""
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
-    object_size: int | None = 192
-    """Longer side of the object in the renders, in pixels; None leaves it as in the photos."""
-    style_samples: int | None = 4096
-    """How many features of the style image to keep, at random; None keeps all."""
+    full_size: bool = False
+    """Whether to match features at the photos' size, whatever the pattern, from all of the style."""
     seed: int = 0
     """The same seed gives the same result."""
 
     def __post_init__(self) -> None:
-        positive = ("steps", "scale", "lr", "final_lr", "object_size", "style_samples")
-        for name in positive:
+        for name in ("steps", "scale", "lr", "final_lr"):
             value = getattr(self, name)
-            if value is not None and not value > 0:
+            if not value > 0:
                 raise StyleSplatError(f"Cannot stylise with {name} {value}: it must exceed 0.")
-        if not self.blocks:
-            raise StyleSplatError("Cannot stylise without features: name at least one block.")
+        for name in ("content", "smoothness"):
+            value = getattr(self, name)
+            if not value >= 0:
+                raise StyleSplatError(f"Cannot stylise with {name} {value}: use 0 or more.")
+        if not self.layers:
+            raise StyleSplatError("Cannot stylise without features: name at least one layer group.")
         check_intensity(self.intensity)
         if not 0 < self.view_share <= 1:
             raise StyleSplatError(
                 f"Cannot use a share of {self.view_share} of the views: use more than 0, up to 1."
+            )
+        if not self.max_growth >= 1:
+            raise StyleSplatError(
+                f"Cannot let an object grow to {self.max_growth} times its Gaussians: use 1 (no "
+                "splitting) or more."
             )
 
 
@@ -66,11 +90,11 @@ PRESETS = {
         steps=500,
         lr=0.0025,
         final_lr=1.0,
-        view_dependent=True,
-        color_transfer=False,
+        color="free",
+        view_dependence="train",
+        max_growth=1.0,
         view_share=0.25,
-        object_size=None,
-        style_samples=None,
+        full_size=True,
     ),
 }
 """`paper` keeps to StyleSplat's section 4: NNFM alone on all bands, at the rates of its code."""

@@ -70,13 +70,15 @@ class FeatureNetwork:
             blocks: Which blocks, counted from 1.
 
         Returns:
-            For each block an image of the ReLU outputs of its first three layers, concatenated.
+            For each block an image of the ReLU outputs of its first three layers, concatenated,
+            in the network's precision.
 
         Raises:
             StyleSplatError: If the network has no such block.
         """
         self._check(blocks)
         x = ((image - self.mean) / self.std).permute(2, 0, 1)[None]  # channels-last in memory
+        x = x.to(self.dtype)
         outputs = {}
         for number, block in enumerate(self.blocks[: max(blocks)], start=1):
             if number > 1:
@@ -99,10 +101,17 @@ class FeatureNetwork:
             size, before = size + 2 * stride * depth, before + stride * depth
         return Cells(stride=2 ** (block - 1), size=size, before=before)
 
-    def to(self, device: torch.device | str) -> "FeatureNetwork":
-        """The same network on another device."""
+    @property
+    def dtype(self) -> torch.dtype:
+        """The precision of the convolutions."""
+        return self.blocks[0][0].weight.dtype
+
+    def to(
+        self, device: torch.device | str, dtype: torch.dtype = torch.float32
+    ) -> "FeatureNetwork":
+        """The same network on another device and in another precision."""
         blocks = tuple(
-            tuple(Convolution(c.weight.to(device), c.bias.to(device)) for c in block)
+            tuple(Convolution(c.weight.to(device, dtype), c.bias.to(device, dtype)) for c in block)
             for block in self.blocks
         )
         return replace(self, blocks=blocks, mean=self.mean.to(device), std=self.std.to(device))

@@ -1,18 +1,17 @@
 """Nearest-neighbour feature matching, the loss of ARF (Zhang et al. 2022)."""
 
-import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-SIMILARITIES_AT_ONCE = 2**23  # bounds the features x style features matrix
+from stylesplat.stylization.matching import nearest
 
 
 def nnfm_loss(
     feats: Float[Tensor, "P D"],
     style_feats: Float[Tensor, "Q D"],
 ) -> Float[Tensor, ""]:
-    """Mean cosine distance from each feature to its nearest style feature.
+    """Mean cosine distance from each feature to its nearest style feature, searched exhaustively.
 
     The matches are constants to the gradient, as in ARF.
 
@@ -24,13 +23,12 @@ def nnfm_loss(
         The loss (ARF, Zhang et al. 2022); 0 if every match is exact. The formula printed in the
         StyleSplat paper lacks the "1 -".
     """
-    matches = nearest(feats, style_feats)
-    return (1 - F.cosine_similarity(feats, style_feats[matches], dim=1)).mean()
+    matches = nearest(feats, F.normalize(style_feats, dim=1))
+    return cosine_distance(feats, style_feats[matches])
 
 
-@torch.no_grad()
-def nearest(feats: Float[Tensor, "P D"], style_feats: Float[Tensor, "Q D"]) -> Int[Tensor, " P"]:
-    """The row of the most similar style feature (by cosine) of each feature."""
-    directions = F.normalize(style_feats, dim=1).T.contiguous()  # [D, Q]
-    rows = max(1, SIMILARITIES_AT_ONCE // len(style_feats))
-    return torch.cat([(chunk @ directions).argmax(dim=1) for chunk in feats.split(rows)])
+def cosine_distance(
+    feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]
+) -> Float[Tensor, ""]:
+    """The mean over rows of 1 minus the cosine, in float32."""
+    return (1 - F.cosine_similarity(feats.float(), others.float(), dim=1)).mean()

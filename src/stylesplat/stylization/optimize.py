@@ -1,56 +1,55 @@
 """The optimisation of an object's colours against style features."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.optim.lr_scheduler import ExponentialLR
-from tqdm import tqdm
 
-from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.measure import view_loss
+from stylesplat.stylization.objective import Losses, Objective
 from stylesplat.stylization.views import ObjectView
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
-REPORT_EVERY = 10  # steps between two updates of the loss shown
+TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the optimisation."""
+
+    number: int
+    """Counted from 1."""
+    losses: Losses
+    """Before the step, in the view that was drawn."""
+    splats: Splats
+    """After the step."""
 
 
 def optimize_colors(
     splats: Splats,
     picked: Bool[Tensor, " N"],
-    views: Sequence[ObjectView],
-    targets: Sequence[Float[Tensor, "_ _"]],
-    network: FeatureNetwork,
-    *,
-    config: StyleConfig,
-    title: str,
-    backend: Backend = "auto",
-) -> Splats:
+    stages: Sequence[tuple[Sequence[ObjectView], int]],
+    objective: Objective,
+) -> Iterator[Step]:
     """Move the colours of picked Gaussians until the object's features match the style's.
-
-    Gradients are asked for the picked rows of `sh0` (and `shN`) only, so the rasteriser skips
-    those of everything else.
 
     Args:
         splats: The scene, without gradients.
         picked: The object's Gaussians.
-        views: Of the object; one is drawn per step.
-        targets: Features of the style image, for each block.
-        network: Whose features these are.
-        config: Settings.
-        title: Of the progress bar.
-        backend: Of the rasteriser.
+        stages: Views of the object, of which one is drawn per step, and for how many steps.
+        objective: What to minimise; its settings are the rates and the seed.
+
+    Yields:
+        Every step; whoever stops asking keeps the last one's splats.
     """
+    config = objective.config
     generator = torch.Generator().manual_seed(config.seed)
-    targets = [_sample(target, config.style_samples, generator) for target in targets]
     rows = picked.nonzero()[:, 0]
-    fields = ("sh0", "shN") if config.view_dependent else ("sh0",)
+    fields = ("sh0", "shN") if config.view_dependence == "train" else ("sh0",)
     leaves = {name: getattr(splats, name)[rows].requires_grad_() for name in fields}
     optimizer = torch.optim.Adam(
         [
@@ -60,18 +59,34 @@ def optimize_colors(
         eps=1e-15,  # as in 3D Gaussian splatting: gradients of single Gaussians are tiny
     )
     scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / config.steps))
-    bar = tqdm(_draws(views, config.steps, generator), total=config.steps, desc=title)
-    for step, view in enumerate(bar):
-        image, _, _ = rasterize(_with_rows(splats, leaves, rows), view.camera, backend=backend)
-        loss = view_loss(image[0], view, targets, network, config.blocks)
+    trust = _trust(splats, rows, stages[-1][0])
+    for number, view in enumerate(_draws(stages, generator), start=1):
+        losses = objective(view, _with_rows(splats, leaves, rows))
         optimizer.zero_grad()
-        loss.backward()
+        losses.total.backward()
+        before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         optimizer.step()
         scheduler.step()
+        with torch.no_grad():
+            for name, leaf in leaves.items():
+                leaf.copy_(torch.lerp(before[name], leaf, trust))
         _keep_in_range(leaves["sh0"])
-        if step % REPORT_EVERY == 0:
-            bar.set_postfix(nnfm=f"{loss.item():.3f}")
-    return _with_rows(splats, leaves, rows).detach()
+        yield Step(number, losses, _with_rows(splats, leaves, rows).detach())
+
+
+def _trust(
+    splats: Splats, rows: Tensor, views: Sequence[ObjectView]
+) -> Float[Tensor, "M 1 1"]:
+    """How far to follow each Gaussian's steps: Adam's are as long for those that hardly show."""
+    kept = [view.linear for view in views if view.linear is not None]
+    if not kept:
+        return splats.means.new_ones(len(rows), 1, 1)
+    weights = splats.means.new_zeros(len(splats))
+    for linear in kept:
+        weights.index_add_(0, linear.gaussians, linear.weights())
+    weights = weights[rows]
+    typical = weights[weights > 0].median()
+    return (weights / (weights + TRUSTED * typical))[:, None, None]
 
 
 def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splats:
@@ -89,16 +104,11 @@ def _keep_in_range(sh0: Tensor) -> None:
 
 
 def _draws(
-    views: Sequence[ObjectView], count: int, generator: torch.Generator
+    stages: Sequence[tuple[Sequence[ObjectView], int]], generator: torch.Generator
 ) -> Iterator[ObjectView]:
-    """Views in random order, each as often as the others."""
-    order: list[int] = []
-    for _ in range(count):
-        order = order or torch.randperm(len(views), generator=generator).tolist()
-        yield views[order.pop()]
-
-
-def _sample(feats: Tensor, count: int | None, generator: torch.Generator) -> Tensor:
-    if count is None or count >= len(feats):
-        return feats
-    return feats[torch.randperm(len(feats), generator=generator)[:count].to(feats.device)]
+    """Views in random order, each as often as the others of its stage."""
+    for views, count in stages:
+        order: list[int] = []
+        for _ in range(count):
+            order = order or torch.randperm(len(views), generator=generator).tolist()
+            yield views[order.pop()]

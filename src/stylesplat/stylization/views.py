@@ -1,5 +1,6 @@
 """Where an object is seen: cameras cut to it, and the features that are its own."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
@@ -10,13 +11,16 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
+from stylesplat.rendering.contributions import Contributions, contributions
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import Cells
 
 COVERED = 0.5  # the opaque share from which a pixel or a feature is the object's
-SURVEY_SIZE = 320  # longer side of the renders in which objects are looked for
+SURVEY_SIZE = 160  # longer side of the renders in which objects are looked for
+STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
+MEBIBYTE = 2**20
 MIN_CELLS = 16  # views that show fewer features of the object are skipped
 
 
@@ -45,6 +49,14 @@ class ObjectView:
     """One camera, whose image is the cut."""
     cells: tuple[Bool[Tensor, "_ _"], ...]
     """For each block of features, which of them are the object's."""
+    linear: Contributions | None = None
+    """The image as a function of the object's colours; None if it is rasterised every time."""
+
+    def render(self, splats: Splats, *, backend: Backend = "auto") -> Float[Tensor, "H W 3"]:
+        """The view of splats that differ from the scene at most in the object's colours."""
+        if self.linear is not None:
+            return self.linear.render(splats)
+        return rasterize(splats, self.camera, backend=backend)[0][0]
 
 
 def find_boxes(
@@ -57,10 +69,18 @@ def find_boxes(
         small = camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
         covered = coverage(splats, small, picked, backend=backend) > COVERED
         if covered.any():
-            pixels = covered.nonzero().flip(1).cpu()  # x, y
             ratio = camera.sizes[0] / small.sizes[0]
-            boxes.append(Box(camera, pixels.amin(0) * ratio, (pixels.amax(0) + 1) * ratio))
+            low, high = _extent(covered)
+            boxes.append(Box(camera, low * ratio, high * ratio))
     return boxes
+
+
+def _extent(covered: Bool[Tensor, "H W"]) -> tuple[Tensor, Tensor]:
+    """Left, top and right, bottom of nearly all that is covered; strays are left outside."""
+    pixels = covered.nonzero().flip(1).cpu()  # x, y
+    few = int(STRAY * len(pixels))
+    ordered = pixels.sort(dim=0).values
+    return ordered[few], ordered[len(ordered) - 1 - few] + 1
 
 
 def typical_length(boxes: Sequence[Box]) -> float:
@@ -75,6 +95,7 @@ def cut_views(
     cells: Sequence[Cells],
     *,
     zoom: float,
+    max_memory: float = 0.0,
     backend: Backend = "auto",
 ) -> list[ObjectView]:
     """Cut views to an object and mark its features; skip those where it hardly shows.
@@ -85,16 +106,31 @@ def cut_views(
         picked: The object's Gaussians.
         cells: Where the features of each block lie.
         zoom: Size of the views, as a multiple of the cameras'.
+        max_memory: Bytes that linear views may take; what does not fit is rasterised each time.
         backend: Of the rasteriser.
     """
-    views = []
+    views, used = [], 0
+    keeps = max_memory > 0 and splats.device.type == "cpu" and backend in ("auto", "cpu")
     for box in tqdm(boxes, desc="cutting the views", leave=False):
         camera = _cut(box, zoom, cells)
-        seen = coverage(splats, camera, picked, backend=backend)[None]
-        masks = tuple(F.avg_pool2d(seen, c.stride)[0] > COVERED for c in cells)
+        linear = contributions(splats, camera, picked) if keeps and used < max_memory else None
+        seen = linear.coverage if linear else coverage(splats, camera, picked, backend=backend)
+        masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
         if all(mask.sum() >= MIN_CELLS for mask in masks):
-            views.append(ObjectView(camera, masks))
+            used += linear.nbytes if linear else 0
+            views.append(ObjectView(camera, masks, linear))
+    if keeps and used >= max_memory:
+        _say_full(views, max_memory)
     return views
+
+
+def _say_full(views: Sequence[ObjectView], max_memory: float) -> None:
+    kept = sum(view.linear is not None for view in views)
+    tqdm.write(
+        f"{kept} of {len(views)} views fit into {max_memory / MEBIBYTE:.0f} MB; the others are "
+        "rasterised in every step, which takes longer. Raise --max-memory to keep more.",
+        file=sys.stderr,
+    )
 
 
 @torch.no_grad()

@@ -20,6 +20,7 @@ LANES = 16
 F32 = ir.FloatType()
 I32 = ir.IntType(32)
 VEC = ir.VectorType(F32, LANES)
+HALVES = ir.VectorType(ir.HalfType(), LANES)
 MASK = ir.VectorType(ir.IntType(1), LANES)
 
 
@@ -189,6 +190,33 @@ def store(typingctx, array, index, value):
 
     def codegen(context, builder, signature, args):
         emit_store(builder, args[2], emit_address(context, builder, signature.args[0], *args[:2]))
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp, vec), codegen
+
+
+@intrinsic
+@no_type_check
+def load_halves(typingctx, array, index):
+    """16 numbers of a flat array of float16, kept as uint16, that start at `index`."""
+
+    def codegen(context, builder, signature, args):
+        address = emit_address(context, builder, signature.args[0], *args)
+        halves = builder.load(builder.bitcast(address, HALVES.as_pointer()), align=2)
+        return builder.fpext(halves, VEC)
+
+    return vec(array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def store_halves(typingctx, array, index, value):
+    """Write 16 numbers, rounded to float16, to a flat array of uint16."""
+
+    def codegen(context, builder, signature, args):
+        address = emit_address(context, builder, signature.args[0], *args[:2])
+        halves = builder.fptrunc(args[2], HALVES)
+        builder.store(halves, builder.bitcast(address, HALVES.as_pointer()), align=2)
         return context.get_dummy_value()
 
     return types.none(array, types.intp, vec), codegen

@@ -1,0 +1,100 @@
+"""Fast nearest-neighbour search: candidates in a compressed space, ranked again exactly."""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.rendering.kernels import vec
+from stylesplat.rendering.kernels.jit import kernel
+
+DIMENSIONS = 64  # of the compressed space; its matches cost less than 0.1 % of the loss
+CANDIDATES = 4  # that are compared exactly
+SIMILARITIES_AT_ONCE = 2**22  # bounds the features x style features matrix
+
+
+@dataclass(frozen=True)
+class StyleIndex:
+    """Style features, prepared for the search of nearest neighbours by cosine."""
+
+    directions: Float[Tensor, "Q D"]
+    """The features, of length 1."""
+    basis: Float[Tensor, "D B"]
+    """The principal directions of the features, which keep most of their cosines."""
+    compressed: Float[Tensor, "B R"]
+    """The features in that basis; R is Q rounded up to whole vectors, the rest are 0."""
+
+    @torch.no_grad()
+    def nearest(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
+        """The row of the (almost always) most similar style feature of each feature."""
+        if self.directions.device.type != "cpu":
+            return nearest(feats, self.directions)
+        queries = feats.float() @ self.basis
+        rows = max(1, SIMILARITIES_AT_ONCE // self.compressed.shape[1])
+        found = []
+        for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
+            candidates = _largest(query @ self.compressed, len(self.directions))
+            exact = torch.einsum("pd,pkd->pk", chunk, self.directions[candidates])
+            found.append(candidates.gather(1, exact.argmax(dim=1, keepdim=True))[:, 0])
+        return torch.cat(found)
+
+
+@torch.no_grad()
+def build_index(style_feats: Float[Tensor, "Q D"], dtype: torch.dtype) -> StyleIndex:
+    """Prepare style features for searches with features of some precision."""
+    directions = F.normalize(style_feats.float(), dim=1)
+    _, vectors = torch.linalg.eigh(directions.T @ directions)
+    basis = vectors[:, -DIMENSIONS:].contiguous()  # eigenvalues ascend
+    padding = -len(directions) % vec.LANES
+    compressed = F.pad((directions @ basis).T, (0, padding)).contiguous()
+    return StyleIndex(directions.to(dtype), basis, compressed)
+
+
+@torch.no_grad()
+def nearest(
+    feats: Float[Tensor, "P D"], directions: Float[Tensor, "Q D"]
+) -> Int[Tensor, " P"]:
+    """The row of the most similar of some directions (of length 1), searched exhaustively."""
+    rows = max(1, SIMILARITIES_AT_ONCE // len(directions))
+    columns = directions.T.to(feats.dtype)
+    return torch.cat([(chunk @ columns).argmax(dim=1) for chunk in feats.split(rows)])
+
+
+def _largest(similarities: Float[Tensor, "P R"], count: int) -> Int[Tensor, "P K"]:
+    """The columns of the `CANDIDATES` largest numbers of each row, among the first `count`."""
+    found = np.zeros((len(similarities), CANDIDATES), np.int64)
+    largest_columns(similarities.view(-1).numpy(), similarities.shape[1], count, found)
+    return torch.from_numpy(found)
+
+
+@no_type_check
+@kernel
+def largest_columns(flat, stride, count, found):
+    """Fill `found` [P, K] with the columns of the largest of the first `count` numbers of rows."""
+    for row in numba.prange(found.shape[0]):
+        best = np.full(found.shape[1], -np.inf, np.float32)
+        start = row * stride
+        for column in range(0, stride, vec.LANES):
+            lanes = vec.load(flat, start + column)
+            better = vec.bits(vec.greater(lanes, best[-1]))
+            while better != 0:
+                place = column + vec.lowest_bit(better)
+                better &= better - 1
+                if place < count and flat[start + place] > best[-1]:
+                    insert(best, found[row], flat[start + place], place)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def insert(best, columns, value, column):
+    """Put a number into its place among the best, which descend."""
+    slot = best.shape[0] - 1
+    while slot > 0 and best[slot - 1] < value:
+        best[slot], columns[slot] = best[slot - 1], columns[slot - 1]
+        slot -= 1
+    best[slot], columns[slot] = value, column

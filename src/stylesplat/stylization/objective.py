@@ -1,0 +1,90 @@
+"""What an object's colours are optimised for: style, and as much content and calm as wanted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from stylesplat.rendering.rasterize import Backend
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.matching import StyleIndex
+from stylesplat.stylization.nnfm import cosine_distance
+from stylesplat.stylization.views import COVERED, ObjectView
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The parts of the objective in one view."""
+
+    style: Float[Tensor, ""]
+    """NNFM over the object's own features, averaged over the layer groups."""
+    total: Float[Tensor, ""]
+    """With the weighted content and total variation."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The losses of one object and style."""
+
+    network: FeatureNetwork
+    """Whose features are matched."""
+    styles: Sequence[StyleIndex]
+    """The features of the style, for each layer group."""
+    original: Splats
+    """What `content` compares with."""
+    config: StyleConfig
+    """The layers and weights."""
+    backend: Backend
+    """Of the rasteriser."""
+
+    def __call__(self, view: ObjectView, splats: Splats) -> Losses:
+        """The losses of splats in one view."""
+        image = view.render(splats, backend=self.backend)
+        feats = self._features(view, image)
+        pairs = zip(feats, self.styles, strict=True)
+        matched = [
+            cosine_distance(own, style.directions[style.nearest(own.detach())])
+            for own, style in pairs
+        ]
+        style = total = torch.stack(matched).mean()
+        if self.config.content > 0:
+            total = total + self.config.content * self._content(view, feats)
+        if self.config.smoothness > 0:
+            variation = total_variation(image, self._mask(view))
+            total = total + self.config.smoothness * variation
+        return Losses(style, total)
+
+    def _features(self, view: ObjectView, image: Tensor) -> list[Tensor]:
+        blocks = self.network(image, self.config.layers)
+        return [block[cells] for block, cells in zip(blocks, view.cells, strict=True)]
+
+    def _content(self, view: ObjectView, feats: Sequence[Tensor]) -> Tensor:
+        """The mean squared change of the features, in units of their mean square."""
+        with torch.no_grad():
+            image = view.render(self.original, backend=self.backend)
+            wanted = self._features(view, image)
+        changes = [
+            (own.float() - other.float()).square().mean() / other.float().square().mean()
+            for own, other in zip(feats, wanted, strict=True)
+        ]
+        return torch.stack(changes).mean()
+
+    def _mask(self, view: ObjectView) -> Tensor:
+        if view.linear is not None:
+            return view.linear.coverage > COVERED
+        height, width = view.camera.size[::-1]
+        cells = view.cells[0][None, None].float()
+        return torch.nn.functional.interpolate(cells, (height, width))[0, 0] > COVERED
+
+
+def total_variation(
+    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]
+) -> Float[Tensor, ""]:
+    """The mean absolute difference of neighbouring pixels that both lie in the mask."""
+    down = (image[1:] - image[:-1]).abs()[mask[1:] & mask[:-1]]
+    right = (image[:, 1:] - image[:, :-1]).abs()[mask[:, 1:] & mask[:, :-1]]
+    return torch.cat([down, right]).mean()

@@ -1,0 +1,222 @@
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, fields, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import write_json
+from stylesplat.stylization.config import PRESETS, StyleConfig
+from stylesplat.stylization.features import Network
+from stylesplat.verbs.recipe import TOP_KEYS, Recipe, read_recipe
+
+DEFAULTS = StyleConfig(steps=7, seed=5)
+
+Read = Callable[[str], Recipe]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two pictures; nothing looks into them."""
+    (tmp_path / "wave.jpg").write_bytes(b"wave")
+    (tmp_path / "night.jpg").write_bytes(b"night")
+    return tmp_path
+
+
+@pytest.fixture
+def read(folder: Path) -> Read:
+    """Read a text as a recipe in that folder."""
+
+    def read(text: str) -> Recipe:
+        (folder / "r.yaml").write_text(text, encoding="utf-8")
+        return read_recipe(folder / "r.yaml", defaults=DEFAULTS)
+
+    return read
+
+
+def config_of(recipe: Recipe) -> StyleConfig:
+    return recipe.objects[0].config
+
+
+def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path):
+    recipe = read(
+        """
+        steps: 20
+        features: vgg19
+        weights: nets/vgg19.safetensors
+        objects:
+          vase:
+            style: [wave.jpg, night.jpg]
+            scale: 3   # whole, and becomes a float
+          pear: {style: night.jpg, steps: 30, settings: {layers: [2, 3], steps: 40}}
+        """
+    )
+    vase, pear = recipe.objects
+    assert (vase.name, pear.name) == ("vase", "pear")
+    assert vase.styles == (folder / "wave.jpg", folder / "night.jpg")
+    assert pear.styles == (folder / "night.jpg",)
+    assert vase.config == replace(DEFAULTS, steps=20, scale=3.0)
+    assert isinstance(vase.config.scale, float)
+    assert pear.config == replace(DEFAULTS, steps=30, layers=(2, 3))
+    assert recipe.features == "vgg19"
+    assert recipe.weights == folder / "nets" / "vgg19.safetensors"
+
+
+def test_a_preset_takes_the_place_of_the_defaults(read: Read):
+    recipe = read("{preset: paper, seed: 1, objects: {vase: {style: wave.jpg}}}")
+    assert config_of(recipe) == replace(PRESETS["paper"], seed=1)
+    assert (recipe.features, recipe.weights) == (None, None)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_recipe_of_a_styled_scene_gives_its_settings(preset: str, folder: Path):
+    config = replace(PRESETS[preset], lr=1e-05, region=(1, 2, 30, 40), intensity=0.7)
+    picture = folder / "🌊.jpg"  # two escapes in JSON
+    picture.write_bytes(b"sea")
+    digest = sha256(b"sea").hexdigest()
+    one = {"name": "3", "style": picture, "sha256": digest, "intensity": 1.5}
+    several = {"name": "pear", "style": [picture, picture], "sha256": [digest, digest]}
+    content = {
+        "objects": [one, several],
+        "settings": asdict(config),
+        "features": "random",
+        "weights": None,
+        "scene": folder / "scene",
+    }
+    write_json(content, folder / "styled" / "recipe.json")
+    recipe = read_recipe(folder / "styled" / "recipe.json", defaults=DEFAULTS)
+    assert [o.name for o in recipe.objects] == ["3", "pear"]
+    assert recipe.objects[0].config == replace(config, intensity=1.5)
+    assert recipe.objects[1].config == config
+    assert recipe.objects[1].styles == (picture, picture)
+
+
+@pytest.mark.parametrize("name", ["3", "no", "null", "2024-01-01", "1.50", "vase 2", "Brücke"])
+def test_names_are_texts_whatever_yaml_sees_in_them(name: str, read: Read):
+    assert read(f"objects: {{{name}: {{style: wave.jpg}}}}").objects[0].name == name
+
+
+@pytest.mark.parametrize("number", ["1e-3", "1.0e-3", "1E-3", "10e-4", ".1e-2", "0.001"])
+def test_numbers_with_an_exponent(number: str, read: Read):
+    assert config_of(read(f"{{lr: {number}, objects: {{a: {{style: wave.jpg}}}}}}")).lr == 1e-3
+
+
+def test_settings_may_be_shared_and_overridden(read: Read):
+    recipe = read(
+        """
+        objects:
+          vase: &vase {style: wave.jpg, steps: 9, scale: 1.5}
+          pear: {<<: *vase, steps: 8}
+        """
+    )
+    assert recipe.objects[1].config == replace(DEFAULTS, steps=8, scale=1.5)
+    assert recipe.objects[1].styles == recipe.objects[0].styles
+
+
+@pytest.mark.parametrize("field", [field.name for field in fields(StyleConfig)])
+def test_every_setting_refuses_what_it_cannot_be(field: str, read: Read):
+    with pytest.raises(StyleSplatError, match=rf"r\.yaml: {field} must be .+, not \[\[\]\]\."):
+        read(f"{field}: [[]]\nobjects: {{a: {{style: wave.jpg}}}}")
+
+
+def test_the_choices_of_a_recipe_are_those_of_the_code():
+    assert set(get_args(TOP_KEYS["preset"])) == set(PRESETS)
+    assert set(get_args(get_args(TOP_KEYS["features"])[0])) == set(get_args(Network))
+
+
+OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
+        (OBJECTS + "zzz: 3", "there is no key 'zzz'. Use one of steps, "),
+        (OBJECTS + "settings: {sed: 3}", "there is no key 'sed'. Did you mean 'seed'?"),
+        (OBJECTS + "settings: {preset: paper}", "there is no key 'preset'. "),
+        (OBJECTS + "style: wave.jpg", "there is no key 'style'. "),
+        ("objects: {vase: {stile: wave.jpg}}", "vase: there is no key 'stile'. Did you mean"),
+        ("objects: {vase: {style: wave.jpg, preset: paper}}", "vase: there is no key 'preset'"),
+        (OBJECTS + "steps: many", 'steps must be a whole number, not "many".'),
+        (OBJECTS + "steps: 3.5", "steps must be a whole number, not 3.5."),
+        (OBJECTS + "steps: true", "steps must be a whole number, not true."),
+        (OBJECTS + "steps:", "steps must be a whole number, not null."),
+        (OBJECTS + "scale: big", 'scale must be a number, not "big".'),
+        (OBJECTS + "scale: true", "scale must be a number, not true."),
+        (OBJECTS + "scale: .nan", "scale must be a number, not NaN."),
+        (OBJECTS + "scale: 1" + "0" * 400, "scale must be a number, not 1000"),
+        (OBJECTS + "full_size: 1", "full_size must be true or false, not 1."),
+        (OBJECTS + "layers: 3", "layers must be a list, each a whole number, not 3."),
+        (OBJECTS + "layers: [a]", 'layers must be a list, each a whole number, not ["a"].'),
+        (OBJECTS + "region: [1, 2, 3]", "region must be a list of 4, each a whole number or null,"),
+        (OBJECTS + "color: kepe", 'color must be "style" or "keep" or'),
+        (OBJECTS + "color: [keep]", 'color must be "style" or "keep" or'),
+        (OBJECTS + "preset: fast", 'preset must be "default" or "paper", not "fast".'),
+        (OBJECTS + "features: vgg", 'features must be "vgg16" or "vgg19" or "random" or null,'),
+        (OBJECTS + "settings: [1]", "settings must be KEY: VALUE, not [1]."),
+        (OBJECTS + "steps: 0", "steps 0: it must exceed 0."),
+        ("objects: {vase: {style: wave.jpg, steps: 0}}", "vase: Cannot stylise with steps 0"),
+        ("objects: {vase: {style: wave.jpg, steps: x}}", "vase: steps must be a whole number"),
+        ("objects: {vase: {style: 3}}", "vase: style must be text or a list, each text, not 3."),
+        ("objects: {vase: {steps: 3}}", "vase: it has no picture. Add `style: IMAGE`."),
+        ("objects: {vase: {style: []}}", "vase: it has no picture. Add `style: IMAGE`."),
+        ("objects: {vase: wave.jpg}", "vase must be KEY: VALUE. Write vase: {style: IMAGE}."),
+        ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
+        ("objects: {vase: {style: [wave.jpg, lost.jpg]}}", "vase: there is no picture "),
+        ("objects: {vase: {style: .}}", "vase: there is no picture "),
+        ("objects: {}", "it names no objects. Add `objects:`"),
+        ("objects:", "it names no objects. Add `objects:`"),
+        ("steps: 3", "it names no objects. Add `objects:`"),
+        ("objects: vase", 'objects must be KEY: VALUE or a list or null, not "vase".'),
+        ("objects: [vase]", "each of the list `objects` must have a name and a style."),
+        ("objects: [{style: wave.jpg}]", "each of the list `objects` must have a name"),
+        ("", "it must hold `objects:` and settings, as KEY: VALUE."),
+        ("- vase", "it must hold `objects:` and settings, as KEY: VALUE."),
+        ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
+        ("steps: 3\nobjects: {\n? [a]: 2}", "line 3 is no valid YAML: found unhashable key."),
+        ("steps: 3\nsteps: 4", "line 2 is no valid YAML: steps is listed twice."),
+        ("steps: \0", "it is no YAML text: "),
+        (
+            "objects:\n  vase: {style: wave.jpg}\n  pear: {style: wave.jpg}\n"
+            "  vase: {style: night.jpg}",
+            "line 4 is no valid YAML: vase is listed twice.",
+        ),
+        (
+            "objects: [{name: a, style: wave.jpg}, {name: a, style: night.jpg}]",
+            "a is listed twice. Keep one of them.",
+        ),
+        (
+            "objects: {vase: {style: wave.jpg, sha256: abc}}",
+            "wave.jpg is another picture than the recipe's: its digest differs. Put",
+        ),
+        (
+            "objects: {vase: {style: [wave.jpg, night.jpg], sha256: abc}}",
+            "vase: sha256 must have 2 digests, not 1.",
+        ),
+    ],
+)
+def test_faults_are_named_in_one_line(text: str, message: str, read: Read, folder: Path):
+    with pytest.raises(StyleSplatError) as raised:
+        read(text)
+    line = str(raised.value)
+    assert line.startswith(f"Cannot use the recipe {folder / 'r.yaml'}: ")
+    assert message in line and "\n" not in line
+
+
+def test_files_that_are_no_recipe(folder: Path):
+    with pytest.raises(StyleSplatError, match=r"No such file or directory: .*lost\.yaml"):
+        read_recipe(folder / "lost.yaml", defaults=DEFAULTS)
+    with pytest.raises(StyleSplatError, match="directory"):
+        read_recipe(folder, defaults=DEFAULTS)
+    (folder / "night.jpg").write_bytes(b"\xff\xd8\xff\xe0")
+    with pytest.raises(StyleSplatError, match=r"night\.jpg: it is no YAML text: unacceptable"):
+        read_recipe(folder / "night.jpg", defaults=DEFAULTS)
+
+
+def test_reading_a_recipe_does_not_load_torch():
+    code = "import stylesplat.verbs.recipe, sys; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
