@@ -17,6 +17,7 @@ from stylesplat.selection.pick import THRESHOLD
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.training.config import PRESETS as TRAIN_PRESETS
 from stylesplat.verbs.objects import list_objects, select_object
+from stylesplat.verbs.recipe import StyledObject
 from stylesplat.verbs.render import render_scene
 from stylesplat.verbs.say import say
 from stylesplat.verbs.stylize import stylize_scene
@@ -67,8 +68,10 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
     measured = stylize_scene(
         scene,
         styled,
-        [(name, capture / "styles" / f"{style}.png") for name, style in STYLES.items()],
-        config=STYLING,
+        [
+            StyledObject(name, (capture / "styles" / f"{style}.png",), STYLING)
+            for name, style in STYLES.items()
+        ],
         features="random",
         overwrite=True,
     )

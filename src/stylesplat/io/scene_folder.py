@@ -7,7 +7,7 @@ from typing import Any
 import safetensors
 import safetensors.torch
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -25,8 +25,23 @@ PICKS = "picks.safetensors"
 METRICS = "metrics.json"
 BASE_COLORS = "base_colors.safetensors"
 STYLE_COLORS = "style_colors.safetensors"
+UNSPLIT = "unsplit.safetensors"
 RECIPE = "recipe.json"
 VERSION = 1  # of the folder's layout
+
+
+@dataclass(frozen=True)
+class Unsplit:
+    """What it takes to undo a split, besides the colours before."""
+
+    count: int
+    """How many Gaussians there were; what follows them is new."""
+    rows: Int[Tensor, " R"]
+    """Those that were split."""
+    scales: Float[Tensor, "R 3"]
+    """Theirs before."""
+    opacities: Float[Tensor, " R"]
+    """Theirs before."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +64,8 @@ class Scene:
     """`sh0` and `shN` before styling; None if the scene is not styled."""
     style_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
     """`sh0` and `shN` at full intensity; None if the scene was not adjusted."""
+    unsplit: Unsplit | None = None
+    """The shapes of Gaussians that were split before styling; None if none were."""
     recipe: dict[str, Any] | None = None
     """How the scene was styled; None if it is not."""
 
@@ -66,6 +83,9 @@ def write_scene(scene: Scene, path: Path | str, *, overwrite: bool = False) -> N
         _write_cameras(scene.cameras, folder)
         _write_colors(scene.base_colors, folder / BASE_COLORS)
         _write_colors(scene.style_colors, folder / STYLE_COLORS)
+        if scene.unsplit is not None:
+            tensors = {**vars(scene.unsplit), "count": torch.tensor(scene.unsplit.count)}
+            _write_tensors(tensors, folder / UNSPLIT)
         if scene.recipe is not None:
             write_json(scene.recipe, folder / RECIPE)
         write_json({"version": VERSION, **scene.info}, folder / SCENE)
@@ -133,6 +153,7 @@ def read_scene(path: Path | str) -> Scene:
         metrics=read_json(folder / METRICS),
         base_colors=_read_colors(folder / BASE_COLORS, count),
         style_colors=_read_colors(folder / STYLE_COLORS, count),
+        unsplit=_read_unsplit(folder / UNSPLIT),
         recipe=read_json(recipe) if recipe.exists() else None,
     )
 
@@ -225,6 +246,16 @@ def _write_colors(colors: dict[str, Tensor] | None, path: Path) -> None:
 
 def _read_colors(path: Path, count: int) -> dict[str, Tensor] | None:
     return _read_tensors(path, count) if path.exists() else None
+
+
+def _read_unsplit(path: Path) -> Unsplit | None:
+    if not path.exists():
+        return None
+    tensors = _load_tensors(path)
+    try:
+        return Unsplit(count=int(tensors.pop("count")), **tensors)
+    except (KeyError, TypeError) as error:
+        raise StyleSplatError(f"Cannot read {path}: {error}. Style the scene again.") from error
 
 
 def _load_tensors(path: Path) -> dict[str, Tensor]:

@@ -1,5 +1,6 @@
 """Giving an object the mean and covariance of a picture's colours, in closed form."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -8,19 +9,22 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.rasterize import Backend
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import ObjectView
 
-NOISE = 1e-3  # variance added to the source: bounds the contrast that flat colours are given
+NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
+VARIATION = 0.08  # deviation of the colours that `vary_colors` adds, of 1
+WAVELENGTH = 0.12  # of its pattern, in sizes of the object
+WAVES = 48  # that it is made of
 
 
 @torch.no_grad()
 def transfer_colors(
     splats: Splats,
     picked: Bool[Tensor, " N"],
-    style: Float[Tensor, "H W 3"],
+    style: Float[Tensor, "P 3"],
     views: Sequence[ObjectView],
     *,
     backend: Backend = "auto",
@@ -34,15 +38,45 @@ def transfer_colors(
         views: Where the object's colours are taken from.
         backend: Of the rasteriser.
     """
+    matrix, offset = color_map(object_colors(splats, views, backend=backend), style)
+    return map_colors(splats, picked, matrix, offset)
+
+
+@torch.no_grad()
+def object_colors(
+    splats: Splats, views: Sequence[ObjectView], *, backend: Backend = "auto"
+) -> Float[Tensor, "P 3"]:
+    """The object's colours in some views, one per feature."""
     colors = []
     for view in views:
-        image, _, _ = rasterize(splats, view.camera, backend=backend)
+        image = view.render(splats, backend=backend)
         cells = view.cells[0]
-        stride = image.shape[1] // cells.shape[0]
-        pooled = F.avg_pool2d(image[0].permute(2, 0, 1), stride).permute(1, 2, 0)
-        colors.append(pooled[cells])
-    matrix, offset = color_map(torch.cat(colors), style.reshape(-1, 3))
-    return map_colors(splats, picked, matrix, offset)
+        stride = max(1, image.shape[0] // cells.shape[0])
+        pooled = F.avg_pool2d(image.permute(2, 0, 1), stride).permute(1, 2, 0)
+        colors.append(pooled[: cells.shape[0], : cells.shape[1]][cells])
+    return torch.cat(colors)
+
+
+@torch.no_grad()
+def vary_colors(splats: Splats, picked: Bool[Tensor, " N"], *, seed: int) -> Splats:
+    """Add a faint pattern of smooth colours in space, so that flat objects have some to stretch.
+
+    Args:
+        splats: The scene.
+        picked: The object's Gaussians.
+        seed: Of the pattern.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    directions = F.normalize(torch.randn(WAVES, 3, generator=generator), dim=1)
+    phases = 2 * math.pi * torch.rand(WAVES, generator=generator)
+    mixture = torch.randn(WAVES, 3, generator=generator) * math.sqrt(2 / WAVES)
+    means = splats.means[picked]
+    size = (means.quantile(0.95, dim=0) - means.quantile(0.05, dim=0)).norm()
+    waves = directions.to(means) * (2 * math.pi / (WAVELENGTH * size))
+    pattern = torch.cos(means @ waves.T + phases.to(means)) @ mixture.to(means)
+    sh0 = splats.sh0.clone()
+    sh0[picked] += VARIATION / SH_C0 * pattern[:, None]
+    return replace(splats, sh0=sh0)
 
 
 def color_map(
@@ -59,7 +93,8 @@ def color_map(
     noise = NOISE * torch.eye(3).to(source)
     root = _matrix_sqrt(source.T.cov(correction=0) + noise)
     inverse = torch.linalg.inv(root)
-    matrix = inverse @ _matrix_sqrt(root @ target.T.cov(correction=0) @ root) @ inverse
+    wanted = target.T.cov(correction=0) + noise
+    matrix = inverse @ _matrix_sqrt(root @ wanted @ root) @ inverse
     return matrix, target.mean(dim=0) - matrix @ source.mean(dim=0)
 
 

@@ -7,9 +7,14 @@ from stylesplat.errors import StyleSplatError
 
 MAX_INTENSITY = 1.5  # beyond it colours leave their range
 
+Network = Literal["vgg16", "vgg19", "random"]
 ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
-Pattern = Literal["small", "medium", "large"]
+Pattern = Literal["small", "medium", "large", "photo"]
+
+SIZES: dict[Pattern, int | None] = {"small": 256, "medium": 192, "large": 128, "photo": None}
+COARSE = 0.5  # of the final size: where the large shapes are found
+COARSE_SHARE = 0.65  # of the steps; they are cheap, and the fine ones only add strokes
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,8 @@ class StyleConfig:
     layers: tuple[int, ...] = (3,)
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
-    """Size of the strokes and shapes that are taken over, by the size at which they are matched."""
+    """Size of strokes and shapes: features are matched on renders of the object in which its
+    longer side has 256, 192 or 128 pixels, half as many at first; or as many as in the photos."""
     scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     rotate: float = 0.0
@@ -43,22 +49,22 @@ class StyleConfig:
     view_dependence: ViewDependence = "drop"
     """What becomes of highlights and reflections: painted over, kept, or trained too."""
     max_growth: float = 4.0
-    """Gaussians too large to show strokes are split, up to this many times as many; 1 splits none."""
+    """Gaussians too large for strokes are split, up to this many times as many; 1 splits none."""
     lr: float = 0.1
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
-    full_size: bool = False
-    """Whether to match features at the photos' size, whatever the pattern, from all of the style."""
+    object_size: int | None = None
+    """Longer side of the object when features are matched, in pixels; None leaves it to pattern."""
     seed: int = 0
     """The same seed gives the same result."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "scale", "lr", "final_lr"):
+        for name in ("steps", "scale", "lr", "final_lr", "object_size"):
             value = getattr(self, name)
-            if not value > 0:
+            if value is not None and not value > 0:
                 raise StyleSplatError(f"Cannot stylise with {name} {value}: it must exceed 0.")
         for name in ("content", "smoothness"):
             value = getattr(self, name)
@@ -77,6 +83,19 @@ class StyleConfig:
                 "splitting) or more."
             )
 
+    def stages(self, photo_length: float) -> list[tuple[float, int]]:
+        """The object's longer side in pixels and the steps, coarse first.
+
+        Args:
+            photo_length: The longer side in the photos.
+        """
+        size = self.object_size or SIZES[self.pattern]
+        if size is None:
+            return [(photo_length, self.steps)]
+        coarse = round(COARSE_SHARE * self.steps)
+        stages = [(COARSE * size, coarse), (float(size), self.steps - coarse)]
+        return [stage for stage in stages if stage[1] > 0]
+
 
 def check_intensity(intensity: float) -> None:
     """Raise a StyleSplatError if colours cannot be blended so."""
@@ -94,7 +113,7 @@ PRESETS = {
         view_dependence="train",
         max_growth=1.0,
         view_share=0.25,
-        full_size=True,
+        pattern="photo",
     ),
 }
 """`paper` keeps to StyleSplat's section 4: NNFM alone on all bands, at the rates of its code."""

@@ -11,8 +11,7 @@ from torch.nn import functional as F
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.measure import evenly
-from stylesplat.stylization.views import COVERED, find_boxes
+from stylesplat.stylization.views import COVERED, evenly, find_boxes
 
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it
 MAX_PAIRS = 4  # per range

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -11,8 +10,7 @@ from torch.nn import functional as F
 from torchvision.models import vgg
 
 from stylesplat.errors import StyleSplatError
-
-Network = Literal["vgg16", "vgg19", "random"]
+from stylesplat.stylization.config import Network
 
 LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
 TORCHVISION_KEYS: dict[Network, str] = {"vgg16": "D", "vgg19": "E", "random": "D"}

@@ -1,48 +1,47 @@
 """The verb `stylize`: repaint picked Gaussians until they look like a style image."""
 
-import math
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.photos import read_image
 from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import transfer_colors
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.measure import changes, evenly, object_nnfm
-from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.target import style_features
-from stylesplat.stylization.views import Box, ObjectView, cut_views, find_boxes, typical_length
+from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.precision import fastest_dtype
+from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
+from stylesplat.stylization.report import measure_changes, measure_object
 from stylesplat.stylization.weights import load_weights
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
-MEASURED_LENGTH = 192.0  # pixels; the size of objects at which NNFM is reported
-MEASURED_VIEWS = 4  # of the object, and of the scene
-COLOR_VIEWS = 8  # whose pixels give an object its mean colour
+MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
+GIBIBYTE = 2**30
+REPORT_EVERY = 10  # steps between two updates of the loss shown
 
 
 @dataclass(frozen=True)
-class StyleJob:
-    """One object and the style it is to have."""
+class Styled:
+    """A styled scene, and the way back from it."""
 
-    name: str
-    """What messages and metrics call it."""
-    picked: Bool[Tensor, " N"]
-    """Its Gaussians."""
-    style: Float[Tensor, "H W 3"]
-    """The style image, colours in 0..1."""
+    splats: Splats
+    """With the new colours. Split Gaussians' further children follow all others."""
+    base: Splats
+    """The same Gaussians with the colours before."""
+    parents: Int[Tensor, " N"]
+    """Which Gaussian of the scene before each one comes from."""
 
 
 def stylize(
@@ -54,7 +53,10 @@ def stylize(
     config: StyleConfig | None = None,
     network: FeatureNetwork | None = None,
 ) -> Splats:
-    """Repaint one object in the style of a picture. Only `sh0` and `shN` of it change.
+    """Repaint one object in the style of a picture.
+
+    Nothing but the picked Gaussians changes: of these the colours, and those too large to show
+    strokes are split. The new ones follow all others.
 
     Args:
         splats: The scene.
@@ -67,12 +69,49 @@ def stylize(
     Raises:
         StyleSplatError: As `stylize_objects` does, and if the picture is unreadable.
     """
+    live = stylize_live(splats, capture, picked, style, config=config, network=network)
+    return deque(live, maxlen=1).pop().splats
+
+
+def stylize_live(
+    splats: Splats,
+    capture: Capture | Cameras,
+    picked: Bool[Tensor, " N"],
+    style: Path | str | Float[Tensor, "H W 3"],
+    *,
+    config: StyleConfig | None = None,
+    network: FeatureNetwork | None = None,
+) -> Iterator[Repainted]:
+    """As `stylize`, step by step, to show it, to stop early or to go on later.
+
+    Example::
+
+        live = stylize_live(splats, capture, picked, "wave.jpg")
+        for state in live:
+            show(state.splats)
+            if state.step == 100:
+                break  # keep state.splats, or go on: `for state in live`
+
+    Yields:
+        The state after every step, at the intensity of `config`.
+
+    Raises:
+        StyleSplatError: As `stylize` does.
+    """
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
-    image = style if isinstance(style, Tensor) else read_image(style) / 255
-    network = network or load_weights("vgg16", depth=max(config.blocks))
-    job = StyleJob("object", picked, image)
-    return stylize_objects(splats, cameras, [job], network, config)[0]
+    network = network or load_weights("vgg16", depth=max(config.layers))
+    if isinstance(style, Tensor):
+        image = style
+    else:
+        image = read_style(style, rotate=config.rotate, region=config.region)
+    job = StyleJob("object", picked, (image,), config)
+    _check([job])
+    studio = _studio(splats, cameras, network)
+    for state in repaint(studio, _moved(job, splats)):
+        mask = picked[state.parents]
+        blended = blend_colors(state.base, state.splats, mask, config.intensity)
+        yield replace(state, splats=blended)
 
 
 def stylize_objects(
@@ -80,11 +119,11 @@ def stylize_objects(
     cameras: Cameras,
     jobs: Sequence[StyleJob],
     network: FeatureNetwork,
-    config: StyleConfig | None = None,
     *,
     held_out: Cameras | None = None,
+    max_memory: float = MAX_MEMORY,
     backend: Backend = "auto",
-) -> tuple[Splats, dict[str, Any]]:
+) -> tuple[Styled, dict[str, Any]]:
     """Repaint several objects, each in its own style and by itself: their order is immaterial.
 
     Args:
@@ -92,111 +131,41 @@ def stylize_objects(
         cameras: Views to optimise on.
         jobs: Which Gaussians take which style.
         network: Whose features are matched.
-        config: Settings for all of them.
         held_out: Views to measure on; some of `cameras` by default.
+        max_memory: GiB that linear views may take; see `cut_views`.
         backend: Of the rasteriser.
 
     Returns:
-        The styled scene, and `seconds`, `steps`, what `measure.changes` returns, and by name in
-        `objects` the `nnfm_before` and `nnfm_after`, `seconds`, `steps`, `gaussians`, `views`.
+        The styled scene, and `seconds`, `steps`, what `measure_changes` returns, and by name in
+        `objects` what `measure_object` returns, `seconds`, `steps` and `gaussians`.
 
     Raises:
         StyleSplatError: If two objects share Gaussians or a name, an object has too few or is
             not seen, or a style image is too small.
     """
     start = time.perf_counter()
-    config = config or StyleConfig()
     _check(jobs)
-    held_out = held_out or cameras
-    base = styled = splats.detach()
+    studio = _studio(splats, cameras, network, max_memory, backend)
+    jobs = [_moved(job, splats) for job in jobs]
+    styled = Styled(studio.splats, studio.splats, torch.arange(len(splats), device=splats.device))
     objects = {}
-    scene = _Scene(base, cameras, held_out, network.to(base.device), config, backend)
-    jobs = [replace(j, picked=j.picked.to(base.device), style=j.style.to(base.means)) for j in jobs]
     for job in jobs:
-        alone, objects[job.name] = _stylize_one(scene, job)
-        styled = blend_colors(styled, alone, job.picked, intensity=1.0)
+        began = time.perf_counter()
+        alone = _repaint_whole(studio, job)
+        styled = _merge(styled, alone, job.picked)
+        objects[job.name] = {
+            "seconds": time.perf_counter() - began,
+            "steps": job.config.steps,
+            "gaussians": int(job.picked[alone.parents].sum()),
+        }
+    measured = replace(studio, cameras=held_out or cameras)
+    for job in jobs:
+        objects[job.name] |= measure_object(measured, job, styled.splats, fallback=studio.cameras)
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
-    views = held_out[evenly(range(len(held_out)), MEASURED_VIEWS)]
-    metrics = changes(base, styled, views, picked, backend=backend)
-    steps = sum(measured["steps"] for measured in objects.values())
+    metrics = measure_changes(measured, styled.splats, picked)
+    steps = sum(job.config.steps for job in jobs)
     seconds = time.perf_counter() - start
     return styled, {"seconds": seconds, "steps": steps, **metrics, "objects": objects}
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """What all jobs share."""
-
-    splats: Splats
-    cameras: Cameras
-    held_out: Cameras
-    network: FeatureNetwork
-    config: StyleConfig
-    backend: Backend
-
-
-def _stylize_one(scene: _Scene, job: StyleJob) -> tuple[Splats, dict[str, int | float]]:
-    start = time.perf_counter()
-    splats, config, backend = scene.splats, scene.config, scene.backend
-    boxes = find_boxes(splats, scene.cameras, job.picked, backend=backend)
-    if not boxes:
-        raise StyleSplatError(
-            f"Cannot stylise {job.name}: it is seen in none of the {len(scene.cameras)} views. "
-            f"Pick other Gaussians, or show views of it."
-        )
-    length = float(config.object_size or typical_length(boxes))
-    share = evenly(boxes, math.ceil(config.view_share * len(boxes)))
-    views = _views(scene, job, share, length)
-    targets = _targets(scene, job, length)
-
-    started = splats
-    if config.color_transfer:
-        seen = evenly(views, COLOR_VIEWS)
-        started = transfer_colors(splats, job.picked, job.style, seen, backend=backend)
-    moved = optimize_colors(
-        *(started, job.picked, views, targets, scene.network),
-        config=config,
-        title=job.name,
-        backend=backend,
-    )
-    styled = blend_colors(splats, moved, job.picked, config.intensity)
-    measured = _measure(scene, job, boxes, styled)
-    counts = {"steps": config.steps, "views": len(views), "gaussians": int(job.picked.sum())}
-    return styled, {**measured, **counts, "seconds": time.perf_counter() - start}
-
-
-def _measure(
-    scene: _Scene, job: StyleJob, boxes: Sequence[Box], styled: Splats
-) -> dict[str, float]:
-    """NNFM before and after, on all style features, at one size whatever the settings."""
-    if scene.held_out is not scene.cameras:
-        unseen = find_boxes(scene.splats, scene.held_out, job.picked, backend=scene.backend)
-        boxes = unseen or boxes
-    views = evenly(_views(scene, job, boxes, MEASURED_LENGTH), MEASURED_VIEWS)
-    targets = _targets(scene, job, MEASURED_LENGTH)
-    rest = (views, targets, scene.network, scene.config.blocks)
-    return {
-        "nnfm_before": object_nnfm(scene.splats, *rest, backend=scene.backend),
-        "nnfm_after": object_nnfm(styled, *rest, backend=scene.backend),
-    }
-
-
-def _views(scene: _Scene, job: StyleJob, boxes: Sequence[Box], length: float) -> list[ObjectView]:
-    cells = [scene.network.cells(block) for block in scene.config.blocks]
-    zoom = length / typical_length(boxes)
-    splats, backend = scene.splats, scene.backend
-    views = cut_views(splats, boxes, job.picked, cells, zoom=zoom, backend=backend)
-    if not views:
-        raise StyleSplatError(
-            f"Cannot stylise {job.name}: it is hardly visible in the {len(boxes)} views that show "
-            f"it. Pick a larger object, or show closer views of it."
-        )
-    return views
-
-
-def _targets(scene: _Scene, job: StyleJob, length: float) -> tuple[Tensor, ...]:
-    size = scene.config.scale * length
-    return style_features(job.style, scene.network, scene.config.blocks, length=size)
 
 
 def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
@@ -218,6 +187,59 @@ def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float)
     )
 
 
+def _studio(
+    splats: Splats,
+    cameras: Cameras,
+    network: FeatureNetwork,
+    max_memory: float = MAX_MEMORY,
+    backend: Backend = "auto",
+) -> Studio:
+    device = splats.device
+    precision = fastest_dtype(device.type)
+    room = max_memory * GIBIBYTE
+    return Studio(splats.detach(), cameras, network.to(device), precision, room, backend)
+
+
+def _moved(job: StyleJob, splats: Splats) -> StyleJob:
+    """The job on the device of the splats."""
+    styles = tuple(style.to(splats.means) for style in job.styles)
+    return replace(job, picked=job.picked.to(splats.device), styles=styles)
+
+
+def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
+    """All steps of one object, with a progress bar."""
+    state = None
+    with tqdm(total=job.config.steps, desc=job.name) as bar:
+        for state in repaint(studio, job):
+            bar.update()
+            if state.step % REPORT_EVERY == 0:
+                bar.set_postfix(nnfm=f"{state.nnfm:.3f}")
+    assert state is not None  # there is at least one step
+    picked = job.picked[state.parents]
+    blended = blend_colors(state.base, state.splats, picked, job.config.intensity)
+    return Styled(blended, state.base, state.parents)
+
+
+def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:
+    """Add an object that was styled by itself; its rows and children take the place of the old."""
+    count = len(picked)
+
+    def merged(old: Splats, new: Splats) -> Splats:
+        tensors = {}
+        for name, theirs in new.tensors().items():
+            ours = old.tensors()[name]
+            mask = picked.view(-1, *[1] * (ours.ndim - 1))
+            shared = torch.where(mask, theirs[:count], ours[:count])
+            tensors[name] = torch.cat([shared, ours[count:], theirs[count:]])
+        return replace(old, **tensors)
+
+    return Styled(
+        splats=merged(styled.splats, alone.splats),
+        base=merged(styled.base, alone.base),
+        parents=torch.cat([styled.parents, alone.parents[count:]]),
+    )
+
+
 def _check(jobs: Sequence[StyleJob]) -> None:
     if not jobs:
         raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
@@ -231,7 +253,10 @@ def _check(jobs: Sequence[StyleJob]) -> None:
     for one, other in combinations(jobs, 2):
         shared = int((one.picked & other.picked).sum())
         if one.name == other.name:
-            raise StyleSplatError(f"{one.name} was given two styles. Give it one.")
+            raise StyleSplatError(
+                f"{one.name} was given twice. Give it once; several pictures make one style: "
+                f"{one.name}=a.jpg,b.jpg."
+            )
         if shared:
             raise StyleSplatError(
                 f"Cannot stylise {one.name} and {other.name} at once: they share {shared} "

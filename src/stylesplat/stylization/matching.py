@@ -56,9 +56,7 @@ def build_index(style_feats: Float[Tensor, "Q D"], dtype: torch.dtype) -> StyleI
 
 
 @torch.no_grad()
-def nearest(
-    feats: Float[Tensor, "P D"], directions: Float[Tensor, "Q D"]
-) -> Int[Tensor, " P"]:
+def nearest(feats: Float[Tensor, "P D"], directions: Float[Tensor, "Q D"]) -> Int[Tensor, " P"]:
     """The row of the most similar of some directions (of length 1), searched exhaustively."""
     rows = max(1, SIMILARITIES_AT_ONCE // len(directions))
     columns = directions.T.to(feats.dtype)

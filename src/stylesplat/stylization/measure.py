@@ -1,11 +1,11 @@
 """What a stylisation did: how close the object is to the style, and what else changed."""
 
 from collections.abc import Sequence
-from typing import TypeVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
@@ -14,15 +14,8 @@ from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.nnfm import nnfm_loss
 from stylesplat.stylization.views import COVERED, ObjectView, coverage
 
+RIM = 5  # pixels
 SMALLEST_ERROR = 1e-12  # a mean square below float32's rounding counts as this: 120 dB
-
-T = TypeVar("T")
-
-
-def evenly(items: Sequence[T], count: int) -> list[T]:
-    """At most `count` of the items, at equal distances."""
-    count = min(count, len(items))
-    return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]
 
 
 def view_loss(
@@ -73,7 +66,7 @@ def changes(
 
     Args:
         base: The scene before.
-        styled: The scene after.
+        styled: The scene after, which may have more Gaussians at its end.
         cameras: The views to compare in.
         picked: The Gaussians that were repainted.
         backend: Of the rasteriser.
@@ -81,9 +74,10 @@ def changes(
     Returns:
         `changed_gaussians`; `outside_psnr` (120 at most) and `outside_max_difference` over
         pixels that none of them touches; `edge_psnr` over those that they cover in part, but
-        by less than half.
+        by less than half; `rim_error`, the mean absolute difference in a band of 5 pixels
+        around what they cover by half or more.
     """
-    outside, edge = [], []
+    outside, edge, rim = [], [], []
     for index in range(len(cameras)):
         camera = cameras[index]
         before, after = (rasterize(s, camera, backend=backend)[0][0] for s in (base, styled))
@@ -91,14 +85,33 @@ def changes(
         covered = coverage(base, camera, picked, backend=backend)
         outside.append(difference[covered == 0].flatten())
         edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
-    changed = (base.sh0 != styled.sh0).any(dim=(1, 2)) | (base.shN != styled.shN).any(dim=(1, 2))
+        rim.append(difference[_rim(covered >= COVERED)].flatten())
     largest = max((float(d.abs().max()) for d in outside if len(d)), default=0.0)
+    errors = torch.cat(rim).abs()
     return {
-        "changed_gaussians": int(changed.sum()),
+        "changed_gaussians": _changed_gaussians(base, styled),
         "outside_psnr": _psnr(torch.cat(outside)),
         "outside_max_difference": largest,
         "edge_psnr": _psnr(torch.cat(edge)),
+        "rim_error": float(errors.sum()) / max(1, len(errors)),
     }
+
+
+def _changed_gaussians(base: Splats, styled: Splats) -> int:
+    """How many Gaussians differ in any number, or are new."""
+    pairs = [
+        (old.view(len(old), -1), styled.tensors()[name][: len(old)].reshape(len(old), -1))
+        for name, old in base.tensors().items()
+        if old.numel()
+    ]
+    differs = [(old != new).any(dim=1) for old, new in pairs]
+    return int(torch.stack(differs).any(dim=0).sum()) + len(styled) - len(base)
+
+
+def _rim(covered: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    """The pixels at most `RIM` pixels outside a mask."""
+    grown = F.max_pool2d(covered[None].float(), 2 * RIM + 1, stride=1, padding=RIM)[0] > 0
+    return grown & ~covered
 
 
 def _psnr(difference: Float[Tensor, " P"]) -> float:

@@ -27,8 +27,6 @@ def nnfm_loss(
     return cosine_distance(feats, style_feats[matches])
 
 
-def cosine_distance(
-    feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]
-) -> Float[Tensor, ""]:
+def cosine_distance(feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]) -> Float[Tensor, ""]:
     """The mean over rows of 1 minus the cosine, in float32."""
     return (1 - F.cosine_similarity(feats.float(), others.float(), dim=1)).mean()

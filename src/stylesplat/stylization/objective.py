@@ -81,9 +81,7 @@ class Objective:
         return torch.nn.functional.interpolate(cells, (height, width))[0, 0] > COVERED
 
 
-def total_variation(
-    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]
-) -> Float[Tensor, ""]:
+def total_variation(image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, ""]:
     """The mean absolute difference of neighbouring pixels that both lie in the mask."""
     down = (image[1:] - image[:-1]).abs()[mask[1:] & mask[:-1]]
     right = (image[:, 1:] - image[:, :-1]).abs()[mask[:, 1:] & mask[:, :-1]]

@@ -10,7 +10,7 @@ from torch.optim.lr_scheduler import ExponentialLR
 
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.objective import Losses, Objective
+from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.views import ObjectView
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
@@ -23,8 +23,8 @@ class Step:
 
     number: int
     """Counted from 1."""
-    losses: Losses
-    """Before the step, in the view that was drawn."""
+    nnfm: float
+    """The loss before the step, in the view that was drawn."""
     splats: Splats
     """After the step."""
 
@@ -32,16 +32,18 @@ class Step:
 def optimize_colors(
     splats: Splats,
     picked: Bool[Tensor, " N"],
-    stages: Sequence[tuple[Sequence[ObjectView], int]],
+    views: Sequence[ObjectView],
     objective: Objective,
+    steps: int,
 ) -> Iterator[Step]:
     """Move the colours of picked Gaussians until the object's features match the style's.
 
     Args:
         splats: The scene, without gradients.
         picked: The object's Gaussians.
-        stages: Views of the object, of which one is drawn per step, and for how many steps.
+        views: Of the object; one is drawn per step.
         objective: What to minimise; its settings are the rates and the seed.
+        steps: How many to take.
 
     Yields:
         Every step; whoever stops asking keeps the last one's splats.
@@ -58,9 +60,9 @@ def optimize_colors(
         ],
         eps=1e-15,  # as in 3D Gaussian splatting: gradients of single Gaussians are tiny
     )
-    scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / config.steps))
-    trust = _trust(splats, rows, stages[-1][0])
-    for number, view in enumerate(_draws(stages, generator), start=1):
+    scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
+    trust = _trust(splats, rows, views)
+    for number, view in enumerate(_draws(views, steps, generator), start=1):
         losses = objective(view, _with_rows(splats, leaves, rows))
         optimizer.zero_grad()
         losses.total.backward()
@@ -71,12 +73,10 @@ def optimize_colors(
             for name, leaf in leaves.items():
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
         _keep_in_range(leaves["sh0"])
-        yield Step(number, losses, _with_rows(splats, leaves, rows).detach())
+        yield Step(number, losses.style.item(), _with_rows(splats, leaves, rows).detach())
 
 
-def _trust(
-    splats: Splats, rows: Tensor, views: Sequence[ObjectView]
-) -> Float[Tensor, "M 1 1"]:
+def _trust(splats: Splats, rows: Tensor, views: Sequence[ObjectView]) -> Float[Tensor, "M 1 1"]:
     """How far to follow each Gaussian's steps: Adam's are as long for those that hardly show."""
     kept = [view.linear for view in views if view.linear is not None]
     if not kept:
@@ -104,11 +104,10 @@ def _keep_in_range(sh0: Tensor) -> None:
 
 
 def _draws(
-    stages: Sequence[tuple[Sequence[ObjectView], int]], generator: torch.Generator
+    views: Sequence[ObjectView], count: int, generator: torch.Generator
 ) -> Iterator[ObjectView]:
-    """Views in random order, each as often as the others of its stage."""
-    for views, count in stages:
-        order: list[int] = []
-        for _ in range(count):
-            order = order or torch.randperm(len(views), generator=generator).tolist()
-            yield views[order.pop()]
+    """Views in random order, each as often as the others."""
+    order: list[int] = []
+    for _ in range(count):
+        order = order or torch.randperm(len(views), generator=generator).tolist()
+        yield views[order.pop()]

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,6 +23,8 @@ SURVEY_SIZE = 160  # longer side of the renders in which objects are looked for
 STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
 MEBIBYTE = 2**20
 MIN_CELLS = 16  # views that show fewer features of the object are skipped
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ def cut_views(
     views, used = [], 0
     keeps = max_memory > 0 and splats.device.type == "cpu" and backend in ("auto", "cpu")
     for box in tqdm(boxes, desc="cutting the views", leave=False):
-        camera = _cut(box, zoom, cells)
+        camera = cut_to(box, zoom, cells)
         linear = contributions(splats, camera, picked) if keeps and used < max_memory else None
         seen = linear.coverage if linear else coverage(splats, camera, picked, backend=backend)
         masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
@@ -143,6 +146,12 @@ def coverage(
     return image[0, :, :, 3]
 
 
+def evenly(items: Sequence[T], count: int) -> list[T]:
+    """At most `count` of the items, at equal distances."""
+    count = min(count, len(items))
+    return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]
+
+
 def crop(camera: Cameras, low: Sequence[int], high: Sequence[int]) -> Cameras:
     """The camera of a rectangle of one camera's image.
 
@@ -157,10 +166,10 @@ def crop(camera: Cameras, low: Sequence[int], high: Sequence[int]) -> Cameras:
     return replace(camera, Ks=Ks, sizes=sizes.to(camera.sizes.dtype))
 
 
-def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> Cameras:
+def cut_to(box: Box, zoom: float, cells: Sequence[Cells] = ()) -> Cameras:
     """The camera of a box and of all pixels around it that its features depend on."""
     camera = box.camera.downscale(1 / zoom)
-    low = (box.low * zoom).floor() - max(c.before for c in cells)
-    high = (box.high * zoom).ceil() + max(c.size - c.before for c in cells)
+    low = (box.low * zoom).floor() - max((c.before for c in cells), default=0)
+    high = (box.high * zoom).ceil() + max((c.size - c.before for c in cells), default=0)
     low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
     return crop(camera, low.tolist(), high.tolist())

@@ -18,7 +18,8 @@ from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
-from stylesplat.stylization.features import Convolution, FeatureNetwork, Network, layer_widths
+from stylesplat.stylization.config import Network
+from stylesplat.stylization.features import Convolution, FeatureNetwork, layer_widths
 from stylesplat.stylization.random_filters import random_network
 from stylesplat.stylization.safetensors_http import fetch_tensors
 

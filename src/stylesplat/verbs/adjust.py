@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -19,7 +20,7 @@ from stylesplat.verbs.objects import find_object
 
 def adjust_scene(
     path: Path,
-    intensity: float,
+    intensity: float | None,
     *,
     names: Sequence[str] = (),
     output: Path | None = None,
@@ -41,6 +42,10 @@ def adjust_scene(
     Raises:
         StyleSplatError: If the scene is not styled, or not in these objects.
     """
+    if intensity is None:
+        raise StyleSplatError(
+            f"Nothing to adjust in {path}. Pass --intensity F, or --undo with a folder to write to."
+        )
     check_intensity(intensity)
     if output is not None and not overwrite:
         refuse_occupied(output, marker=SCENE)
@@ -70,6 +75,57 @@ def adjust_scene(
         write_scene(scene, output, overwrite=overwrite)
     shown = {name: how["intensity"] for name, how in objects.items()}
     return {"scene": output or path, "intensity": shown}
+
+
+def undo_scene(path: Path, output: Path | None, *, overwrite: bool = False) -> dict[str, Any]:
+    """Write a styled scene as it was before, to the bit.
+
+    Args:
+        path: A styled scene, which stays.
+        output: The scene to make.
+        overwrite: Whether `output` may hold a scene already.
+
+    Raises:
+        StyleSplatError: If the scene is not styled, or there is no `output`.
+    """
+    if output is None:
+        raise StyleSplatError(
+            "Undoing keeps the styled scene. Pass a folder for the other with -o."
+        )
+    if not overwrite:
+        refuse_occupied(output, marker=SCENE)
+    write_scene(unstyled(read_scene(path), path), output, overwrite=overwrite)
+    return {"scene": output}
+
+
+def unstyled(scene: Scene, path: Path) -> Scene:
+    """The scene before it was styled.
+
+    Raises:
+        StyleSplatError: If it is not styled.
+    """
+    if scene.base_colors is None:
+        raise StyleSplatError(f"{path} is not styled: there is nothing to undo.")
+    splats, picks = replace(scene.splats, **scene.base_colors), scene.picks
+    if scene.unsplit is not None:
+        shape = scene.unsplit
+        splats = splats[torch.arange(shape.count)]
+        splats = replace(
+            splats,
+            scales=splats.scales.index_copy(0, shape.rows, shape.scales),
+            opacities=splats.opacities.index_copy(0, shape.rows, shape.opacities),
+        )
+        picks = {name: picked[: shape.count] for name, picked in picks.items()}
+    return replace(
+        scene,
+        splats=splats,
+        picks=picks,
+        base_colors=None,
+        style_colors=None,
+        unsplit=None,
+        recipe=None,
+        metrics=scene.metrics.get("train", {}),
+    )
 
 
 def _styled_objects(scene: Scene, path: Path) -> dict[str, dict[str, Any]]:

@@ -3,9 +3,9 @@
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from hashlib import sha256
 from pathlib import Path
@@ -16,12 +16,12 @@ import yaml
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason
-from stylesplat.stylization.config import PRESETS, StyleConfig
+from stylesplat.stylization.config import PRESETS, Network, StyleConfig
 
 TEXT, MERGE, FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("str", "merge", "float"))
 TOP_KEYS = {  # besides settings, with their types
     "preset": Literal["default", "paper"],
-    "features": Literal["vgg16", "vgg19", "random"] | None,
+    "features": Network | None,
     "weights": str | None,
     "scene": str,
     "settings": dict,
@@ -58,7 +58,7 @@ class Recipe:
 
     objects: tuple[StyledObject, ...]
     """At least one, each once."""
-    features: str | None
+    features: Network | None
     """Network whose features are matched, if the recipe names one."""
     weights: Path | None
     """File of the network's weights, if the recipe names one; it may not exist."""
@@ -89,6 +89,42 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig) -> Recipe:
                 objects.append(_styled_object(name, entry, base, path.parent))
     weights = path.parent / others["weights"] if others.get("weights") else None
     return Recipe(tuple(objects), others.get("features"), weights)
+
+
+def named_styles(
+    styles: Sequence[tuple[str, tuple[Path, ...]]], recipe: Path | None, *, defaults: StyleConfig
+) -> Recipe:
+    """The recipe of a file, or of objects and pictures that all have the same settings.
+
+    Raises:
+        StyleSplatError: If there are both, a picture is missing, or as `read_recipe` does.
+    """
+    if recipe is None:
+        objects = tuple(StyledObject(name, pictures, defaults) for name, pictures in styles)
+        return Recipe(objects, None, None)
+    if styles:
+        raise StyleSplatError(
+            f"Got --style and --recipe. Write {styles[0][0]} into {recipe}, or pass only --style."
+        )
+    return read_recipe(recipe, defaults=defaults)
+
+
+def write_recipe(objects: Sequence[StyledObject]) -> dict[str, Any]:
+    """The content of a recipe that `read_recipe` reads back, with the pictures' digests."""
+    shared = asdict(objects[0].config)
+    entries = []
+    for each in objects:
+        settings = asdict(each.config)
+        entries.append(
+            {
+                "name": each.name,
+                "style": _single([path.resolve() for path in each.styles]),
+                "sha256": _single([_digest(path) for path in each.styles]),
+                "intensity": each.config.intensity,
+                "settings": {k: v for k, v in settings.items() if v != shared[k]},
+            }
+        )
+    return {"objects": entries, "settings": shared}
 
 
 class _Loader(yaml.SafeLoader):
@@ -256,8 +292,17 @@ def _refuse_changed(styles: tuple[Path, ...], digests: tuple[str, ...]) -> None:
     if len(digests) != len(styles):
         raise StyleSplatError(f"sha256 must have {len(styles)} digests, not {len(digests)}.")
     for style, digest in zip(styles, digests, strict=True):
-        if sha256(style.read_bytes()).hexdigest() != digest:
+        if _digest(style) != digest:
             raise StyleSplatError(
                 f"{style} is another picture than the recipe's: its digest differs. "
                 "Put the picture back, or remove sha256."
             )
+
+
+def _digest(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def _single(items: list[Any]) -> Any:
+    """The item itself if it is the only one."""
+    return items[0] if len(items) == 1 else items

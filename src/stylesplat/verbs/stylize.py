@@ -1,76 +1,137 @@
 """`stylize`: repaint named objects of a scene."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from hashlib import sha256
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import refuse_occupied
-from stylesplat.io.photos import read_image
-from stylesplat.io.scene_folder import SCENE, Scene, read_scene, write_scene
+from stylesplat.io.scene_folder import SCENE, Scene, Unsplit, read_scene, write_scene
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
-from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import Network
-from stylesplat.stylization.loop import StyleJob, stylize_objects
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import Network
+from stylesplat.stylization.loop import MAX_MEMORY, Styled, stylize_objects
+from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.weights import load_weights
 from stylesplat.verbs.objects import find_object
+from stylesplat.verbs.recipe import StyledObject, write_recipe
 from stylesplat.verbs.render import scene_views
+
+PER_RUN = ("seconds", "steps", "gaussians")  # numbers of an object that are not reported by it
 
 
 def stylize_scene(
     path: Path,
     output: Path,
-    styles: Sequence[tuple[str, Path]],
+    objects: Sequence[StyledObject],
     *,
-    config: StyleConfig,
     features: Network = "vgg16",
     weights: Path | None = None,
+    max_memory: float = MAX_MEMORY,
     device: str = "auto",
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Repaint objects of a scene, each in the style of a picture, into a new scene.
+    """Repaint objects of a scene, each in the style of one or more pictures, into a new scene.
 
     Returns:
         What `metrics.json` holds: seconds, steps, changed Gaussians, PSNR outside the objects,
-        and by object `nnfm_before` and `nnfm_after`.
+        and by object `nnfm_before`, `nnfm_after` and the like.
 
     Raises:
         StyleSplatError: If an object, picture or weights file is unfit, or `output` is taken.
     """
-    if not styles:
-        raise StyleSplatError("Nothing to stylise. Pass --style OBJECT=IMAGE at least once.")
+    if not objects:
+        raise StyleSplatError(
+            "Nothing to stylise. Pass --style OBJECT=IMAGE at least once, or --recipe FILE."
+        )
     if not overwrite:
         refuse_occupied(output, marker=SCENE)
     scene = read_scene(path)
-    torch_device = pick_device(device)
-    jobs = [
-        StyleJob(
-            name=name,
-            picked=find_object(scene, name).to(torch_device),
-            style=read_image(image).float() / 255,
-        )
-        for name, image in styles
-    ]
-    network = load_weights(features, weights, depth=max(config.blocks), seed=config.seed)
+    jobs = style_jobs(scene, objects)
+    depth = max(max(job.config.layers) for job in jobs)
+    network = load_weights(features, weights, depth=depth, seed=jobs[0].config.seed)
     training, held_out = working_views(scene)
-    splats, measured = stylize_objects(
-        scene.splats.to(torch_device), training, jobs, network, config, held_out=held_out
+    styled, measured = stylize_objects(
+        *(scene.splats.to(pick_device(device)), training, jobs, network),
+        held_out=held_out,
+        max_memory=max_memory,
     )
     metrics = flat_metrics(measured)
-    base_colors = scene.base_colors or {"sh0": scene.splats.sh0, "shN": scene.splats.shN}
-    styled = replace(
-        scene,
-        splats=splats.to("cpu"),
-        base_colors=base_colors,
-        style_colors=None,
-        recipe=_recipe(path, styles, config, features, weights),
+    recipe = {
+        **write_recipe(objects),
+        "features": features,
+        "weights": weights and weights.resolve(),
+        "scene": path.resolve(),
+    }
+    repainted = _with_style(scene, styled)
+    repainted = replace(
+        repainted,
+        recipe=recipe,
         metrics=metrics | {"train": scene.metrics.get("train", scene.metrics)},
     )
-    write_scene(styled, output, overwrite=overwrite)
+    write_scene(repainted, output, overwrite=overwrite)
     return metrics
+
+
+def style_jobs(scene: Scene, objects: Sequence[StyledObject]) -> list[StyleJob]:
+    """The Gaussians and pictures that are meant.
+
+    Raises:
+        StyleSplatError: If the scene has no such object, or a picture is unfit.
+    """
+    jobs = []
+    for each in objects:
+        config = each.config
+        pictures = [
+            read_style(picture, rotate=config.rotate, region=config.region)
+            for picture in each.styles
+        ]
+        picked = find_object(scene, each.name)
+        jobs.append(StyleJob(each.name, picked, tuple(pictures), config))
+    return jobs
+
+
+def _with_style(scene: Scene, styled: Styled) -> Scene:
+    """The scene with its new Gaussians, and all that belongs to them; and what undoes it."""
+    parents = styled.parents.cpu()
+    splats, base = styled.splats.to("cpu"), styled.base.to("cpu")
+    colors = {"sh0": base.sh0, "shN": base.shN}
+    if scene.base_colors is not None:  # styled before: other objects' colours before that
+        colors = {name: tensor[parents] for name, tensor in scene.base_colors.items()}
+    return replace(
+        scene,
+        splats=splats,
+        picks={name: picked[parents] for name, picked in scene.picks.items()},
+        base_colors=colors,
+        style_colors=None,
+        unsplit=_unsplit(scene, base),
+    )
+
+
+def _unsplit(scene: Scene, base: Splats) -> Unsplit | None:
+    """How to undo this split, and those before it."""
+    before, known = scene.splats, scene.unsplit
+    count = known.count if known else len(before)
+    changed = (base.scales[:count] != before.scales[:count]).any(dim=1)
+    if known is not None:
+        changed[known.rows] = False  # their shapes before are kept already
+    if known is None and not changed.any():
+        return None
+    rows = changed.nonzero()[:, 0]
+    found = Unsplit(count, rows, before.scales[rows], before.opacities[rows])
+    if known is None:
+        return found
+    return Unsplit(
+        count,
+        torch.cat([known.rows, found.rows]),
+        torch.cat([known.scales, found.scales]),
+        torch.cat([known.opacities, found.opacities]),
+    )
 
 
 def working_views(scene: Scene) -> tuple[Cameras, Cameras | None]:
@@ -84,30 +145,8 @@ def working_views(scene: Scene) -> tuple[Cameras, Cameras | None]:
 def flat_metrics(measured: dict[str, Any]) -> dict[str, Any]:
     """The metrics of `stylize_objects` with one entry per number and object."""
     metrics = {name: value for name, value in measured.items() if name != "objects"}
-    for number in ("nnfm_before", "nnfm_after"):
-        metrics[number] = {name: one[number] for name, one in measured["objects"].items()}
+    for each, numbers in measured["objects"].items():
+        for name, value in numbers.items():
+            if name not in PER_RUN:
+                metrics.setdefault(name, {})[each] = value
     return metrics
-
-
-def _recipe(
-    path: Path,
-    styles: Sequence[tuple[str, Path]],
-    config: StyleConfig,
-    features: Network,
-    weights: Path | None,
-) -> dict[str, Any]:
-    """All that it takes to style the scene again with the same result."""
-    return {
-        "objects": [
-            {"name": name, "style": image.resolve(), "sha256": _digest(image)}
-            for name, image in styles
-        ],
-        "settings": asdict(config),
-        "features": features,
-        "weights": weights and weights.resolve(),
-        "scene": path.resolve(),
-    }
-
-
-def _digest(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()

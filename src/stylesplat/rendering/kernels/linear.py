@@ -83,7 +83,9 @@ def keep_weights(rows, row_stride, lists, picked, width, height, kept, threads):
                     todo &= todo - 1
                     x, y = block_place(tile, tiles_x, block)
                     dx = (vec.columns() + (np.float32(x) + np.float32(0.5))) - vec.spread(rows, row)
-                    dy = (vec.rows() + (np.float32(y) + np.float32(0.5))) - vec.spread(rows, row + 1)
+                    dy = (vec.rows() + (np.float32(y) + np.float32(0.5))) - vec.spread(
+                        rows, row + 1
+                    )
                     eighth = eighth_exponents(rows, row, dx, dy)
                     hit = vec.greater_equal(eighth, vec.spread(rows, row + 5))
                     before = vec.load(light, block * PIXELS)
