@@ -7,7 +7,7 @@ after that an image costs a sparse product.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,8 +19,11 @@ from torch.autograd.function import once_differentiable
 
 from stylesplat.rendering import cpu
 from stylesplat.rendering.kernels import linear, vec
+from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
+
+HEADROOM = 1e3  # a constant band that keeps colours positive whatever the other bands
 
 Kept = tuple[np.ndarray, ...]
 
@@ -39,6 +42,8 @@ class Contributions:
     """Where the camera is: colours depend on the direction."""
     kept: Kept
     """The weights; see `kernels/linear.py`."""
+    bands: Float[Tensor, "M 3"] | None = None
+    """What the higher bands of colour add as seen from there, if they are fixed."""
 
     @property
     def nbytes(self) -> int:
@@ -53,13 +58,26 @@ class Contributions:
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """The image with the colours of these splats, which gradients reach."""
         shown = self.gaussians
+        if self.bands is not None:
+            return self.image((splats.sh0[shown, 0] * SH_C0 + self.bands).relu())
         dirs = splats.means[shown] - self.origin
         sh = splats.sh0[shown], splats.shN[shown]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh))
 
-    def weights(self) -> Float[Tensor, " M"]:
-        """What each Gaussian contributes to all pixels together: the column sums."""
-        return _color_gradients(self, torch.ones_like(self.background))[:, 0]
+    def with_fixed_bands(self, splats: Splats) -> "Contributions":
+        """The same for splats that differ from these at most in `sh0`: quicker."""
+        shown = self.gaussians
+        dirs = splats.means[shown] - self.origin
+        raised = torch.full_like(splats.sh0[shown], HEADROOM)  # above the clamp at black
+        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, raised, splats.shN[shown])
+        return replace(self, bands=colors - HEADROOM * SH_C0)
+
+    def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
+        """What each Gaussian contributes to some pixels, or to all: column sums of the weights."""
+        counted = torch.ones_like(self.background)
+        if pixels is not None:
+            counted *= pixels[:, :, None]
+        return _color_gradients(self, counted)[:, 0]
 
 
 @torch.no_grad()

@@ -39,6 +39,14 @@ class Cameras:
             names=tuple(self.names[i] for i in rows),
         )
 
+    def __add__(self, other: "Cameras") -> "Cameras":
+        return Cameras(
+            viewmats=torch.cat([self.viewmats, other.viewmats]),
+            Ks=torch.cat([self.Ks, other.Ks]),
+            sizes=torch.cat([self.sizes, other.sizes]),
+            names=self.names + other.names,
+        )
+
     @property
     def size(self) -> tuple[int, int]:
         """The width and height that all cameras share.

@@ -14,7 +14,7 @@ Pattern = Literal["small", "medium", "large", "photo"]
 
 SIZES: dict[Pattern, int | None] = {"small": 256, "medium": 192, "large": 128, "photo": None}
 COARSE = 0.5  # of the final size: where the large shapes are found
-COARSE_SHARE = 0.65  # of the steps; they are cheap, and the fine ones only add strokes
+COARSE_SHARE = 0.7  # of the steps; they are cheap, and the fine ones only add strokes
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
-from torchvision.models import vgg
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.config import Network
 
 LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
-TORCHVISION_KEYS: dict[Network, str] = {"vgg16": "D", "vgg19": "E", "random": "D"}
+WIDTHS = (64, 128, 256, 512, 512)  # filters of a convolution, block by block
+DEPTHS: dict[Network, tuple[int, ...]] = {  # convolutions of a block (Simonyan & Zisserman 2014)
+    "vgg16": (2, 2, 3, 3, 3),
+    "vgg19": (2, 2, 4, 4, 4),
+    "random": (2, 2, 3, 3, 3),
+}
 
 
 @dataclass(frozen=True)
@@ -128,16 +132,10 @@ def layer_widths(network: Network, depth: int) -> tuple[tuple[int, ...], ...]:
     Raises:
         StyleSplatError: If the network is not that deep.
     """
-    blocks: list[list[int]] = [[]]
-    for width in vgg.cfgs[TORCHVISION_KEYS[network]]:
-        if isinstance(width, int):
-            blocks[-1].append(width)
-        else:
-            blocks.append([])
-    blocks.pop()  # torchvision's configuration ends with a pooling
+    blocks = [(width,) * count for width, count in zip(WIDTHS, DEPTHS[network], strict=True)]
     if not 1 <= depth <= len(blocks):
         raise StyleSplatError(
             f"Block {depth} of {network} was asked for, it has blocks 1 to {len(blocks)}."
         )
     *whole, last = blocks[:depth]
-    return (*(tuple(b) for b in whole), tuple(last[:LAYERS_PER_BLOCK]))
+    return (*whole, last[:LAYERS_PER_BLOCK])

@@ -145,7 +145,9 @@ def stylize_objects(
     """
     start = time.perf_counter()
     _check(jobs)
+    every = cameras if held_out is None else cameras + held_out
     studio = _studio(splats, cameras, network, max_memory, backend)
+    studio = replace(studio, every_camera=every)
     jobs = [_moved(job, splats) for job in jobs]
     styled = Styled(studio.splats, studio.splats, torch.arange(len(splats), device=splats.device))
     objects = {}
@@ -197,7 +199,7 @@ def _studio(
     device = splats.device
     precision = fastest_dtype(device.type)
     room = max_memory * GIBIBYTE
-    return Studio(splats.detach(), cameras, network.to(device), precision, room, backend)
+    return Studio(splats.detach(), cameras, cameras, network.to(device), precision, room, backend)
 
 
 def _moved(job: StyleJob, splats: Splats) -> StyleJob:

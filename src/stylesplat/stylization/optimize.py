@@ -61,6 +61,8 @@ def optimize_colors(
         eps=1e-15,  # as in 3D Gaussian splatting: gradients of single Gaussians are tiny
     )
     scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
+    if "shN" not in leaves:
+        views = [view.with_fixed_bands(splats) for view in views]
     trust = _trust(splats, rows, views)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
         losses = objective(view, _with_rows(splats, leaves, rows))

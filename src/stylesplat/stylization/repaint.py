@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.contributions import contributions
 from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -24,7 +23,6 @@ from stylesplat.stylization.target import style_features
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
-    cut_to,
     cut_views,
     evenly,
     find_boxes,
@@ -58,6 +56,8 @@ class Studio:
     """The scene before."""
     cameras: Cameras
     """Views to optimise on."""
+    every_camera: Cameras
+    """Those and the held-out ones, in which nothing but the object may change."""
     network: FeatureNetwork
     """Whose features are matched, in float32."""
     precision: torch.dtype
@@ -178,11 +178,8 @@ def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float
     splats, growth = studio.splats, job.config.max_growth
     if growth == 1 or job.config.intensity == 0 or splats.device.type != "cpu":
         return Split(splats, torch.arange(len(splats), device=splats.device))
-    zoom = length / typical_length(boxes)
-    cameras = [cut_to(box, zoom) for box in evenly(boxes, SPLIT_VIEWS)]
-    shown = [contributions(splats, camera, job.picked) for camera in cameras]
-    focal = [float(camera.Ks[0, 0, 0]) for camera in cameras]
-    return split_large(splats, job.picked, shown, focal=focal, max_growth=growth)
+    views = object_views(studio, job, evenly(boxes, SPLIT_VIEWS), length, max_memory=math.inf)
+    return split_large(splats, job.picked, views, cameras=studio.every_camera, max_growth=growth)
 
 
 def _pictures(studio: Studio, job: StyleJob, views: Sequence[ObjectView]) -> list[Tensor]:

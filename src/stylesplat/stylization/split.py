@@ -4,25 +4,28 @@ A Gaussian gives way to a grid of smaller ones along its axes, whose sum is near
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import product
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from tqdm import tqdm
 
-from stylesplat.rendering.contributions import Contributions
+from stylesplat.rendering import constants as const
+from stylesplat.rendering.contributions import contributions
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.views import ObjectView, coverage
 
 COUNTS = (1, 3, 5, 7, 9)  # of children along an axis: odd, so that one keeps the centre
 SPANS = (0.0, 1.06, 1.69, 2.0, 2.2)  # how far the outermost lie, in the parent's deviations
 OVERLAP = 0.64  # deviation of a child, in distances between them: less shows ripples
 FINE_ENOUGH = 1.5  # pixels of deviation: strokes are wider at the sizes that features see
 HARDLY_SEEN = 0.05  # share of the rendering weight that is spread over Gaussians not worth it
-BISECTIONS = 20
+BISECTIONS = 10
 MAX_OPACITY = 0.995  # of a child; more would make its logit as good as infinite
 
 
@@ -40,9 +43,9 @@ class Split:
 def split_large(
     splats: Splats,
     picked: Bool[Tensor, " N"],
-    views: Sequence[Contributions],
+    views: Sequence[ObjectView],
     *,
-    focal: Sequence[float],
+    cameras: Cameras,
     max_growth: float,
 ) -> Split:
     """Split picked Gaussians that look large, until all are fine enough or the cap is reached.
@@ -50,50 +53,76 @@ def split_large(
     Args:
         splats: The scene.
         picked: The object's Gaussians.
-        views: What they contribute, at the size at which features are matched.
-        focal: Focal length of each view, in pixels.
+        views: Linear views of the object, at the size at which features are matched.
+        cameras: Views in which the object may cover no pixel that it did not cover before.
         max_growth: Bound of the object's number of Gaussians, as a multiple.
     """
-    sizes, weights = screen_sizes(splats, views, focal)
+    sizes, weights = screen_sizes(splats, views)
     ranked = weights.sort()
     seen_much = ranked.values.cumsum(0) > HARDLY_SEEN * weights.sum()
     worthwhile = torch.zeros_like(picked).index_copy(0, ranked.indices, seen_much) & picked
     room = int((max_growth - 1) * int(picked.sum()))
-    counts = _counts_that_fit(sizes, worthwhile, room)
+    counts = _counts_that_fit(sizes, worthwhile, torch.sigmoid(splats.opacities), room)
+    split = _divide(splats, counts)
+    counts[_overflowing(splats, split, picked, cameras)] = 1
     return _divide(splats, counts)
 
 
+def _overflowing(
+    splats: Splats, split: Split, picked: Bool[Tensor, " N"], cameras: Cameras
+) -> Int[Tensor, " R"]:
+    """The parents whose children show where nothing of the object showed.
+
+    Children of large Gaussians close to a camera, each of which it sees in its own perspective, or
+    that lie before what hid the parent's centre.
+    """
+    children = picked[split.parents]
+    found = [split.parents[:0]]
+    for index in tqdm(range(len(cameras)), desc="splitting large Gaussians", leave=False):
+        before = coverage(splats, cameras[index], picked)
+        after = contributions(split.splats, cameras[index], children)
+        spilled = (before == 0) & (after.coverage > 0)
+        if spilled.any():
+            found.append(split.parents[after.gaussians[after.weights(spilled) > 0]])
+    return torch.cat(found).unique()
+
+
 def screen_sizes(
-    splats: Splats, views: Sequence[Contributions], focal: Sequence[float]
+    splats: Splats, views: Sequence[ObjectView]
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, " N"]]:
     """How long each axis looks in pixels, where a Gaussian shows; and how much it shows."""
     weights = splats.means.new_zeros(len(splats))
     sizes = splats.means.new_zeros(len(splats), 3)
     axes = rotation_matrices(splats.quats)
-    for view, length in zip(views, focal, strict=True):
-        shown, weight = view.gaussians, view.weights()
-        away = splats.means[shown] - view.origin
+    for view in views:
+        assert view.linear is not None  # the caller has kept these few
+        shown, weight = view.linear.gaussians, view.linear.weights()
+        away = splats.means[shown] - view.linear.origin
         distance = away.norm(dim=1, keepdim=True)
         along = torch.einsum("ni,nij->nj", away / distance, axes[shown])
         across = (1 - along.square()).clamp(min=0).sqrt()
-        pixels = splats.scales[shown].exp() * across * length / distance
+        pixels = splats.scales[shown].exp() * across * float(view.camera.Ks[0, 0, 0]) / distance
         weights.index_add_(0, shown, weight)
         sizes.index_add_(0, shown, pixels * weight[:, None])
     return sizes / weights.clamp(min=1e-9)[:, None], weights
 
 
-def _counts_that_fit(sizes: Tensor, worthwhile: Tensor, room: int) -> Int[Tensor, "N 3"]:
+def _counts_that_fit(
+    sizes: Tensor, worthwhile: Tensor, opacities: Tensor, room: int
+) -> Int[Tensor, "N 3"]:
     """Children along each axis, for the finest size at which they do not outgrow their room."""
-    counts = _counts(sizes, worthwhile, FINE_ENOUGH)
-    if _growth(counts) <= room:
-        return counts
+
+    def fits(wanted: float) -> bool:
+        counts = _counts(sizes, worthwhile, wanted)
+        grown = [int(_visible(opacities[rows], c).sum()) - len(rows) for c, rows in _groups(counts)]
+        return sum(grown) <= room
+
     low, high = math.log(FINE_ENOUGH), math.log(float(sizes.max()) + FINE_ENOUGH)
+    if fits(FINE_ENOUGH):
+        return _counts(sizes, worthwhile, FINE_ENOUGH)
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        if _growth(_counts(sizes, worthwhile, math.exp(middle))) <= room:
-            high = middle
-        else:
-            low = middle
+        low, high = (low, middle) if fits(math.exp(middle)) else (middle, high)
     return _counts(sizes, worthwhile, math.exp(high))
 
 
@@ -106,24 +135,37 @@ def _counts(sizes: Tensor, worthwhile: Tensor, wanted: float) -> Tensor:
     return torch.tensor(COUNTS, device=sizes.device)[index]
 
 
-def _growth(counts: Tensor) -> int:
-    return int((counts.prod(dim=1) - 1).sum())
+def _groups(counts: Int[Tensor, "N 3"]) -> Iterator[tuple[tuple[int, ...], Tensor]]:
+    """The rows to split, by their numbers of children."""
+    kinds, which = counts.unique(dim=0, return_inverse=True)
+    for number, kind in enumerate(kinds.tolist()):
+        if math.prod(kind) > 1:
+            yield tuple(kind), (which == number).nonzero()[:, 0]
+
+
+def _heights(combination: tuple[int, ...]) -> Float[Tensor, " children"]:
+    """The peaks of all children, as shares of the parent's opacity."""
+    x, y, z = (_child(COUNTS.index(n))[2] for n in combination)
+    return (x[:, None, None] * y[:, None] * z).flatten()
+
+
+def _visible(opacities: Tensor, combination: tuple[int, ...]) -> Bool[Tensor, "R children"]:
+    """Which children are opaque enough to be drawn at all."""
+    return opacities[:, None] * _heights(combination).to(opacities) >= const.MIN_ALPHA
 
 
 def _divide(splats: Splats, counts: Int[Tensor, "N 3"]) -> Split:
     everyone = torch.arange(len(splats), device=splats.device)
-    centred = splats
-    children, parents = [], [everyone]
-    for combination in {tuple(row) for row in counts[counts.prod(dim=1) > 1].tolist()}:
-        rows = (counts == counts.new_tensor(combination)).all(dim=1).nonzero()[:, 0]
-        ladders = [_child(COUNTS.index(n)) for n in combination]
-        for place in product(*(range(n) for n in combination)):
-            child = _child_at(splats[rows], ladders, place)
-            if all(2 * p + 1 == n for p, n in zip(place, combination, strict=True)):
-                centred = _replace_rows(centred, rows, child)
-            else:
-                children.append(child)
-                parents.append(rows)
+    centred, children, parents = splats, [], [everyone]
+    for combination, rows in _groups(counts):
+        visible = _visible(torch.sigmoid(splats.opacities[rows]), combination)
+        middle = visible.shape[1] // 2
+        centre = torch.full_like(rows, middle)
+        centred = _replace_rows(centred, rows, _children_at(splats[rows], combination, centre))
+        visible[:, middle] = False
+        places, which = visible.T.nonzero(as_tuple=True)
+        children.append(_children_at(splats[rows[which]], combination, places))
+        parents.append(rows[which])
     tensors = {
         name: torch.cat([tensor, *(child.tensors()[name] for child in children)])
         for name, tensor in centred.tensors().items()
@@ -131,21 +173,21 @@ def _divide(splats: Splats, counts: Int[Tensor, "N 3"]) -> Split:
     return Split(replace(splats, **tensors), torch.cat(parents))
 
 
-def _child_at(
-    parent: Splats, ladders: Sequence[tuple[Tensor, float, Tensor]], place: tuple[int, ...]
+def _children_at(
+    parents: Splats, combination: tuple[int, ...], places: Int[Tensor, " R"]
 ) -> Splats:
-    """The children of some Gaussians at one place of their grids."""
-    offset = torch.stack([ladders[k][0][place[k]] for k in range(3)]).to(parent.means)
-    shrink = parent.means.new_tensor([ladders[k][1] for k in range(3)])
-    height = math.prod(float(ladders[k][2][place[k]]) for k in range(3))
-    moved = torch.einsum(
-        "nij,nj->ni", rotation_matrices(parent.quats), offset * parent.scales.exp()
-    )
-    opacities = (torch.sigmoid(parent.opacities) * height).clamp(max=MAX_OPACITY)
+    """One child of each Gaussian, at some place of its grid, the last axis counted first."""
+    ladders = [_child(COUNTS.index(n)) for n in combination]
+    grid = torch.cartesian_prod(*(offsets for offsets, _, _ in ladders)).to(parents.means)
+    shrink = parents.means.new_tensor([deviation for _, deviation, _ in ladders])
+    axes = rotation_matrices(parents.quats)
+    moved = torch.einsum("nij,nj->ni", axes, grid[places] * parents.scales.exp())
+    heights = _heights(combination).to(parents.means)[places]
+    opacities = (torch.sigmoid(parents.opacities) * heights).clamp(max=MAX_OPACITY)
     return replace(
-        parent,
-        means=parent.means + moved,
-        scales=parent.scales + shrink.log(),
+        parents,
+        means=parents.means + moved,
+        scales=parents.scales + shrink.log(),
         opacities=torch.logit(opacities),
     )
 

@@ -61,6 +61,11 @@ class ObjectView:
             return self.linear.render(splats)
         return rasterize(splats, self.camera, backend=backend)[0][0]
 
+    def with_fixed_bands(self, splats: Splats) -> "ObjectView":
+        """The same, quicker, for splats that differ from these at most in `sh0`."""
+        linear = self.linear and self.linear.with_fixed_bands(splats)
+        return replace(self, linear=linear)
+
 
 def find_boxes(
     splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, backend: Backend = "auto"

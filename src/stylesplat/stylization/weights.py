@@ -13,7 +13,6 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
-from torchvision.models import vgg
 from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
@@ -26,10 +25,7 @@ from stylesplat.stylization.safetensors_http import fetch_tensors
 Preprocessing = Literal["torchvision", "caffe-rgb", "caffe-bgr"]
 
 HUB_URL = "https://huggingface.co/timm/{network}.tv_in1k/resolve/main/model.safetensors"
-TORCHVISION_URLS = {
-    "vgg16": vgg.VGG16_Weights.IMAGENET1K_V1.url,
-    "vgg19": vgg.VGG19_Weights.IMAGENET1K_V1.url,
-}
+TORCHVISION_FILES = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
 TORCHVISION_MEAN, TORCHVISION_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CAFFE_MEAN = (123.68, 116.779, 103.939)  # red, green, blue in 0..255; nothing is divided
 CONVOLUTION = re.compile(r"(features\.\d+|conv\d_\d)\.(weight|bias)")
@@ -93,8 +89,7 @@ def cache_folder() -> Path:
 
 def _cached(network: Network, depth: int) -> Path:
     """A file of the network that is there, or that is there now."""
-    url = TORCHVISION_URLS[network]
-    torchvision = Path(torch.hub.get_dir()) / "checkpoints" / url.rsplit("/", 1)[1]
+    torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
     if torchvision.is_file():
         return torchvision
     path = cache_folder() / f"{network}_to_block{depth}.safetensors"
