@@ -12,9 +12,9 @@ ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
 
-SIZES: dict[Pattern, int | None] = {"small": 256, "medium": 192, "large": 128, "photo": None}
-COARSE = 0.5  # of the final size: where the large shapes are found
-COARSE_SHARE = 0.7  # of the steps; they are cheap, and the fine ones only add strokes
+SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
+COARSE = 0.6  # of the final size: where the large shapes are found
+COARSE_SHARE = 0.75  # of the steps; they are cheap, and the fine ones only add strokes
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class StyleConfig:
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
     """Size of strokes and shapes: features are matched on renders of the object in which its
-    longer side has 256, 192 or 128 pixels, half as many at first; or as many as in the photos."""
+    longer side has 224, 160 or 112 pixels, fewer at first; or as many as in the photos."""
     scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     rotate: float = 0.0

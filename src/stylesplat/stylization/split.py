@@ -18,14 +18,15 @@ from stylesplat.rendering.contributions import contributions
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import ObjectView, coverage
+from stylesplat.stylization.views import ObjectView, coverage, evenly
 
 COUNTS = (1, 3, 5, 7, 9)  # of children along an axis: odd, so that one keeps the centre
 SPANS = (0.0, 1.06, 1.69, 2.0, 2.2)  # how far the outermost lie, in the parent's deviations
 OVERLAP = 0.64  # deviation of a child, in distances between them: less shows ripples
 FINE_ENOUGH = 1.5  # pixels of deviation: strokes are wider at the sizes that features see
 HARDLY_SEEN = 0.05  # share of the rendering weight that is spread over Gaussians not worth it
-BISECTIONS = 10
+BISECTIONS = 7
+CHECKED_VIEWS = 16  # for children that show where their parents did not
 MAX_OPACITY = 0.995  # of a child; more would make its logit as good as infinite
 
 
@@ -54,7 +55,8 @@ def split_large(
         splats: The scene.
         picked: The object's Gaussians.
         views: Linear views of the object, at the size at which features are matched.
-        cameras: Views in which the object may cover no pixel that it did not cover before.
+        cameras: Views in which the object may cover no pixel that it did not cover before; of
+            many some are checked.
         max_growth: Bound of the object's number of Gaussians, as a multiple.
     """
     sizes, weights = screen_sizes(splats, views)
@@ -78,7 +80,8 @@ def _overflowing(
     """
     children = picked[split.parents]
     found = [split.parents[:0]]
-    for index in tqdm(range(len(cameras)), desc="splitting large Gaussians", leave=False):
+    checked = evenly(range(len(cameras)), CHECKED_VIEWS)
+    for index in tqdm(checked, desc="splitting large Gaussians", leave=False):
         before = coverage(splats, cameras[index], picked)
         after = contributions(split.splats, cameras[index], children)
         spilled = (before == 0) & (after.coverage > 0)

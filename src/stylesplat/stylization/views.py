@@ -21,6 +21,7 @@ from stylesplat.stylization.features import Cells
 COVERED = 0.5  # the opaque share from which a pixel or a feature is the object's
 SURVEY_SIZE = 160  # longer side of the renders in which objects are looked for
 STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
+MARGIN = 12  # pixels around a box at most: what lies beyond hardly moves a deep feature (< 1 %)
 MEBIBYTE = 2**20
 MIN_CELLS = 16  # views that show fewer features of the object are skipped
 
@@ -120,7 +121,7 @@ def cut_views(
     views, used = [], 0
     keeps = max_memory > 0 and splats.device.type == "cpu" and backend in ("auto", "cpu")
     for box in tqdm(boxes, desc="cutting the views", leave=False):
-        camera = cut_to(box, zoom, cells)
+        camera = _cut(box, zoom, cells)
         linear = contributions(splats, camera, picked) if keeps and used < max_memory else None
         seen = linear.coverage if linear else coverage(splats, camera, picked, backend=backend)
         masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
@@ -171,10 +172,10 @@ def crop(camera: Cameras, low: Sequence[int], high: Sequence[int]) -> Cameras:
     return replace(camera, Ks=Ks, sizes=sizes.to(camera.sizes.dtype))
 
 
-def cut_to(box: Box, zoom: float, cells: Sequence[Cells] = ()) -> Cameras:
-    """The camera of a box and of all pixels around it that its features depend on."""
+def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> Cameras:
+    """The camera of a box and of the pixels around it that its features depend on."""
     camera = box.camera.downscale(1 / zoom)
-    low = (box.low * zoom).floor() - max((c.before for c in cells), default=0)
-    high = (box.high * zoom).ceil() + max((c.size - c.before for c in cells), default=0)
+    low = (box.low * zoom).floor() - min(MARGIN, max(c.before for c in cells))
+    high = (box.high * zoom).ceil() + min(MARGIN, max(c.size - c.before for c in cells))
     low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
     return crop(camera, low.tolist(), high.tolist())
