@@ -21,8 +21,14 @@ from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.weights import load_weights
+from stylesplat.training.config import TrainConfig
+from stylesplat.verbs.train import train_scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+STYLES = DATA / "styles"
+VGG19 = DATA.parent / "weights" / "vgg19_conv1_1-conv3_4.safetensors"
 OUT = Path(__file__).resolve().parent / "out"
 MIB = 2**20
 
@@ -44,6 +50,23 @@ def trained_fox(gaussians: int = 50_000, seconds: float = 60.0) -> Splats:
         splats = ss.train(fox, max_seconds=seconds, max_gaussians=gaussians)
         write_scene(Scene(splats=splats, cameras=fox.cameras), folder)
     return read_scene(folder).splats
+
+
+def trained_scene(name: str, *, downscale: float, gaussians: int, seconds: float = 200.0) -> Path:
+    """A real scene with its objects, trained once and kept in `benchmarks/out`."""
+    folder = OUT / f"{name}_{downscale:g}_{gaussians}"
+    if not folder.exists():
+        capture(name)  # exits where the data are absent
+        config = TrainConfig(max_seconds=seconds, max_gaussians=gaussians)
+        train_scene(DATA / name, folder, config=config, downscale=downscale)
+    return folder
+
+
+def style_network(depth: int = 3) -> FeatureNetwork:
+    """The development copy of VGG19; exits with a reason where it is absent."""
+    if not VGG19.is_file():
+        raise SystemExit(f"This benchmark needs the weights {VGG19}, which are not here.")
+    return load_weights("vgg19", VGG19, depth=depth)
 
 
 def step(

@@ -72,7 +72,7 @@ def test_wrong_usage_exits_with_2(arguments: list[str], capsys):
 
 
 @pytest.mark.parametrize(
-    "verb", ["demo", "train", "objects", "select", "stylize", "adjust", "render"]
+    "verb", ["demo", "train", "objects", "select", "stylize", "adjust", "sheet", "render"]
 )
 def test_help_has_an_example(verb: str, capsys):
     with pytest.raises(SystemExit) as stopped:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.scene_folder import Scene, read_scene, update_scene, write_scene
+from stylesplat.io.scene_folder import Scene, Unsplit, read_scene, update_scene, write_scene
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -76,6 +76,17 @@ def test_round_trip(tmp_path: Path, make: Callable[[], Scene]):
     scene = make()
     write_scene(scene, tmp_path / "scene")
     assert_same(read_scene(tmp_path / "scene"), scene)
+
+
+def test_what_undoes_a_split_comes_back(tmp_path: Path):
+    shape = Unsplit(4, torch.tensor([0, 3]), random(2, 3), random(2))
+    write_scene(replace(full_scene(), unsplit=shape), tmp_path / "scene")
+    found = read_scene(tmp_path / "scene").unsplit
+    assert found is not None and found.count == 4
+    for name in ("rows", "scales", "opacities"):
+        assert torch.equal(getattr(found, name), getattr(shape, name))
+    write_scene(full_scene(), tmp_path / "scene", overwrite=True)
+    assert read_scene(tmp_path / "scene").unsplit is None
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -3,8 +3,8 @@ from dataclasses import replace
 import torch
 
 from scenes import random_splats
-from stylesplat.rendering.sh import sh_colors
-from stylesplat.stylization.color import color_map, map_colors
+from stylesplat.rendering.sh import SH_C0, sh_colors
+from stylesplat.stylization.color import NOISE, VARIATION, color_map, map_colors, vary_colors
 
 NOISE_BIAS = 0.05  # the source's variances, 0.04 to 0.09, are raised by NOISE
 
@@ -32,9 +32,27 @@ def test_a_map_to_its_own_colors_changes_little():
 
 
 def test_flat_colors_are_not_blown_up():
-    matrix, _ = color_map(torch.full((100, 3), 0.4), colors(300, 1))
-    assert matrix.isfinite().all()
-    assert torch.linalg.matrix_norm(matrix, 2) < 50
+    """Their variance counts as NOISE, so no direction grows by more than this."""
+    target = colors(300, 1)
+    matrix, offset = color_map(torch.full((100, 3), 0.4), target)
+    largest = torch.linalg.eigvalsh(target.T.cov()).max() / NOISE
+    assert torch.linalg.matrix_norm(matrix, 2) < 1.01 * largest.sqrt()  # roundings
+    mapped = matrix @ torch.full((3,), 0.4) + offset
+    # roundings of a matrix of several hundreds
+    torch.testing.assert_close(mapped, target.mean(dim=0), atol=1e-3, rtol=0)
+
+
+def test_variation_gives_flat_objects_colors_to_stretch():
+    splats = random_splats(400)
+    splats = replace(splats, sh0=torch.zeros_like(splats.sh0))
+    picked = torch.arange(400) < 300
+    varied = vary_colors(splats, picked, seed=3)
+    deviations = (varied.sh0[picked, 0] * SH_C0).std(dim=0)
+    # single draws of a random pattern scatter around its deviation
+    assert ((deviations > VARIATION / 2) & (deviations < 2 * VARIATION)).all()
+    assert torch.equal(varied.sh0[~picked], splats.sh0[~picked])
+    assert torch.equal(varied.sh0, vary_colors(splats, picked, seed=3).sh0)
+    assert not torch.equal(varied.sh0, vary_colors(splats, picked, seed=4).sh0)
 
 
 def test_colors_are_mapped_from_wherever_they_are_seen():

@@ -15,7 +15,10 @@ from stylesplat.stylization.config import PRESETS, StyleConfig
         ({"object_size": 0}, "object_size 0"),
         ({"intensity": 1.6}, r"intensity 1\.6: use 0 to 1\.5"),
         ({"view_share": 0.0}, r"share of 0\.0 of the views"),
-        ({"blocks": ()}, "name at least one block"),
+        ({"layers": ()}, "name at least one layer group"),
+        ({"content": -0.1}, r"content -0\.1: use 0 or more"),
+        ({"smoothness": float("nan")}, "smoothness nan"),
+        ({"max_growth": 0.5}, r"grow to 0\.5 times"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], message: str):
@@ -26,4 +29,15 @@ def test_settings_out_of_range(settings: dict[str, Any], message: str):
 def test_the_papers_preset():
     paper = PRESETS["paper"]
     assert (paper.steps, paper.view_share, paper.lr) == (500, 0.25, 0.0025)
-    assert paper.view_dependent and not paper.color_transfer
+    assert (paper.view_dependence, paper.color, paper.max_growth) == ("train", "free", 1)
+    assert paper.stages(321.0) == [(321.0, 500)], "as large as in the photos"
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 300])
+def test_stages_use_up_the_steps_and_end_at_full_size(steps: int):
+    stages = StyleConfig(steps=steps, object_size=100).stages(500.0)
+    assert sum(count for _, count in stages) == steps
+    assert all(count > 0 for _, count in stages)
+    lengths = [length for length, _ in stages]
+    assert lengths == sorted(lengths)
+    assert steps < 4 or lengths[-1] == 100

@@ -6,8 +6,8 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.measure import changes, evenly, view_loss
-from stylesplat.stylization.views import ObjectView, crop
+from stylesplat.stylization.measure import changes, view_loss
+from stylesplat.stylization.views import ObjectView, crop, evenly
 
 
 def test_evenly_spaced():
@@ -44,9 +44,26 @@ def test_the_background_has_no_say(network: FeatureNetwork):
     mask = torch.zeros(20, 25, dtype=torch.bool)
     mask[6, 9] = True
     style = torch.rand(30, 12, generator=generator)
-    view_loss(image, ObjectView(CAMERAS[0], (mask,)), [style], network, [2]).backward()
+    view_loss(
+        image,
+        ObjectView(CAMERAS[0], (mask,), torch.ones(40, 50, dtype=torch.bool)),
+        [style],
+        network,
+        [2],
+    ).backward()
     assert image.grad is not None
     cells = network.cells(2)
     top, left = (i * cells.stride - cells.before for i in (6, 9))
     inside = (slice(top, top + cells.size), slice(left, left + cells.size))
     assert image.grad[inside].abs().sum() == image.grad.abs().sum() > 0
+
+
+def test_more_gaussians_count_as_changed_and_a_rim_is_seen():
+    picked = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
+    more = SPLATS[torch.cat([torch.arange(len(SPLATS)), torch.tensor([205, 206])])]
+    assert changes(SPLATS, more, CAMERAS[:1], picked)["changed_gaussians"] == 2
+    repainted = replace(SPLATS, sh0=SPLATS.sh0 + 1.0 * picked[:, None, None])
+    found = changes(SPLATS, repainted, CAMERAS[:1], picked)
+    assert found["changed_gaussians"] == 80
+    assert found["outside_max_difference"] == 0
+    assert 0 < found["rim_error"] < 0.2  # the object's soft contour, no more

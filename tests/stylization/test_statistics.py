@@ -40,7 +40,7 @@ def object_views(rows: list[int]) -> list[ObjectView]:
         cells = [torch.zeros(36 // s, 48 // s, dtype=torch.bool) for s in (1, 2)]
         for mask in cells:
             mask[:, row : row + 20] = True
-        views.append(ObjectView(CAMERAS[row], tuple(cells)))
+        views.append(ObjectView(CAMERAS[row], tuple(cells), cells[0]))
     return views
 
 

@@ -149,7 +149,6 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         (OBJECTS + "scale: true", "scale must be a number, not true."),
         (OBJECTS + "scale: .nan", "scale must be a number, not NaN."),
         (OBJECTS + "scale: 1" + "0" * 400, "scale must be a number, not 1000"),
-        (OBJECTS + "full_size: 1", "full_size must be true or false, not 1."),
         (OBJECTS + "layers: 3", "layers must be a list, each a whole number, not 3."),
         (OBJECTS + "layers: [a]", 'layers must be a list, each a whole number, not ["a"].'),
         (OBJECTS + "region: [1, 2, 3]", "region must be a list of 4, each a whole number or null,"),

@@ -8,7 +8,7 @@ from typing import Any
 
 import tyro
 
-from stylesplat.cli import looking, making
+from stylesplat.cli import looking, making, styling
 from stylesplat.errors import StyleSplatError
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
@@ -18,8 +18,9 @@ VERBS = {
     "train": making.Train,
     "objects": looking.Objects,
     "select": making.Select,
-    "stylize": making.Stylize,
-    "adjust": making.Adjust,
+    "stylize": styling.Stylize,
+    "adjust": styling.Adjust,
+    "sheet": styling.Sheet,
     "render": looking.Render,
     "export": looking.Export,
     "evaluate": looking.Evaluate,

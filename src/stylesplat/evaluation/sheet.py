@@ -19,6 +19,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, object_ids, render_labels
 from stylesplat.selection.pick import pick_objects
+from stylesplat.stylization.views import coverage
 
 CELL = 256  # pixels along a cut-out
 MARGIN = 16  # pixels around a cut-out
@@ -33,6 +34,7 @@ SURVEY_SIZE = 160  # pixels along the longer side of those
 OVERSCAN = 0.5  # of the view on each side, to show what the photo's border cuts off
 PART_SHARE = 0.2  # of the largest part's pixels, below which a part is taken for a stray
 PADDING = 0.06  # of a cut-out on each side
+SURROUNDINGS = 0.15  # of an object, on each side of a close-up
 
 
 @torch.no_grad()
@@ -76,17 +78,53 @@ def object_sheet(
     return torch.from_numpy(np.array(_grid(cells)))
 
 
+@torch.no_grad()
+def close_up(
+    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, backend: Backend = "auto"
+) -> Cameras:
+    """A square view of an object and a margin, from the camera that shows most of it.
+
+    Args:
+        splats: The scene.
+        cameras: Views to choose from.
+        picked: The object's Gaussians.
+        backend: See `rasterize`.
+
+    Returns:
+        One camera, named as the one it was made from.
+
+    Raises:
+        StyleSplatError: If the object shows in none of the views.
+    """
+    scores = {}
+    for row in tqdm(_survey_rows(cameras), "find the object", unit="view", leave=False):
+        shown = coverage(splats, _small(cameras[row]), picked, backend=backend) > MIN_COVERAGE
+        scores[row] = _visibility(shown)
+    best = max(scores, key=lambda row: scores[row])
+    if scores[best] == -math.inf:
+        where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"
+        raise StyleSplatError(f"The object does not show in {where}. Choose a view of it.")
+    return _aim(splats, picked, cameras[best], backend, padding=SURROUNDINGS)
+
+
 def _best_views(
     splats: Splats, cameras: Cameras, ids: Sequence[int], backend: Backend
 ) -> list[int]:
     """For each object the camera that shows most of it, uncut by the image's border."""
-    rows = torch.linspace(0, len(cameras) - 1, min(SURVEY_VIEWS, len(cameras))).long().tolist()
-    scores = []
+    rows, scores = _survey_rows(cameras), []
     for row in tqdm(rows, "find objects", unit="view"):
-        camera = cameras[row].downscale(max(1.0, int(cameras.sizes[row].max()) / SURVEY_SIZE))
-        labels = render_labels(splats, camera, backend=backend)
+        labels = render_labels(splats, _small(cameras[row]), backend=backend)
         scores.append([_visibility(labels == id) for id in ids])
     return [rows[int(np.argmax(column))] for column in zip(*scores, strict=True)]
+
+
+def _survey_rows(cameras: Cameras) -> list[int]:
+    """Some of the cameras, from the first to the last."""
+    return torch.linspace(0, len(cameras) - 1, min(SURVEY_VIEWS, len(cameras))).long().tolist()
+
+
+def _small(camera: Cameras) -> Cameras:
+    return camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
 
 
 def _visibility(shown: Tensor) -> float:
@@ -114,7 +152,13 @@ def _cut_out(
     return render[0, ..., :3], render[0, ..., 3:]
 
 
-def _aim(splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: Backend) -> Cameras:
+def _aim(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    camera: Cameras,
+    backend: Backend,
+    padding: float = PADDING,
+) -> Cameras:
     """The same camera, shifted and zoomed to the square around an object."""
     width, height = camera.size
     step = max(width, height) / SURVEY_SIZE
@@ -126,7 +170,7 @@ def _aim(splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: B
     if box is None:
         return _crop(camera, (0.0, 0.0), CELL / max(width, height), (CELL, CELL))
     x0, y0, x1, y1 = box
-    side = max(x1 - x0, y1 - y0) * step * (1 + 2 * PADDING)
+    side = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
     corner = (left + (x0 + x1) / 2 * step - side / 2, top + (y0 + y1) / 2 * step - side / 2)
     return _crop(camera, corner, CELL / side, (CELL, CELL))
 

@@ -143,7 +143,7 @@ def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
     partial = v_image.new_zeros(get_num_threads(), len(view.gaussians) * vec.LANES)
     flat = v_image.contiguous().view(-1).numpy()
     linear.compose_backward(view.kept, flat, width, height, partial.numpy())
-    return partial.view(len(partial), -1, vec.LANES).sum(dim=0)[:, :3]
+    return partial.view(len(partial), len(view.gaussians), vec.LANES).sum(dim=0)[:, :3]
 
 
 class _Compose(Function):

@@ -46,15 +46,9 @@ def transfer_colors(
 def object_colors(
     splats: Splats, views: Sequence[ObjectView], *, backend: Backend = "auto"
 ) -> Float[Tensor, "P 3"]:
-    """The object's colours in some views, one per feature."""
-    colors = []
-    for view in views:
-        image = view.render(splats, backend=backend)
-        cells = view.cells[0]
-        stride = max(1, image.shape[0] // cells.shape[0])
-        pooled = F.avg_pool2d(image.permute(2, 0, 1), stride).permute(1, 2, 0)
-        colors.append(pooled[: cells.shape[0], : cells.shape[1]][cells])
-    return torch.cat(colors)
+    """The object's colours in some views, one per pixel."""
+    images = (view.render(splats, backend=backend) for view in views)
+    return torch.cat([image[view.pixels] for image, view in zip(images, views, strict=True)])
 
 
 @torch.no_grad()

@@ -106,9 +106,9 @@ def stylize_live(
     else:
         image = read_style(style, rotate=config.rotate, region=config.region)
     job = StyleJob("object", picked, (image,), config)
-    _check([job])
-    studio = _studio(splats, cameras, network)
-    for state in repaint(studio, _moved(job, splats)):
+    check_jobs([job])
+    studio = open_studio(splats, cameras, network)
+    for state in repaint(studio, moved(job, splats)):
         mask = picked[state.parents]
         blended = blend_colors(state.base, state.splats, mask, config.intensity)
         yield replace(state, splats=blended)
@@ -144,11 +144,11 @@ def stylize_objects(
             not seen, or a style image is too small.
     """
     start = time.perf_counter()
-    _check(jobs)
+    check_jobs(jobs)
     every = cameras if held_out is None else cameras + held_out
-    studio = _studio(splats, cameras, network, max_memory, backend)
+    studio = open_studio(splats, cameras, network, max_memory, backend)
     studio = replace(studio, every_camera=every)
-    jobs = [_moved(job, splats) for job in jobs]
+    jobs = [moved(job, splats) for job in jobs]
     styled = Styled(studio.splats, studio.splats, torch.arange(len(splats), device=splats.device))
     objects = {}
     for job in jobs:
@@ -164,7 +164,9 @@ def stylize_objects(
     for job in jobs:
         objects[job.name] |= measure_object(measured, job, styled.splats, fallback=studio.cameras)
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
-    metrics = measure_changes(measured, styled.splats, picked)
+    metrics = measure_changes(
+        studio.splats, styled.splats, measured.cameras, picked, backend=backend
+    )
     steps = sum(job.config.steps for job in jobs)
     seconds = time.perf_counter() - start
     return styled, {"seconds": seconds, "steps": steps, **metrics, "objects": objects}
@@ -189,20 +191,29 @@ def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float)
     )
 
 
-def _studio(
+def open_studio(
     splats: Splats,
     cameras: Cameras,
     network: FeatureNetwork,
     max_memory: float = MAX_MEMORY,
     backend: Backend = "auto",
 ) -> Studio:
+    """What repainting needs besides a job.
+
+    Args:
+        splats: The scene.
+        cameras: Views to optimise on.
+        network: Whose features are matched.
+        max_memory: GiB that linear views may take; see `cut_views`.
+        backend: Of the rasteriser.
+    """
     device = splats.device
     precision = fastest_dtype(device.type)
     room = max_memory * GIBIBYTE
     return Studio(splats.detach(), cameras, cameras, network.to(device), precision, room, backend)
 
 
-def _moved(job: StyleJob, splats: Splats) -> StyleJob:
+def moved(job: StyleJob, splats: Splats) -> StyleJob:
     """The job on the device of the splats."""
     styles = tuple(style.to(splats.means) for style in job.styles)
     return replace(job, picked=job.picked.to(splats.device), styles=styles)
@@ -242,7 +253,8 @@ def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:
     )
 
 
-def _check(jobs: Sequence[StyleJob]) -> None:
+def check_jobs(jobs: Sequence[StyleJob]) -> None:
+    """Raise a StyleSplatError if these objects cannot be repainted in one scene."""
     if not jobs:
         raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
     for job in jobs:

@@ -1,5 +1,6 @@
 """Nearest-neighbour feature matching, the loss of ARF (Zhang et al. 2022)."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
@@ -28,5 +29,6 @@ def nnfm_loss(
 
 
 def cosine_distance(feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]) -> Float[Tensor, ""]:
-    """The mean over rows of 1 minus the cosine, in float32."""
-    return (1 - F.cosine_similarity(feats.float(), others.float(), dim=1)).mean()
+    """The mean over rows of 1 minus the cosine, in float32 or more."""
+    dtype = torch.promote_types(feats.dtype, torch.float32)
+    return (1 - F.cosine_similarity(feats.to(dtype), others.to(dtype), dim=1)).mean()

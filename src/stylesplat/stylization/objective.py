@@ -13,7 +13,7 @@ from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex
 from stylesplat.stylization.nnfm import cosine_distance
-from stylesplat.stylization.views import COVERED, ObjectView
+from stylesplat.stylization.views import ObjectView
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Objective:
         if self.config.content > 0:
             total = total + self.config.content * self._content(view, feats)
         if self.config.smoothness > 0:
-            variation = total_variation(image, self._mask(view))
+            variation = total_variation(image, view.pixels)
             total = total + self.config.smoothness * variation
         return Losses(style, total)
 
@@ -65,20 +65,14 @@ class Objective:
     def _content(self, view: ObjectView, feats: Sequence[Tensor]) -> Tensor:
         """The mean squared change of the features, in units of their mean square."""
         with torch.no_grad():
-            image = view.render(self.original, backend=self.backend)
+            as_it_was = view.with_fixed_bands(self.original)  # the view may have others
+            image = as_it_was.render(self.original, backend=self.backend)
             wanted = self._features(view, image)
         changes = [
             (own.float() - other.float()).square().mean() / other.float().square().mean()
             for own, other in zip(feats, wanted, strict=True)
         ]
         return torch.stack(changes).mean()
-
-    def _mask(self, view: ObjectView) -> Tensor:
-        if view.linear is not None:
-            return view.linear.coverage > COVERED
-        height, width = view.camera.size[::-1]
-        cells = view.cells[0][None, None].float()
-        return torch.nn.functional.interpolate(cells, (height, width))[0, 0] > COVERED
 
 
 def total_variation(image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, ""]:

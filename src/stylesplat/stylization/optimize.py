@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.optim.lr_scheduler import ExponentialLR
 
+from stylesplat.rendering.rasterize import Backend
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.objective import Objective
@@ -63,7 +64,7 @@ def optimize_colors(
     scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
     if "shN" not in leaves:
         views = [view.with_fixed_bands(splats) for view in views]
-    trust = _trust(splats, rows, views)
+    trust = _trust(splats, picked, views, objective.backend)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
         losses = objective(view, _with_rows(splats, leaves, rows))
         optimizer.zero_grad()
@@ -78,15 +79,14 @@ def optimize_colors(
         yield Step(number, losses.style.item(), _with_rows(splats, leaves, rows).detach())
 
 
-def _trust(splats: Splats, rows: Tensor, views: Sequence[ObjectView]) -> Float[Tensor, "M 1 1"]:
+def _trust(
+    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView], backend: Backend
+) -> Float[Tensor, "M 1 1"]:
     """How far to follow each Gaussian's steps: Adam's are as long for those that hardly show."""
-    kept = [view.linear for view in views if view.linear is not None]
-    if not kept:
-        return splats.means.new_ones(len(rows), 1, 1)
     weights = splats.means.new_zeros(len(splats))
-    for linear in kept:
-        weights.index_add_(0, linear.gaussians, linear.weights())
-    weights = weights[rows]
+    for view in views:
+        weights += view.weights(splats, picked, backend=backend)
+    weights = weights[picked]
     typical = weights[weights > 0].median()
     return (weights / (weights + TRUSTED * typical))[:, None, None]
 

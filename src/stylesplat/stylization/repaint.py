@@ -175,11 +175,17 @@ def target_features(
 
 
 def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float) -> Split:
-    splats, growth = studio.splats, job.config.max_growth
-    if growth == 1 or job.config.intensity == 0 or splats.device.type != "cpu":
-        return Split(splats, torch.arange(len(splats), device=splats.device))
-    views = object_views(studio, job, evenly(boxes, SPLIT_VIEWS), length, max_memory=math.inf)
-    return split_large(splats, job.picked, views, cameras=studio.every_camera, max_growth=growth)
+    growth, device = job.config.max_growth, studio.splats.device
+    if growth == 1 or job.config.intensity == 0:
+        return Split(studio.splats, torch.arange(len(studio.splats), device=device))
+    # contributions are known on the CPU only
+    studio = replace(studio, splats=studio.splats.to("cpu"), backend="cpu")
+    job = replace(job, picked=job.picked.cpu())
+    few = evenly(boxes, SPLIT_VIEWS)
+    views = object_views(studio, job, few, length, max_memory=math.inf)
+    cameras = studio.every_camera
+    split = split_large(studio.splats, job.picked, views, cameras=cameras, max_growth=growth)
+    return Split(split.splats.to(device), split.parents.to(device))
 
 
 def _pictures(studio: Studio, job: StyleJob, views: Sequence[ObjectView]) -> list[Tensor]:

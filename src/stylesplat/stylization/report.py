@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.consistency import view_consistency
@@ -26,13 +27,10 @@ VIEWS = 4  # of the object, and of the scene
 STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
 
 
-@torch.no_grad()
 def measure_object(
     studio: Studio, job: StyleJob, styled: Splats, *, fallback: Cameras
 ) -> dict[str, float]:
     """How close an object is to its style, what is left of it, and whether views agree.
-
-    All features of the style image are searched, in float32.
 
     Args:
         studio: The scene before, and the views to measure on.
@@ -41,12 +39,28 @@ def measure_object(
         fallback: Views to measure on if the studio's do not show the object.
 
     Returns:
-        `nnfm_before`, `nnfm_after`, `statistics_before`, `statistics_after` (see
-        `style_statistics_distance`), `content_ssim` and what `view_consistency` returns.
+        What `measure_style` and `measure_look` return.
+    """
+    base, backend = studio.splats, studio.backend
+    cameras = showing(base, job.picked, studio.cameras, fallback=fallback, backend=backend)
+    numbers = measure_style(replace(studio, cameras=cameras), job, styled)
+    return numbers | measure_look(base, styled, cameras, job.picked, backend=backend)
+
+
+@torch.no_grad()
+def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, float]:
+    """How close an object is to its style. Its views and all style features are in float32.
+
+    Args:
+        studio: The scene before, and the views to measure on.
+        job: The object and its style.
+        styled: The scene after; it may have more Gaussians.
+
+    Returns:
+        `nnfm_before`, `nnfm_after`, `statistics_before` and `statistics_after` (see
+        `style_statistics_distance`).
     """
     backend = studio.backend
-    if not find_boxes(studio.splats, studio.cameras, job.picked, backend=backend):
-        studio = replace(studio, cameras=fallback)
     layers = job.config.layers
     views, targets = _object_in_styles(studio, job, layers)
     rest = (views, targets, studio.network, layers)
@@ -57,27 +71,63 @@ def measure_object(
     layers = STATISTICS[: len(studio.network.blocks)]
     views, targets = _object_in_styles(studio, job, layers)
     rest = (views, targets, studio.network, layers)
-    numbers |= {
+    return numbers | {
         "statistics_before": object_statistics_distance(studio.splats, *rest, backend=backend),
         "statistics_after": object_statistics_distance(styled, *rest, backend=backend),
     }
-    cameras = studio.cameras[evenly(range(len(studio.cameras)), VIEWS)]
-    similarity = content_ssim(studio.splats, styled, cameras, job.picked, backend=backend)
-    if similarity is not None:
-        numbers["content_ssim"] = similarity
-    consistency = view_consistency(
-        studio.splats, styled, studio.cameras, job.picked, backend=backend
-    )
-    return numbers | consistency
+
+
+@torch.no_grad()
+def measure_look(
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+    *,
+    backend: Backend = "auto",
+) -> dict[str, float]:
+    """What is left of an object, and whether views agree: what can be told without its style.
+
+    Args:
+        base: The scene before.
+        styled: The scene after; it may have more Gaussians.
+        cameras: The views to measure on.
+        picked: The object's Gaussians in `base`.
+        backend: Of the rasteriser.
+
+    Returns:
+        `content_ssim`, if it can be told, and what `view_consistency` returns.
+    """
+    few = cameras[evenly(range(len(cameras)), VIEWS)]
+    similarity = content_ssim(base, styled, few, picked, backend=backend)
+    numbers = {} if similarity is None else {"content_ssim": similarity}
+    return numbers | view_consistency(base, styled, cameras, picked, backend=backend)
 
 
 @torch.no_grad()
 def measure_changes(
-    studio: Studio, styled: Splats, picked: Bool[Tensor, " N"]
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+    *,
+    backend: Backend = "auto",
 ) -> dict[str, int | float]:
-    """What `changes` finds in a few of the studio's views."""
-    cameras = studio.cameras[evenly(range(len(studio.cameras)), VIEWS)]
-    return changes(studio.splats, styled, cameras, picked, backend=studio.backend)
+    """What `changes` finds in a few of the views."""
+    few = cameras[evenly(range(len(cameras)), VIEWS)]
+    return changes(base, styled, few, picked, backend=backend)
+
+
+def showing(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    cameras: Cameras,
+    *,
+    fallback: Cameras,
+    backend: Backend = "auto",
+) -> Cameras:
+    """The cameras, or the others if these do not show the object."""
+    return cameras if find_boxes(splats, cameras, picked, backend=backend) else fallback
 
 
 def _object_in_styles(

@@ -212,7 +212,8 @@ def _child(index: int) -> tuple[Tensor, float, Tensor]:
     count, span = COUNTS[index], SPANS[index]
     if count == 1:
         return torch.zeros(1), 1.0, torch.ones(1)
-    offsets = torch.linspace(-span, span, count)
+    offsets = span * torch.linspace(-1, 1, count)
+    offsets = (offsets - offsets.flip(0)) / 2  # the middle one is 0 to the bit
     deviation = OVERLAP * 2 * span / (count - 1)
     x = torch.linspace(-4, 4, 401)
     shapes = torch.exp(-((x[:, None] - offsets) / deviation).square() / 2)

@@ -53,6 +53,8 @@ class ObjectView:
     """One camera, whose image is the cut."""
     cells: tuple[Bool[Tensor, "_ _"], ...]
     """For each block of features, which of them are the object's."""
+    pixels: Bool[Tensor, "H W"]
+    """Which pixels are the object's."""
     linear: Contributions | None = None
     """The image as a function of the object's colours; None if it is rasterised every time."""
 
@@ -61,6 +63,18 @@ class ObjectView:
         if self.linear is not None:
             return self.linear.render(splats)
         return rasterize(splats, self.camera, backend=backend)[0][0]
+
+    def weights(
+        self, splats: Splats, picked: Bool[Tensor, " N"], *, backend: Backend = "auto"
+    ) -> Float[Tensor, " N"]:
+        """What each picked Gaussian contributes to the view, summed over its pixels."""
+        if self.linear is not None:
+            weights = splats.means.new_zeros(len(splats))
+            return weights.index_copy_(0, self.linear.gaussians, self.linear.weights())
+        ones = torch.ones_like(splats.opacities)[:, None].requires_grad_()
+        image, _, _ = rasterize(splats, self.camera, features=ones, sh_degree=0, backend=backend)
+        (weights,) = torch.autograd.grad(image[..., 3].sum(), ones)
+        return weights[:, 0] * picked
 
     def with_fixed_bands(self, splats: Splats) -> "ObjectView":
         """The same, quicker, for splats that differ from these at most in `sh0`."""
@@ -127,7 +141,7 @@ def cut_views(
         masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
         if all(mask.sum() >= MIN_CELLS for mask in masks):
             used += linear.nbytes if linear else 0
-            views.append(ObjectView(camera, masks, linear))
+            views.append(ObjectView(camera, masks, seen > COVERED, linear))
     if keeps and used >= max_memory:
         _say_full(views, max_memory)
     return views

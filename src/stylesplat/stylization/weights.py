@@ -46,6 +46,7 @@ def load_weights(
     depth: int = 3,
     preprocessing: Preprocessing | None = None,
     seed: int = 0,
+    download: bool = True,
 ) -> FeatureNetwork:
     """Load a feature network as deep as needed.
 
@@ -60,15 +61,16 @@ def load_weights(
             the original mean in either order. By default the file's metadata decide, or else
             the layers' names: the original order is blue first.
         seed: For `random`.
+        download: Whether to, if there is no file.
 
     Raises:
         StyleSplatError: If the file is missing, unreadable or of another network, or if there
-            is none and it cannot be downloaded.
+            is none and it cannot or must not be downloaded.
     """
     if network == "random":
         return random_network(depth, seed)
     layer_widths(network, depth)  # refuses a depth that the network does not have
-    path = Path(path) if path is not None else _cached(network, depth)
+    path = Path(path) if path is not None else _cached(network, depth, download)
     tensors, metadata = _read(path)
     blocks = _assemble(tensors, network, depth, path)
     if preprocessing is None:
@@ -87,13 +89,18 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
 
 
-def _cached(network: Network, depth: int) -> Path:
+def _cached(network: Network, depth: int, download: bool) -> Path:
     """A file of the network that is there, or that is there now."""
     torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
     if torchvision.is_file():
         return torchvision
     path = cache_folder() / f"{network}_to_block{depth}.safetensors"
     if not path.is_file():
+        if not download:
+            raise StyleSplatError(
+                f"There is no file of {network}'s weights in {path.parent}. Style an object with "
+                f"`--features {network}` to have it downloaded."
+            )
         _download(network, depth, path)
     return path
 

@@ -106,7 +106,9 @@ def unstyled(scene: Scene, path: Path) -> Scene:
     """
     if scene.base_colors is None:
         raise StyleSplatError(f"{path} is not styled: there is nothing to undo.")
-    splats, picks = replace(scene.splats, **scene.base_colors), scene.picks
+    splats = replace(scene.splats, **scene.base_colors)
+    # `stylize` names what label ids meant
+    picks = {name: picked for name, picked in scene.picks.items() if not name.isdecimal()}
     if scene.unsplit is not None:
         shape = scene.unsplit
         splats = splats[torch.arange(shape.count)]

@@ -1,13 +1,25 @@
-"""`evaluate`: measure a scene against photos and label maps."""
+"""`evaluate`: measure a scene against photos and label maps, and objects against their styles."""
 
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.metrics import evaluate_views
 from stylesplat.io.load import load
-from stylesplat.io.scene_folder import read_scene, update_scene
+from stylesplat.io.scene_folder import RECIPE, Scene, read_scene, update_scene
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.loop import moved, open_studio
+from stylesplat.stylization.report import measure_changes, measure_look, measure_style, showing
+from stylesplat.verbs.adjust import unstyled
+from stylesplat.verbs.objects import find_object
+from stylesplat.verbs.recipe import read_recipe
+from stylesplat.verbs.say import say
+from stylesplat.verbs.stylize import flat_metrics, load_network, style_jobs, working_views
 
 
 def evaluate_scene(
@@ -22,7 +34,8 @@ def evaluate_scene(
         device: Where to render.
 
     Returns:
-        What `evaluate_views` measures; also written to `metrics.json` under `evaluate`.
+        What `evaluate_views` measures, and of a styled scene what `stylize_scene` did, as far as
+        its styles and network are at hand; also written to `metrics.json` under `evaluate`.
 
     Raises:
         StyleSplatError: If the capture is gone, or the scene has no held-out views.
@@ -34,6 +47,49 @@ def evaluate_scene(
     downscale = scene.info.get("settings", {}).get("downscale", 1.0)
     capture = load(source, downscale=downscale, masks=masks)
     rows = [capture.cameras.index(name) for name in scene.info.get("test_views", [])]
-    metrics = evaluate_views(scene.splats.to(pick_device(device)), capture, rows)
+    splats = scene.splats.to(pick_device(device))
+    metrics = evaluate_views(splats, capture, rows)
+    if scene.base_colors is not None:
+        metrics |= _styled_metrics(scene, path, splats)
     update_scene(path, metrics=scene.metrics | {"evaluate": metrics})
     return metrics
+
+
+def _styled_metrics(scene: Scene, path: Path, styled: Splats) -> dict[str, Any]:
+    """The numbers of `stylize_scene`, its seconds and steps aside."""
+    names = [str(how["name"]) for how in (scene.recipe or {}).get("objects", [])]
+    if not names:
+        return {}
+    before = unstyled(scene, path)
+    base = before.splats.to(styled.device)
+    training, held_out = working_views(scene)
+    cameras = held_out or training
+    picks = {name: find_object(before, name).to(styled.device) for name in names}
+    views = {n: showing(base, mask, cameras, fallback=training) for n, mask in picks.items()}
+    closeness = _closeness(before, path, styled, views)
+    objects = {
+        name: closeness.get(name, {}) | measure_look(base, styled, views[name], picked)
+        for name, picked in picks.items()
+    }
+    every = torch.stack([*picks.values()]).any(dim=0)
+    return flat_metrics(measure_changes(base, styled, cameras, every) | {"objects": objects})
+
+
+def _closeness(
+    before: Scene, path: Path, styled: Splats, views: dict[str, Cameras]
+) -> dict[str, dict[str, float]]:
+    """By object, how close it is to its style; empty if that cannot be told here."""
+    try:
+        recipe = read_recipe(path / RECIPE, defaults=StyleConfig())
+        jobs = style_jobs(before, recipe.objects)
+        features = recipe.features or "vgg16"
+        network = load_network(jobs, features, recipe.weights, download=False)
+    except StyleSplatError as error:
+        say(f"{path} is not compared with its styles: {error}")
+        return {}
+    base = before.splats.to(styled.device)
+    jobs = [moved(job, base) for job in jobs]
+    return {
+        job.name: measure_style(open_studio(base, views[job.name], network), job, styled)
+        for job in jobs
+    }

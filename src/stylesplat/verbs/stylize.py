@@ -14,6 +14,7 @@ from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Network
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.loop import MAX_MEMORY, Styled, stylize_objects
 from stylesplat.stylization.pictures import read_style
 from stylesplat.stylization.repaint import StyleJob
@@ -53,8 +54,7 @@ def stylize_scene(
         refuse_occupied(output, marker=SCENE)
     scene = read_scene(path)
     jobs = style_jobs(scene, objects)
-    depth = max(max(job.config.layers) for job in jobs)
-    network = load_weights(features, weights, depth=depth, seed=jobs[0].config.seed)
+    network = load_network(jobs, features, weights)
     training, held_out = working_views(scene)
     styled, measured = stylize_objects(
         *(scene.splats.to(pick_device(device)), training, jobs, network),
@@ -68,7 +68,7 @@ def stylize_scene(
         "weights": weights and weights.resolve(),
         "scene": path.resolve(),
     }
-    repainted = _with_style(scene, styled)
+    repainted = _with_style(scene, styled, jobs)
     repainted = replace(
         repainted,
         recipe=recipe,
@@ -76,6 +76,19 @@ def stylize_scene(
     )
     write_scene(repainted, output, overwrite=overwrite)
     return metrics
+
+
+def load_network(
+    jobs: Sequence[StyleJob], features: Network, weights: Path | None, *, download: bool = True
+) -> FeatureNetwork:
+    """The network that some jobs need, as deep as the deepest does.
+
+    Raises:
+        StyleSplatError: As `load_weights` does.
+    """
+    depth = max(max(job.config.layers) for job in jobs)
+    seed = jobs[0].config.seed
+    return load_weights(features, weights, depth=depth, seed=seed, download=download)
 
 
 def style_jobs(scene: Scene, objects: Sequence[StyledObject]) -> list[StyleJob]:
@@ -96,17 +109,21 @@ def style_jobs(scene: Scene, objects: Sequence[StyledObject]) -> list[StyleJob]:
     return jobs
 
 
-def _with_style(scene: Scene, styled: Styled) -> Scene:
-    """The scene with its new Gaussians, and all that belongs to them; and what undoes it."""
+def _with_style(scene: Scene, styled: Styled, jobs: Sequence[StyleJob]) -> Scene:
+    """The scene with its new Gaussians, and all that belongs to them; and what undoes it.
+
+    What a label id meant is kept as well: among the new Gaussians it would mean others.
+    """
     parents = styled.parents.cpu()
     splats, base = styled.splats.to("cpu"), styled.base.to("cpu")
+    picks = scene.picks | {job.name: job.picked for job in jobs}
     colors = {"sh0": base.sh0, "shN": base.shN}
     if scene.base_colors is not None:  # styled before: other objects' colours before that
         colors = {name: tensor[parents] for name, tensor in scene.base_colors.items()}
     return replace(
         scene,
         splats=splats,
-        picks={name: picked[parents] for name, picked in scene.picks.items()},
+        picks={name: picked[parents] for name, picked in picks.items()},
         base_colors=colors,
         style_colors=None,
         unsplit=_unsplit(scene, base),

@@ -77,3 +77,21 @@ def test_channel_products():
     for i, x in enumerate((A, B)):
         expected = row[i] * NUMBERS[32:48] + NUMBERS[48:] * x
         assert np.allclose(out[16 + 16 * i : 32 + 16 * i], expected, atol=1e-5)
+
+
+@numba.njit
+def through_halves(a, halves, out):
+    for i in range(0, a.shape[0], 16):
+        vec.store_halves(halves, i, vec.load(a, i))
+        vec.store(out, i, vec.load_halves(halves, i))
+
+
+def test_halves_are_numpys():
+    edges = [0, -0.0, 1, 1 / 3, 65504, 1e5, 1e-8, 6e-8, 1e-6, 2049, 2051, np.inf, -1 / 3, 6e-5]
+    numbers = np.concatenate([NUMBERS, np.array([*edges, 1e-5, 0.999], np.float32)])
+    halves, out = np.zeros(len(numbers), np.uint16), np.empty_like(numbers)
+    through_halves(numbers, halves, out)
+    with np.errstate(over="ignore"):
+        expected = numbers.astype(np.float16)
+    assert np.array_equal(halves, expected.view(np.uint16))
+    assert np.array_equal(out, expected.astype(np.float32))

@@ -1,0 +1,173 @@
+"""The verb `sheet`: what its cells show, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from balls import CAMERAS
+from stylesplat.cli import main
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.grid import CAPTION, HEAD
+from stylesplat.evaluation.sheet import CELL, MARGIN
+from stylesplat.io.photos import read_image
+from stylesplat.stylization.config import PRESETS
+from stylesplat.verbs import sheet as verb
+from stylesplat.verbs.settings import parse_variation
+from stylesplat.verbs.sheet import plan_sheet
+
+FAST = ("--features", "random", "--steps", 2, "--device", "cpu")
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def draw(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Draw a sheet of the scene; the answer, and the picture."""
+
+    def draw(*arguments: object) -> tuple[dict, torch.Tensor]:
+        out = tmp_path / "sheet.png"
+        assert run("sheet", scene, "-o", out, *FAST, *arguments, "--json", "--overwrite") == 0
+        return json.loads(capsys.readouterr().out), read_image(out)
+
+    return draw
+
+
+def cell(sheet: torch.Tensor, row: int, column: int) -> torch.Tensor:
+    """Column 0 holds the object as it is."""
+    top = MARGIN + row * (CELL + CAPTION + MARGIN)
+    left = HEAD + 2 * MARGIN + column * (CELL + MARGIN)
+    return sheet[top : top + CELL, left : left + CELL].float()
+
+
+def size(sheet: torch.Tensor) -> tuple[int, int]:
+    """Rows and columns."""
+    height, width, _ = sheet.shape
+    rows = (height - MARGIN) / (CELL + CAPTION + MARGIN)
+    columns = (width - HEAD - 2 * MARGIN) / (CELL + MARGIN)
+    assert rows.is_integer() and columns.is_integer()
+    return int(rows), int(columns)
+
+
+def test_columns_and_rows_are_the_two_settings(draw, scene: Path, style: Path):
+    before = {p.name: p.read_bytes() for p in scene.iterdir()}
+    styles = ("--style", f"3={style}")
+    shown, sheet = draw(*styles, "--vary", "color=style,keep", "--vary", "scale=1,2,3")
+    assert size(sheet) == (3, 3)
+    assert (shown["cells"], shown["repainted"]) == (6, 6)
+    assert before == {p.name: p.read_bytes() for p in scene.iterdir()}
+    whole = cell(sheet, 0, 0)
+    red = (whole[..., 0] > whole[..., 1] + 60) & (whole[..., 0] > whole[..., 2] + 60)
+    assert 0.2 < red.float().mean() < 0.7, "the red ball, and a margin around it"
+    middle = slice(CELL // 2 - 20, CELL // 2 + 20)
+    for row in range(3):
+        own, styled = (cell(sheet, row, c)[middle, middle].mean(dim=(0, 1)) for c in (2, 1))
+        assert own[0] > own[2] + 60, "its own hues are kept"
+        assert abs(styled[0] - styled[2]) < own[0] - own[2], "the stripes are as blue as red"
+
+
+def test_intensities_are_blends_of_one_result(draw, style: Path):
+    shown, sheet = draw("--style", f"3={style}", "--vary", "intensity=0,0.5,1")
+    assert (shown["cells"], shown["repainted"]) == (3, 1)
+    before, none, half, full = (cell(sheet, 0, column) for column in range(4))
+    # Splitting a Gaussian moves colours by a few levels; the style moves them by a hundred
+    assert (before - none).abs().mean() < 3
+    assert (full - none).abs().mean() > 6
+    # Half of it if no blend; colours that leave their range and are clamped make it more than 0
+    assert (half - (none + full) / 2).abs().mean() < 0.2 * (full - none).abs().mean()
+
+
+def test_several_styles_are_rows(draw, style: Path, tmp_path: Path):
+    green = tmp_path / "green.png"
+    Image.new("RGB", (64, 64), (20, 200, 20)).save(green)
+    styles = ("--style", f"3={style}", "--style", f"3={green}")
+    shown, sheet = draw(*styles)
+    assert size(sheet) == (2, 2) and shown["repainted"] == 2
+    first, second = (cell(sheet, row, 1).mean(dim=(0, 1)) for row in (0, 1))
+    assert second[1] - second[0] > first[1] - first[0] + 20, "the second row is greener"
+    edge = sheet[MARGIN + CELL + CAPTION + MARGIN :, : MARGIN + HEAD]
+    assert (edge == torch.tensor([20, 200, 20])).all(dim=-1).any(), "the picture, in its row"
+
+
+def test_the_view_is_chosen_or_named(draw, style: Path):
+    views = {}
+    for name in CAMERAS.names[2:5:2]:
+        shown, sheet = draw("--style", f"3={style}", "--view", name)
+        assert shown["view"] == name
+        views[name] = cell(sheet, 0, 0)
+    first, second = views.values()
+    assert (first - second).abs().mean() > 2
+    shown, sheet = draw("--style", f"3={style}")
+    assert shown["view"] in CAMERAS.names
+
+
+def test_settings_start_from_the_preset():
+    kinds = parse_variation("preset=paper,default")
+    plan = plan_sheet([("3", (Path("a.png"),))], [kinds], settings={"preset": "default"})
+    assert [config for _, config in plan.rows[0].cells] == [PRESETS["paper"], PRESETS["default"]]
+    settings = {"preset": "paper", "steps": 9}
+    plan = plan_sheet([("3", (Path("a.png"),))], [("seed", (1, 2))], settings=settings)
+    assert [(c.steps, c.seed, c.color) for _, c in plan.rows[0].cells] == [
+        *((9, seed, "free") for seed in (1, 2)),
+    ]
+    plan = plan_sheet(
+        [("3", (Path("a.png"), Path("b.png")))],
+        [("layers", ((3,), (2, 3))), ("view_dependence", ("keep",))],
+        settings={"preset": "default"},
+    )
+    assert [caption for caption, _ in plan.rows[0].cells] == ["layers 3", "layers 2, 3"]
+    assert [row.label for row in plan.rows] == ["view dependence keep"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--style", "3={style}", "--style", "7={style}"], "one object, got 3 and 7"),
+        ([], "got none"),
+        (["--style", "3={style}", "--vary", "sclae=1"], "Did you mean 'scale'?"),
+        (["--style", "3={style}", "--vary", "scale=big"], 'scale must be a number, not "big"'),
+        (["--style", "3={style}", "--vary", "scale=0"], "must exceed 0"),
+        (["--style", "3={style}", "--vary", "scale"], "KEY=VALUE"),
+        (["--style", "3={style}", "--vary", "scale=1,,2"], "no valid YAML"),
+        (["--style", "3={style}", "--vary", "preset=papr"], '"default" or "paper"'),
+        (["--style", "3={style}", *["--vary", "scale=1"] * 2], "--vary scale was given twice"),
+        (
+            ["--style", "3={style}"] * 2 + ["--vary", "scale=1"] + ["--vary", "steps=2"],
+            "several styles and one",
+        ),
+        (["--style", "3={style}", "--view", "lost.jpg"], "No view is called"),
+        (["--style", "hat={style}"], "no object 'hat'"),
+        (["--style", "3={tmp}/none.png"], "none.png"),
+        (["--style", "3={style}", "-o", "{tmp}/x.txt"], ".png"),
+        (["--style", "3={style}", "-o", "{style}"], "--overwrite"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_refusals_come_before_any_repainting(
+    arguments: list[str], expected: str, scene: Path, style: Path, capsys, monkeypatch
+):
+    monkeypatch.setattr(verb, "repaint", lambda *_: pytest.fail("it started to repaint"))
+    places = {"style": style, "tmp": scene.parent}
+    files = sorted(scene.parent.rglob("*"))
+    filled = [argument.format(**places) for argument in arguments]
+    output = [] if "-o" in filled else ["-o", scene.parent / "sheet.png"]
+    assert run("sheet", scene, *output, *FAST[:2], *filled) == 1
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("stylesplat: ") and expected in last
+    assert sorted(scene.parent.rglob("*")) == files
+
+
+def test_a_failure_keeps_the_sheet_before(scene: Path, style: Path, tmp_path: Path, monkeypatch):
+    def fail(*_: object) -> None:
+        raise StyleSplatError("no")
+
+    out = tmp_path / "sheet.png"
+    out.write_bytes(b"mine")
+    monkeypatch.setattr(verb, "repaint", fail)
+    arguments = ("--style", f"3={style}", "--overwrite", *FAST)
+    assert run("sheet", scene, "-o", out, *arguments) == 1
+    assert out.read_bytes() == b"mine"

@@ -1,0 +1,67 @@
+"""The compressed search finds what the exhaustive one finds, or something as good."""
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import normalize
+
+from stylesplat.stylization import matching
+from stylesplat.stylization.matching import build_index, largest_columns, nearest
+from stylesplat.stylization.nnfm import cosine_distance
+
+
+def features(count: int, width: int = 96, *, seed: int, rank: int = 200) -> torch.Tensor:
+    """Outputs of a random layer: non-negative, with principal directions as networks' have."""
+    generator = torch.Generator().manual_seed(seed)
+    layer = torch.randn(rank, width, generator=torch.Generator().manual_seed(99))
+    spectrum = 1 / torch.arange(1, rank + 1).sqrt()
+    return (torch.randn(count, rank, generator=generator) * spectrum @ layer + 0.2).relu()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize(("count", "styles", "width"), [(500, 333, 96), (37, 65, 256), (64, 48, 7)])
+def test_the_loss_is_that_of_the_exhaustive_search(
+    count: int, styles: int, width: int, dtype: torch.dtype
+):
+    feats, style = features(count, width, seed=0), features(styles, width, seed=1)
+    index = build_index(style, dtype)
+    found = index.nearest(feats.to(dtype))
+    assert found.min() >= 0 and found.max() < styles
+    best = cosine_distance(feats, style[nearest(feats, normalize(style))])
+    loss = cosine_distance(feats, style[found])
+    # matches lost in compression, and in bfloat16 those that differ by its rounding
+    assert best * 0.9999 <= loss < 1.005 * best
+    assert cosine_distance(feats, style.roll(1, 0)[found]) > 1.1 * best, "a check that can fail"
+
+
+@pytest.mark.parametrize("styles", [1, 3, 16, 17, 63, 200])
+def test_features_find_themselves(styles: int):
+    style = features(styles, 128, seed=2)
+    order = torch.randperm(styles, generator=torch.Generator().manual_seed(0))
+    index = build_index(style, torch.float32)
+    assert torch.equal(index.nearest(5 * style[order]), order), "lengths do not matter"
+
+
+def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
+    feats, index = features(50, seed=3), build_index(features(70, seed=4), torch.float32)
+    whole = index.nearest(feats)
+    monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 7 * 80)
+    assert torch.equal(index.nearest(feats), whole)
+
+
+def test_no_features_have_no_matches():
+    index = build_index(features(70, seed=4), torch.float32)
+    assert index.nearest(features(0, seed=3)).shape == (0,)
+
+
+@pytest.mark.parametrize(("stride", "count"), [(16, 16), (16, 5), (80, 71), (48, 4), (16, 2)])
+def test_largest_columns_are_topks(stride: int, count: int):
+    rows = np.random.default_rng(0).normal(size=(30, stride)).astype(np.float32)
+    rows[:, count:] = 99  # beyond the count, never to be taken
+    rows[0] = -rows[0] - 200
+    found = np.full((30, 4), 0, np.int64)
+    largest_columns(rows.ravel(), stride, count, found)
+    several = min(4, count)
+    expected = torch.from_numpy(rows[:, :count]).topk(several).indices.numpy()
+    assert np.array_equal(found[:, :several], expected)
+    assert found.max() < count
