@@ -40,7 +40,7 @@ class Options:
 
     demo: Path | None = None
     """Folder that `stylesplat demo` made; without it its scene and painting are left out."""
-    paper_steps: int = 60
+    paper_steps: int = 40
     """Steps of the paper's preset."""
 
 

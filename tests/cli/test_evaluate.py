@@ -13,7 +13,7 @@ from stylesplat.io.files import read_json, write_json
 from stylesplat.io.scene_folder import Scene, write_scene
 from stylesplat.stylization import weights
 
-PER_RUN = ("seconds", "steps", "train")
+PER_RUN = ("seconds", "steps", "precision", "train")
 NEEDS_STYLE = {"nnfm_before", "nnfm_after", "statistics_before", "statistics_after"}
 NEEDS_NONE = {"content_ssim", "short_range_rmse", "outside_psnr", "changed_gaussians"}
 

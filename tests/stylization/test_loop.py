@@ -295,7 +295,7 @@ def test_unseen_objects(job: StyleJob, network: FeatureNetwork):
     with pytest.raises(StyleSplatError, match="ball: it is seen in none of the 8 views"):
         stylize_objects(faint, CAMERAS, [job], network)
     with pytest.raises(StyleSplatError, match="ball: it is hardly visible"):
-        stylize_objects(SCENE, CAMERAS, [with_settings(job, object_size=4)], network)
+        stylize_objects(SCENE, CAMERAS, [with_settings(job, object_size=4, scale=50.0)], network)
 
 
 def test_too_few_gaussians(job: StyleJob, network: FeatureNetwork):
@@ -318,3 +318,22 @@ def test_small_styles(job: StyleJob, network: FeatureNetwork):
     small = replace(job, styles=(*job.styles, torch.rand(8, 90, 3)))
     with pytest.raises(StyleSplatError, match="it is 90x8 pixels"):
         stylize_objects(SCENE, CAMERAS, [small], network)
+
+
+def test_memory_and_grad_mode(job: StyleJob, network: FeatureNetwork):
+    with pytest.raises(StyleSplatError, match="Cannot keep views in -1"):
+        stylize_objects(SCENE, CAMERAS, [job], network, max_memory=-1.0)
+    rest = (SCENE, CAMERAS, job.picked, job.styles[0])
+    with torch.no_grad():  # as a viewer may call it
+        quiet = stylize(*rest, config=FAST, network=network)
+    assert same(quiet, stylize(*rest, config=FAST, network=network))
+
+
+def test_a_style_too_small_to_compare_does_not_cost_the_result(
+    job: StyleJob, network: FeatureNetwork, capsys: pytest.CaptureFixture[str]
+):
+    fine = with_settings(job, layers=(1,), scale=0.05, object_size=192, steps=2)
+    styled, metrics = stylize_objects(SCENE, CAMERAS, [fine], network)
+    assert "ball is not compared with its style" in capsys.readouterr().err
+    assert "nnfm_after" not in metrics["objects"]["ball"]
+    assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)

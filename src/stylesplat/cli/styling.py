@@ -3,7 +3,7 @@
 Libraries are imported when a verb runs, so that `--help` answers at once.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,22 +28,22 @@ class Stylize:
     """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id. May
     be repeated."""
     recipe: Path | None = None
-    """YAML file with objects, styles and settings instead of --style; options on the command line
-    are what it starts from. A styled scene's recipe.json is one too."""
+    """YAML file with objects, styles and settings instead of --style; options given
+    here precede its own. A styled scene's recipe.json is one too."""
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper is the method as published."""
     steps: int | None = None
-    """Optimiser steps per object."""
+    """Optimiser steps per object, 300 by default."""
     features: Literal["vgg16", "vgg19", "random"] | None = None
     """Network whose features are matched, vgg16 by default; random needs no file, gives less."""
     weights: Path | None = None
     """File of the network's weights (.safetensors, .pth); downloaded once if not given."""
     pattern: Literal["small", "medium", "large", "photo"] | None = None
-    """Size of strokes and shapes; photo matches features at the photos' size."""
+    """Size of strokes and shapes, medium by default; photo matches at the photos' size."""
     layers: tuple[int, ...] | None = None
-    """Groups of network layers that are matched, 1 to 4: deeper ones make larger patterns."""
+    """Groups of network layers that are matched, of 1 to 4; 3 by default."""
     scale: float | None = None
-    """Size of the style picture relative to the object: larger makes larger strokes."""
+    """Size of the style picture relative to the object, 2 by default: more makes larger strokes."""
     rotate: float | None = None
     """Degrees to turn the style picture by, counter-clockwise."""
     region: tuple[int, int, int, int] | None = None
@@ -51,15 +51,15 @@ class Stylize:
     intensity: float | None = None
     """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
     color: Literal["style", "keep", "blend", "free"] | None = None
-    """Whose hues the object gets: the style's, its own, half of both, or what matching gives."""
+    """Whose hues the object gets: the style's (default), its own, both, or what matching gives."""
     content: float | None = None
-    """Weight of keeping what the object looks like; 0 by default, 1 is much."""
+    """Weight of keeping what it looks like; 0 by default, 0.5 shows more of it, 2 mostly it."""
     smoothness: float | None = None
-    """Weight of flat areas (total variation); 0 by default, 1 is much."""
+    """Weight of the total variation; 0 by default, 1 calms, 5 makes flat areas."""
     view_dependence: Literal["keep", "drop", "train"] | None = None
-    """Whether highlights and reflections stay, are painted over, or are trained as well."""
+    """Whether highlights and reflections stay, are painted over (default), or are trained too."""
     max_growth: float | None = None
-    """Split Gaussians too large for strokes, up to this many times as many; 1 splits none."""
+    """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none."""
     max_memory: float = 1.5
     """GiB for prepared views; what does not fit takes longer."""
     seed: int | None = None
@@ -71,7 +71,6 @@ class Stylize:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.stylization.config import PRESETS
         from stylesplat.verbs.recipe import named_styles
         from stylesplat.verbs.stylize import stylize_scene
 
@@ -82,7 +81,8 @@ class Stylize:
         recipe = named_styles(
             [parse_style(text) for text in self.style],
             self.recipe,
-            defaults=replace(PRESETS[self.preset], **given(self, names)),
+            preset=self.preset,
+            settings=given(self, names),
         )
         return stylize_scene(
             self.scene,

@@ -63,7 +63,7 @@ class Scene:
     base_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
     """`sh0` and `shN` before styling; None if the scene is not styled."""
     style_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
-    """`sh0` and `shN` at full intensity; None if the scene was not adjusted."""
+    """`sh0` and `shN` at full intensity; None if the scene is not styled."""
     unsplit: Unsplit | None = None
     """The shapes of Gaussians that were split before styling; None if none were."""
     recipe: dict[str, Any] | None = None
@@ -114,17 +114,15 @@ def update_scene(
 
 
 def update_colors(scene: Scene, path: Path | str) -> None:
-    """Replace the colours of a styled scene, and their recipe, and leave the rest.
-
-    What is needed to undo it is written first.
+    """Replace the colours of a styled scene, their recipe and metrics, and leave the rest.
 
     Raises:
         StyleSplatError: If the folder is no scene or cannot be written.
     """
     folder = _scene_folder(path)
-    _write_colors(scene.style_colors, folder / STYLE_COLORS)
     write_splat_ply(scene.splats, folder / SPLATS)
     write_json(scene.recipe or {}, folder / RECIPE)
+    update_scene(folder, metrics=scene.metrics)
 
 
 def read_scene(path: Path | str) -> Scene:

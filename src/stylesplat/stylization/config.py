@@ -5,6 +5,8 @@ from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 
+LAYERS = range(1, 5)  # groups that the networks share
+LARGEST = 1e4  # of any setting: more is a slip, or no number
 MAX_INTENSITY = 1.5  # beyond it colours leave their range
 
 Network = Literal["vgg16", "vgg19", "random"]
@@ -43,9 +45,9 @@ class StyleConfig:
     """Whose hues the object has: the style's, its own (keep), half of both (blend), or whatever
     matching features alone gives (free)."""
     content: float = 0.0
-    """Weight of keeping the object's own features; 1 shows what it was clearly."""
+    """Weight of keeping the object's own features: 0.5 shows more of it, 2 mostly it."""
     smoothness: float = 0.0
-    """Weight of the total variation of the renders: more makes flatter areas."""
+    """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
     """What becomes of highlights and reflections: painted over, kept, or trained too."""
     max_growth: float = 4.0
@@ -70,8 +72,15 @@ class StyleConfig:
             value = getattr(self, name)
             if not value >= 0:
                 raise StyleSplatError(f"Cannot stylise with {name} {value}: use 0 or more.")
-        if not self.layers:
-            raise StyleSplatError("Cannot stylise without features: name at least one layer group.")
+        for name in ("scale", "lr", "content", "smoothness", "rotate", "max_growth"):
+            if not abs(getattr(self, name)) <= LARGEST:
+                raise StyleSplatError(
+                    f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
+                )
+        if not self.layers or not set(self.layers) <= set(LAYERS):
+            raise StyleSplatError(
+                f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
+            )
         check_intensity(self.intensity)
         if not 0 < self.view_share <= 1:
             raise StyleSplatError(

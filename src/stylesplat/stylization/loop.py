@@ -38,8 +38,10 @@ class Styled:
 
     splats: Splats
     """With the new colours. Split Gaussians' further children follow all others."""
+    full: Splats
+    """The same at full intensity."""
     base: Splats
-    """The same Gaussians with the colours before."""
+    """The same with the colours before."""
     parents: Int[Tensor, " N"]
     """Which Gaussian of the scene before each one comes from."""
 
@@ -108,8 +110,9 @@ def stylize_live(
     job = StyleJob("object", picked, (image,), config)
     check_jobs([job])
     studio = open_studio(splats, cameras, network)
-    for state in repaint(studio, moved(job, splats)):
-        mask = picked[state.parents]
+    job = moved(job, splats)
+    for state in repaint(studio, job):
+        mask = job.picked[state.parents]
         blended = blend_colors(state.base, state.splats, mask, config.intensity)
         yield replace(state, splats=blended)
 
@@ -136,8 +139,9 @@ def stylize_objects(
         backend: Of the rasteriser.
 
     Returns:
-        The styled scene, and `seconds`, `steps`, what `measure_changes` returns, and by name in
-        `objects` what `measure_object` returns, `seconds`, `steps` and `gaussians`.
+        The styled scene, and `seconds`, `steps`, the `precision` of the features, what
+        `measure_changes` returns, and by name in `objects` what `measure_object` returns,
+        `seconds`, `steps` and `gaussians`.
 
     Raises:
         StyleSplatError: If two objects share Gaussians or a name, an object has too few or is
@@ -149,7 +153,8 @@ def stylize_objects(
     studio = open_studio(splats, cameras, network, max_memory, backend)
     studio = replace(studio, every_camera=every)
     jobs = [moved(job, splats) for job in jobs]
-    styled = Styled(studio.splats, studio.splats, torch.arange(len(splats), device=splats.device))
+    nobody = torch.arange(len(splats), device=splats.device)
+    styled = Styled(studio.splats, studio.splats, studio.splats, nobody)
     objects = {}
     for job in jobs:
         began = time.perf_counter()
@@ -169,7 +174,8 @@ def stylize_objects(
     )
     steps = sum(job.config.steps for job in jobs)
     seconds = time.perf_counter() - start
-    return styled, {"seconds": seconds, "steps": steps, **metrics, "objects": objects}
+    run = {"seconds": seconds, "steps": steps, "precision": str(studio.precision)[6:]}
+    return styled, {**run, **metrics, "objects": objects}
 
 
 def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
@@ -206,7 +212,12 @@ def open_studio(
         network: Whose features are matched.
         max_memory: GiB that linear views may take; see `cut_views`.
         backend: Of the rasteriser.
+
+    Raises:
+        StyleSplatError: If `max_memory` is negative.
     """
+    if not max_memory >= 0:
+        raise StyleSplatError(f"Cannot keep views in {max_memory} GiB. Pass 0 or more.")
     device = splats.device
     precision = fastest_dtype(device.type)
     room = max_memory * GIBIBYTE
@@ -230,7 +241,7 @@ def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
     assert state is not None  # there is at least one step
     picked = job.picked[state.parents]
     blended = blend_colors(state.base, state.splats, picked, job.config.intensity)
-    return Styled(blended, state.base, state.parents)
+    return Styled(blended, state.splats, state.base, state.parents)
 
 
 def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:
@@ -248,6 +259,7 @@ def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:
 
     return Styled(
         splats=merged(styled.splats, alone.splats),
+        full=merged(styled.full, alone.full),
         base=merged(styled.base, alone.base),
         parents=torch.cat([styled.parents, alone.parents[count:]]),
     )

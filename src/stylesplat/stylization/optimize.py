@@ -66,9 +66,10 @@ def optimize_colors(
         views = [view.with_fixed_bands(splats) for view in views]
     trust = _trust(splats, picked, views, objective.backend)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
-        losses = objective(view, _with_rows(splats, leaves, rows))
         optimizer.zero_grad()
-        losses.total.backward()
+        with torch.enable_grad():  # a viewer may well have turned it off
+            losses = objective(view, _with_rows(splats, leaves, rows))
+            losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         optimizer.step()
         scheduler.step()

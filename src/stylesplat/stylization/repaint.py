@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -19,7 +20,7 @@ from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.split import Split, split_large
-from stylesplat.stylization.target import style_features
+from stylesplat.stylization.target import check_size, style_features
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
@@ -29,7 +30,7 @@ from stylesplat.stylization.views import (
     typical_length,
 )
 
-COLOR_VIEWS = 8  # whose pixels give an object its mean colour
+COLOR_VIEWS = 8  # whose pixels tell an object's colours
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
 SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
 
@@ -99,6 +100,9 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     boxes = see_object(studio, job, studio.cameras)
     boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
     stages = job.config.stages(typical_length(boxes))
+    for picture, (length, _) in product(job.styles, stages):
+        size = job.config.scale * length
+        check_size(picture, studio.network, job.config.layers, length=size)
     split = _split(studio, job, boxes, length=stages[-1][0])
     studio = replace(studio, splats=split.splats)
     job = replace(job, picked=job.picked[split.parents])

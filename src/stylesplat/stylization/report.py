@@ -1,12 +1,15 @@
 """The numbers by which a stylisation is judged, for each object and for the scene around it."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 from jaxtyping import Bool
 from torch import Tensor
+from tqdm import tqdm
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -32,6 +35,8 @@ def measure_object(
 ) -> dict[str, float]:
     """How close an object is to its style, what is left of it, and whether views agree.
 
+    What cannot be told, because the style is too small at the size of comparison, is left out.
+
     Args:
         studio: The scene before, and the views to measure on.
         job: The object and its style.
@@ -43,7 +48,11 @@ def measure_object(
     """
     base, backend = studio.splats, studio.backend
     cameras = showing(base, job.picked, studio.cameras, fallback=fallback, backend=backend)
-    numbers = measure_style(replace(studio, cameras=cameras), job, styled)
+    try:
+        numbers = measure_style(replace(studio, cameras=cameras), job, styled)
+    except StyleSplatError as error:  # the style is done all the same
+        tqdm.write(f"{job.name} is not compared with its style: {error}", file=sys.stderr)
+        numbers = {}
     return numbers | measure_look(base, styled, cameras, job.picked, backend=backend)
 
 

@@ -62,7 +62,7 @@ def split_large(
     sizes, weights = screen_sizes(splats, views)
     ranked = weights.sort()
     seen_much = ranked.values.cumsum(0) > HARDLY_SEEN * weights.sum()
-    worthwhile = torch.zeros_like(picked).index_copy(0, ranked.indices, seen_much) & picked
+    worthwhile = torch.zeros_like(picked).index_copy(0, ranked.indices, seen_much)
     room = int((max_growth - 1) * int(picked.sum()))
     counts = _counts_that_fit(sizes, worthwhile, torch.sigmoid(splats.opacities), room)
     split = _divide(splats, counts)

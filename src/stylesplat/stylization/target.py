@@ -31,11 +31,9 @@ def style_features(
     Raises:
         StyleSplatError: If the style image is smaller than what one feature depends on.
     """
+    check_size(style, network, blocks, length=length)
     cells = [network.cells(block) for block in blocks]
-    needed = max(c.size + c.stride - 1 for c in cells)
-    _refuse_small(style, needed, "it is", "Choose a larger picture.")
     resized = resize(style, length)
-    _refuse_small(resized, needed, "for this object it becomes", "Raise the style scale.")
     feats = network(resized, blocks)
     rows = []
     for c, image in zip(cells, feats, strict=True):
@@ -44,18 +42,34 @@ def style_features(
     return tuple(rows)
 
 
+def check_size(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
+) -> None:
+    """Raise a StyleSplatError if the style image has no whole feature; see `style_features`."""
+    cells = [network.cells(block) for block in blocks]
+    needed = max(c.size + c.stride - 1 for c in cells)
+    height, width = style.shape[:2]
+    _refuse_small((width, height), needed, "it is", "Choose a larger picture.")
+    size = _fitted(width, height, length)
+    _refuse_small(size, needed, "for this object it becomes", "Raise the style scale.")
+
+
 def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
     """The image with a longer side of `length` pixels, its shape kept."""
     height, width = image.shape[:2]
-    factor = length / max(height, width)
-    size = (max(1, round(height * factor)), max(1, round(width * factor)))
+    size = _fitted(width, height, length)
     planes = image.permute(2, 0, 1)[None]
-    resized = F.interpolate(planes, size, mode="bicubic", antialias=True)
+    resized = F.interpolate(planes, size[::-1], mode="bicubic", antialias=True)
     return resized[0].permute(1, 2, 0).clamp(0, 1)
 
 
-def _refuse_small(style: Tensor, needed: int, what: str, remedy: str) -> None:
-    height, width = style.shape[:2]
+def _fitted(width: int, height: int, length: float) -> tuple[int, int]:
+    factor = length / max(height, width)
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
+def _refuse_small(size: tuple[int, int], needed: int, what: str, remedy: str) -> None:
+    width, height = size
     if min(height, width) < needed:
         raise StyleSplatError(
             f"Cannot take the style from this picture: {what} {width}x{height} pixels, and its "

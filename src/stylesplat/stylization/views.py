@@ -132,17 +132,19 @@ def cut_views(
         max_memory: Bytes that linear views may take; what does not fit is rasterised each time.
         backend: Of the rasteriser.
     """
-    views, used = [], 0
+    views, used, full = [], 0, False
     keeps = max_memory > 0 and splats.device.type == "cpu" and backend in ("auto", "cpu")
     for box in tqdm(boxes, desc="cutting the views", leave=False):
         camera = _cut(box, zoom, cells)
-        linear = contributions(splats, camera, picked) if keeps and used < max_memory else None
+        linear = contributions(splats, camera, picked) if keeps and not full else None
         seen = linear.coverage if linear else coverage(splats, camera, picked, backend=backend)
         masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
         if all(mask.sum() >= MIN_CELLS for mask in masks):
             used += linear.nbytes if linear else 0
+            if used > max_memory:
+                full, linear = True, None
             views.append(ObjectView(camera, masks, seen > COVERED, linear))
-    if keeps and used >= max_memory:
+    if keeps and full:
         _say_full(views, max_memory)
     return views
 

@@ -58,7 +58,7 @@ def adjust_scene(
         )
     picks = {name: find_object(scene, name) for name in objects}
     base = replace(scene.splats, **(scene.base_colors or {}))
-    full = _full_colors(scene, base, objects, picks, path)
+    full = replace(scene.splats, **(scene.style_colors or {}))
     splats = scene.splats
     for name in names or objects:
         splats = _repainted(splats, base, full, picks[name], intensity)
@@ -66,8 +66,8 @@ def adjust_scene(
     scene = replace(
         scene,
         splats=splats,
-        style_colors={"sh0": full.sh0, "shN": full.shN},
         recipe={**(scene.recipe or {}), "objects": list(objects.values())},
+        metrics={"train": scene.metrics.get("train", {})},  # the others are no longer true
     )
     if output is None:
         update_colors(scene, path)
@@ -135,32 +135,11 @@ def _styled_objects(scene: Scene, path: Path) -> dict[str, dict[str, Any]]:
     recipe = scene.recipe or {}
     default = {"intensity": recipe.get("settings", {}).get("intensity", 1.0)}
     objects = {how["name"]: default | how for how in recipe.get("objects", [])}
-    if scene.base_colors is None or not objects:
+    if scene.base_colors is None or scene.style_colors is None or not objects:
         raise StyleSplatError(
             f"{path} is not styled. Style it with `stylesplat stylize {path} --style OBJECT=IMAGE`."
         )
     return objects
-
-
-def _full_colors(
-    scene: Scene,
-    base: Splats,
-    objects: dict[str, dict[str, Any]],
-    picks: dict[str, Bool[Tensor, " N"]],
-    path: Path,
-) -> Splats:
-    """The splats with the style's colours at intensity 1."""
-    if scene.style_colors is not None:
-        return replace(scene.splats, **scene.style_colors)
-    full = scene.splats
-    for name, how in objects.items():
-        if how["intensity"] == 0:
-            raise StyleSplatError(
-                f"Cannot adjust {path}: {name} was styled with intensity 0, which kept nothing of "
-                "the style. Style it again with `--intensity 1`."
-            )
-        full = _repainted(full, base, scene.splats, picks[name], 1 / how["intensity"])
-    return full
 
 
 def _repainted(

@@ -84,12 +84,12 @@ def _closeness(
         jobs = style_jobs(before, recipe.objects)
         features = recipe.features or "vgg16"
         network = load_network(jobs, features, recipe.weights, download=False)
+        base = before.splats.to(styled.device)
+        jobs = [moved(job, base) for job in jobs]
+        return {
+            job.name: measure_style(open_studio(base, views[job.name], network), job, styled)
+            for job in jobs
+        }
     except StyleSplatError as error:
         say(f"{path} is not compared with its styles: {error}")
         return {}
-    base = before.splats.to(styled.device)
-    jobs = [moved(job, base) for job in jobs]
-    return {
-        job.name: measure_style(open_studio(base, views[job.name], network), job, styled)
-        for job in jobs
-    }

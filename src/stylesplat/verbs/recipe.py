@@ -1,5 +1,6 @@
 """Recipes: YAML files (or a styled scene's recipe.json) that say how to repaint which object."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
@@ -73,36 +74,59 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig) -> Recipe:
 
 
 def named_styles(
-    styles: Sequence[tuple[str, tuple[Path, ...]]], recipe: Path | None, *, defaults: StyleConfig
+    styles: Sequence[tuple[str, tuple[Path, ...]]],
+    recipe: Path | None,
+    *,
+    preset: str,
+    settings: dict[str, Any],
 ) -> Recipe:
     """The recipe of a file, or of objects and pictures that all have the same settings.
 
+    Args:
+        styles: Objects and their pictures.
+        recipe: The file, if there is one.
+        preset: To start from, if the file names none.
+        settings: What precedes all that the file says.
+
     Raises:
-        StyleSplatError: If there are both, a picture is missing, or as `read_recipe` does.
+        StyleSplatError: If there are both, or as `read_recipe` does.
     """
+    defaults = PRESETS[preset]
     if recipe is None:
-        objects = tuple(StyledObject(name, pictures, defaults) for name, pictures in styles)
+        config = replace(defaults, **settings)
+        objects = tuple(StyledObject(name, pictures, config) for name, pictures in styles)
         return Recipe(objects, None, None)
     if styles:
         raise StyleSplatError(
             f"Got --style and --recipe. Write {styles[0][0]} into {recipe}, or pass only --style."
         )
-    return read_recipe(recipe, defaults=defaults)
+    found = read_recipe(recipe, defaults=defaults)
+    objects = (replace(o, config=replace(o.config, **settings)) for o in found.objects)
+    return replace(found, objects=tuple(objects))
 
 
-def write_recipe(objects: Sequence[StyledObject]) -> dict[str, Any]:
-    """The content of a recipe that `read_recipe` reads back, with the pictures' digests."""
-    shared = asdict(objects[0].config)
+def write_recipe(
+    objects: Sequence[StyledObject], earlier: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """The content of a recipe that `read_recipe` reads back, with the pictures' digests.
+
+    Args:
+        objects: What was repainted.
+        earlier: The recipe of what was repainted before, which is kept.
+    """
+    shared, before = _plain(objects[0].config), earlier or {}
     entries = []
+    for entry in before.get("objects", []):
+        settings = before["settings"] | entry["settings"]
+        entries.append({**entry, "settings": _differing(settings, shared)})
     for each in objects:
-        settings = asdict(each.config)
         entries.append(
             {
                 "name": each.name,
                 "style": _single([path.resolve() for path in each.styles]),
                 "sha256": _single([_digest(path) for path in each.styles]),
                 "intensity": each.config.intensity,
-                "settings": {k: v for k, v in settings.items() if v != shared[k]},
+                "settings": _differing(_plain(each.config), shared),
             }
         )
     return {"objects": entries, "settings": shared}
@@ -178,6 +202,15 @@ def _refuse_changed(styles: tuple[Path, ...], digests: tuple[str, ...]) -> None:
                 f"{style} is another picture than the recipe's: its digest differs. "
                 "Put the picture back, or remove sha256."
             )
+
+
+def _plain(config: StyleConfig) -> dict[str, Any]:
+    """Settings as they come back from JSON, which has lists only."""
+    return json.loads(json.dumps(asdict(config)))
+
+
+def _differing(settings: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if value != shared[name]}
 
 
 def _digest(path: Path) -> str:

@@ -54,6 +54,7 @@ def stylize_scene(
         refuse_occupied(output, marker=SCENE)
     scene = read_scene(path)
     jobs = style_jobs(scene, objects)
+    _refuse_restyling(scene, path, jobs)
     network = load_network(jobs, features, weights)
     training, held_out = working_views(scene)
     styled, measured = stylize_objects(
@@ -63,10 +64,10 @@ def stylize_scene(
     )
     metrics = flat_metrics(measured)
     recipe = {
-        **write_recipe(objects),
+        **write_recipe(objects, scene.recipe),
         "features": features,
         "weights": weights and weights.resolve(),
-        "scene": path.resolve(),
+        "scene": (scene.recipe or {}).get("scene", path.resolve()),
     }
     repainted = _with_style(scene, styled, jobs)
     repainted = replace(
@@ -109,6 +110,18 @@ def style_jobs(scene: Scene, objects: Sequence[StyledObject]) -> list[StyleJob]:
     return jobs
 
 
+def _refuse_restyling(scene: Scene, path: Path, jobs: Sequence[StyleJob]) -> None:
+    """What an object looked like before is kept once, so it has one style."""
+    for styled in (scene.recipe or {}).get("objects", []):
+        taken = find_object(scene, styled["name"])
+        for job in jobs:
+            if (taken & job.picked).any():
+                raise StyleSplatError(
+                    f"{job.name} is styled in {path} already. Change its strength with `adjust`, "
+                    f"or start from the scene before: `stylesplat adjust {path} --undo -o SCENE`."
+                )
+
+
 def _with_style(scene: Scene, styled: Styled, jobs: Sequence[StyleJob]) -> Scene:
     """The scene with its new Gaussians, and all that belongs to them; and what undoes it.
 
@@ -120,12 +133,17 @@ def _with_style(scene: Scene, styled: Styled, jobs: Sequence[StyleJob]) -> Scene
     colors = {"sh0": base.sh0, "shN": base.shN}
     if scene.base_colors is not None:  # styled before: other objects' colours before that
         colors = {name: tensor[parents] for name, tensor in scene.base_colors.items()}
+    full = {"sh0": styled.full.sh0.cpu(), "shN": styled.full.shN.cpu()}
+    if scene.style_colors is not None:
+        mine = torch.stack([job.picked for job in jobs]).any(dim=0)[parents, None, None]
+        earlier = {name: tensor[parents] for name, tensor in scene.style_colors.items()}
+        full = {name: torch.where(mine, full[name], earlier[name]) for name in full}
     return replace(
         scene,
         splats=splats,
         picks={name: picked[parents] for name, picked in picks.items()},
         base_colors=colors,
-        style_colors=None,
+        style_colors=full,
         unsplit=_unsplit(scene, base),
     )
 
