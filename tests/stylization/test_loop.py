@@ -337,3 +337,15 @@ def test_a_style_too_small_to_compare_does_not_cost_the_result(
     assert "ball is not compared with its style" in capsys.readouterr().err
     assert "nnfm_after" not in metrics["objects"]["ball"]
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
+
+
+def test_a_style_too_small_for_the_coarse_stage_is_painted_at_the_last_size(
+    job: StyleJob, network: FeatureNetwork
+):
+    network_needs = 11 + 1  # pixels of this style image's shorter side
+    height, width = job.styles[0].shape[:2]
+    scale = 1.2 * network_needs * max(height, width) / min(height, width) / 24
+    small = with_settings(job, object_size=24, scale=scale, steps=4)
+    styled, metrics = stylize_objects(SCENE, CAMERAS, [small], network)
+    assert metrics["steps"] == 4
+    assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -20,7 +19,7 @@ from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.split import Split, split_large
-from stylesplat.stylization.target import check_size, style_features
+from stylesplat.stylization.target import check_size, fits, style_features
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
@@ -99,10 +98,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     """
     boxes = see_object(studio, job, studio.cameras)
     boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
-    stages = job.config.stages(typical_length(boxes))
-    for picture, (length, _) in product(job.styles, stages):
-        size = job.config.scale * length
-        check_size(picture, studio.network, job.config.layers, length=size)
+    stages = _stages(studio, job, typical_length(boxes))
     split = _split(studio, job, boxes, length=stages[-1][0])
     studio = replace(studio, splats=split.splats)
     job = replace(job, picked=job.picked[split.parents])
@@ -176,6 +172,22 @@ def target_features(
         style_features(picture, studio.network, config.layers, length=size) for picture in pictures
     ]
     return [torch.cat(group) for group in zip(*features, strict=True)]
+
+
+def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[tuple[float, int]]:
+    """Lengths of the object and steps; all at the last length if a style is too small before.
+
+    Raises:
+        StyleSplatError: If a style image is too small for that, too.
+    """
+    config = job.config
+    *_, last = stages = config.stages(photo_length)
+    styles = (studio.network, config.layers)
+    for picture in job.styles:
+        check_size(picture, *styles, length=config.scale * last[0])
+        if not all(fits(picture, *styles, length=config.scale * length) for length, _ in stages):
+            return [(last[0], config.steps)]
+    return stages
 
 
 def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float) -> Split:

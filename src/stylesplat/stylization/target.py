@@ -46,12 +46,19 @@ def check_size(
     style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
 ) -> None:
     """Raise a StyleSplatError if the style image has no whole feature; see `style_features`."""
-    cells = [network.cells(block) for block in blocks]
-    needed = max(c.size + c.stride - 1 for c in cells)
+    needed = _least_side(network, blocks)
     height, width = style.shape[:2]
     _refuse_small((width, height), needed, "it is", "Choose a larger picture.")
     size = _fitted(width, height, length)
     _refuse_small(size, needed, "for this object it becomes", "Raise the style scale.")
+
+
+def fits(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
+) -> bool:
+    """Whether the style image has a whole feature if it is resized; see `style_features`."""
+    height, width = style.shape[:2]
+    return min(_fitted(width, height, length)) >= _least_side(network, blocks)
 
 
 def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
@@ -61,6 +68,11 @@ def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3
     planes = image.permute(2, 0, 1)[None]
     resized = F.interpolate(planes, size[::-1], mode="bicubic", antialias=True)
     return resized[0].permute(1, 2, 0).clamp(0, 1)
+
+
+def _least_side(network: FeatureNetwork, blocks: Sequence[int]) -> int:
+    """Pixels that hold a whole feature wherever its cell lies."""
+    return max(c.size + c.stride - 1 for c in map(network.cells, blocks))
 
 
 def _fitted(width: int, height: int, length: float) -> tuple[int, int]:
