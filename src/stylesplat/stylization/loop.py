@@ -1,7 +1,6 @@
 """The verb `stylize`: repaint picked Gaussians until they look like a style image."""
 
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -71,8 +70,8 @@ def stylize(
     Raises:
         StyleSplatError: As `stylize_objects` does, and if the picture is unreadable.
     """
-    live = stylize_live(splats, capture, picked, style, config=config, network=network)
-    return deque(live, maxlen=1).pop().splats
+    studio, job = _one_object(splats, capture, picked, style, config, network)
+    return _repaint_whole(studio, job).splats
 
 
 def stylize_live(
@@ -100,21 +99,9 @@ def stylize_live(
     Raises:
         StyleSplatError: As `stylize` does.
     """
-    config = config or StyleConfig()
-    cameras = capture.cameras if isinstance(capture, Capture) else capture
-    network = network or load_weights("vgg16", depth=max(config.layers))
-    if isinstance(style, Tensor):
-        image = style
-    else:
-        image = read_style(style, rotate=config.rotate, region=config.region)
-    job = StyleJob("object", picked, (image,), config)
-    check_jobs([job])
-    studio = open_studio(splats, cameras, network)
-    job = moved(job, splats)
+    studio, job = _one_object(splats, capture, picked, style, config, network)
     for state in repaint(studio, job):
-        mask = job.picked[state.parents]
-        blended = blend_colors(state.base, state.splats, mask, config.intensity)
-        yield replace(state, splats=blended)
+        yield state if job.config.intensity == 1 else replace(state, splats=_blended(state, job))
 
 
 def stylize_objects(
@@ -149,9 +136,9 @@ def stylize_objects(
     """
     start = time.perf_counter()
     check_jobs(jobs)
-    every = cameras if held_out is None else cameras + held_out
-    studio = open_studio(splats, cameras, network, max_memory, backend)
-    studio = replace(studio, every_camera=every)
+    studio = open_studio(
+        splats, cameras, network, held_out=held_out, max_memory=max_memory, backend=backend
+    )
     jobs = [moved(job, splats) for job in jobs]
     nobody = torch.arange(len(splats), device=splats.device)
     styled = Styled(studio.splats, studio.splats, studio.splats, nobody)
@@ -201,6 +188,8 @@ def open_studio(
     splats: Splats,
     cameras: Cameras,
     network: FeatureNetwork,
+    *,
+    held_out: Cameras | None = None,
     max_memory: float = MAX_MEMORY,
     backend: Backend = "auto",
 ) -> Studio:
@@ -210,6 +199,7 @@ def open_studio(
         splats: The scene.
         cameras: Views to optimise on.
         network: Whose features are matched.
+        held_out: More views in which nothing but the object may change.
         max_memory: GiB that linear views may take; see `cut_views`.
         backend: Of the rasteriser.
 
@@ -219,9 +209,36 @@ def open_studio(
     if not max_memory >= 0:
         raise StyleSplatError(f"Cannot keep views in {max_memory} GiB. Pass 0 or more.")
     device = splats.device
-    precision = fastest_dtype(device.type)
-    room = max_memory * GIBIBYTE
-    return Studio(splats.detach(), cameras, cameras, network.to(device), precision, room, backend)
+    return Studio(
+        splats=splats.detach(),
+        cameras=cameras,
+        every_camera=cameras if held_out is None else cameras + held_out,
+        network=network.to(device),
+        precision=fastest_dtype(device.type),
+        max_memory=max_memory * GIBIBYTE,
+        backend=backend,
+    )
+
+
+def _one_object(
+    splats: Splats,
+    capture: Capture | Cameras,
+    picked: Bool[Tensor, " N"],
+    style: Path | str | Float[Tensor, "H W 3"],
+    config: StyleConfig | None,
+    network: FeatureNetwork | None,
+) -> tuple[Studio, StyleJob]:
+    """What `stylize` and `stylize_live` are given, checked."""
+    config = config or StyleConfig()
+    cameras = capture.cameras if isinstance(capture, Capture) else capture
+    network = network or load_weights("vgg16", depth=max(config.layers))
+    if isinstance(style, Tensor):
+        image = style
+    else:
+        image = read_style(style, rotate=config.rotate, region=config.region)
+    job = StyleJob("object", picked, (image,), config)
+    check_jobs([job])
+    return open_studio(splats, cameras, network), moved(job, splats)
 
 
 def moved(job: StyleJob, splats: Splats) -> StyleJob:
@@ -239,9 +256,13 @@ def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
             if state.step % REPORT_EVERY == 0:
                 bar.set_postfix(nnfm=f"{state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    picked = job.picked[state.parents]
-    blended = blend_colors(state.base, state.splats, picked, job.config.intensity)
-    return Styled(blended, state.splats, state.base, state.parents)
+    return Styled(_blended(state, job), state.splats, state.base, state.parents)
+
+
+def _blended(state: Repainted, job: StyleJob) -> Splats:
+    """The state's colours at the intensity that is wanted."""
+    mask = job.picked[state.parents]
+    return blend_colors(state.base, state.splats, mask, job.config.intensity)
 
 
 def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.rendering.kernels import vec
-from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.kernels.jit import inner, kernel
 
 DIMENSIONS = 64  # of the compressed space; its matches cost less than 0.1 % of the loss
 CANDIDATES = 4  # that are compared exactly
@@ -88,7 +88,7 @@ def largest_columns(flat, stride, count, found):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@inner
 def insert(best, columns, value, column):
     """Put a number into its place among the best, which descend."""
     slot = best.shape[0] - 1

@@ -1,7 +1,7 @@
 """What an object's colours are optimised for: style, and as much content and calm as wanted."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Bool, Float
@@ -40,6 +40,8 @@ class Objective:
     """The layers and weights."""
     backend: Backend
     """Of the rasteriser."""
+    wanted: dict[str, list[Tensor]] = field(default_factory=dict)
+    """The original's features by camera looked from so far, for `content`."""
 
     def __call__(self, view: ObjectView, splats: Splats) -> Losses:
         """The losses of splats in one view."""
@@ -64,10 +66,13 @@ class Objective:
 
     def _content(self, view: ObjectView, feats: Sequence[Tensor]) -> Tensor:
         """The mean squared change of the features, in units of their mean square."""
-        with torch.no_grad():
-            as_it_was = view.with_fixed_bands(self.original)  # the view may have others
-            image = as_it_was.render(self.original, backend=self.backend)
-            wanted = self._features(view, image)
+        (name,) = view.camera.names
+        wanted = self.wanted.get(name)
+        if wanted is None:
+            with torch.no_grad():
+                as_it_was = view.with_fixed_bands(self.original)  # the view may have others
+                image = as_it_was.render(self.original, backend=self.backend)
+                wanted = self.wanted[name] = self._features(view, image)
         changes = [
             (own.float() - other.float()).square().mean() / other.float().square().mean()
             for own, other in zip(feats, wanted, strict=True)

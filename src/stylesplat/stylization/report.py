@@ -23,7 +23,7 @@ from stylesplat.stylization.repaint import (
     target_features,
 )
 from stylesplat.stylization.statistics import content_ssim, object_statistics_distance
-from stylesplat.stylization.views import ObjectView, evenly, find_boxes
+from stylesplat.stylization.views import Box, ObjectView, evenly, find_boxes
 
 LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever the pattern
 VIEWS = 4  # of the object, and of the scene
@@ -70,15 +70,15 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
         `style_statistics_distance`).
     """
     backend = studio.backend
-    layers = job.config.layers
-    views, targets = _object_in_styles(studio, job, layers)
+    layers, boxes = job.config.layers, see_object(studio, job, studio.cameras)
+    views, targets = _object_in_styles(studio, job, boxes, layers)
     rest = (views, targets, studio.network, layers)
     numbers = {
         "nnfm_before": object_nnfm(studio.splats, *rest, backend=backend),
         "nnfm_after": object_nnfm(styled, *rest, backend=backend),
     }
     layers = STATISTICS[: len(studio.network.blocks)]
-    views, targets = _object_in_styles(studio, job, layers)
+    views, targets = _object_in_styles(studio, job, boxes, layers)
     rest = (views, targets, studio.network, layers)
     return numbers | {
         "statistics_before": object_statistics_distance(studio.splats, *rest, backend=backend),
@@ -140,10 +140,9 @@ def showing(
 
 
 def _object_in_styles(
-    studio: Studio, job: StyleJob, layers: Sequence[int]
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], layers: Sequence[int]
 ) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the object, and the features of the style image, for some layer groups."""
     config = replace(job.config, layers=tuple(layers))
-    boxes = see_object(studio, job, studio.cameras)
     views = object_views(studio, replace(job, config=config), boxes, LENGTH)
     return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)

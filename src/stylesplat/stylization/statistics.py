@@ -7,14 +7,13 @@ from functools import reduce
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.views import COVERED, ObjectView
-from stylesplat.training.ssim import C1, C2, WINDOW, ssim_window
+from stylesplat.training.ssim import ssim_map
 
 LUMA = (0.2126, 0.7152, 0.0722)  # Rec. 709: how bright red, green and blue are
 TINY = 1e-12  # keeps 0 / 0 at 0: a style without any feature or any contrast
@@ -130,24 +129,13 @@ def content_ssim(
         covered = before[..., 3] > COVERED
         if covered.any():
             after = rasterize(styled, cameras[index], backend=backend)[0][0]
-            scores.append(ssim_map(_luminance(before[..., :3]), _luminance(after))[covered].mean())
+            similarity = ssim_map(_luminance(before[..., :3]), _luminance(after))[0]
+            scores.append(similarity[covered].mean())
     return float(torch.stack(scores).mean()) if scores else None
 
 
-def ssim_map(x: Float[Tensor, "H W"], y: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
-    """The SSIM around each pixel, whose mean is `training.ssim.ssim`."""
-    window = ssim_window().to(x)
-    stack = torch.stack([x, y, x * x, y * y, x * y])[:, None]  # [5, 1, H, W]
-    rows = F.conv2d(stack, window.view(1, 1, -1, 1), padding=(WINDOW // 2, 0))
-    blurred = F.conv2d(rows, window.view(1, 1, 1, -1), padding=(0, WINDOW // 2))
-    mean_x, mean_y, xx, yy, xy = blurred[:, 0]
-    var_x, var_y, covar = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)
-    return luminance * (2 * covar + C2) / (var_x + var_y + C2)
-
-
-def _luminance(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
-    return image.clamp(0, 1) @ image.new_tensor(LUMA)
+def _luminance(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "1 H W"]:
+    return (image.clamp(0, 1) @ image.new_tensor(LUMA))[None]
 
 
 def _distance(found: Moments, style: Moments) -> Float[Tensor, ""]:

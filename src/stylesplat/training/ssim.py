@@ -22,14 +22,21 @@ def ssim_window() -> Float[Tensor, " 11"]:
 
 def ssim(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
     """Mean structural similarity of two images in 0..1, zero-padded as in the 3DGS code."""
+    return ssim_map(image.permute(2, 0, 1), target.permute(2, 0, 1)).mean()
+
+
+def ssim_map(
+    image: Float[Tensor, "D H W"], target: Float[Tensor, "D H W"]
+) -> Float[Tensor, "D H W"]:
+    """The structural similarity around each pixel, channel by channel."""
     window = ssim_window().to(image)
 
     def blur(stack: Tensor) -> Tensor:
         rows = conv2d(stack, window.view(1, 1, -1, 1), padding=(WINDOW // 2, 0))
         return conv2d(rows, window.view(1, 1, 1, -1), padding=(0, WINDOW // 2))
 
-    x, y = (t.permute(2, 0, 1)[:, None] for t in (image, target))  # [3, 1, H, W]
+    x, y = image[:, None], target[:, None]  # [D, 1, H, W]
     mean_x, mean_y, xx, yy, xy = (blur(t) for t in (x, y, x * x, y * y, x * y))
     var_x, var_y, covar = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
     luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)
-    return (luminance * (2 * covar + C2) / (var_x + var_y + C2)).mean()
+    return (luminance * (2 * covar + C2) / (var_x + var_y + C2))[:, 0]

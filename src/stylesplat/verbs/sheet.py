@@ -148,8 +148,7 @@ def draw_sheet(
     camera = close_up(splats, cameras, jobs[0].picked)
     network = load_network(jobs, features, weights)
     training, held_out = working_views(scene)
-    studio = open_studio(splats, training, network)
-    studio = replace(studio, every_camera=training if held_out is None else training + held_out)
+    studio = open_studio(splats, training, network, held_out=held_out)
     pictures = _painted(studio, [*zip(jobs, runs.values(), strict=True)], camera)
     write_image(draw_grid(_captioned(plan, pictures, _picture(splats, camera))), output)
     counts = {"cells": len(pictures), "repainted": len(jobs)}
