@@ -21,8 +21,8 @@ from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.weights import load_weights
+from stylesplat.stylization.features.vgg import Vgg
+from stylesplat.stylization.features.weights import load_vgg
 from stylesplat.training.config import TrainConfig
 from stylesplat.verbs.train import train_scene
 
@@ -62,11 +62,11 @@ def trained_scene(name: str, *, downscale: float, gaussians: int, seconds: float
     return folder
 
 
-def style_network(depth: int = 3) -> FeatureNetwork:
+def style_network(depth: int = 3) -> Vgg:
     """The development copy of VGG19; exits with a reason where it is absent."""
     if not VGG19.is_file():
         raise SystemExit(f"This benchmark needs the weights {VGG19}, which are not here.")
-    return load_weights("vgg19", VGG19, depth=depth)
+    return load_vgg("vgg19", VGG19, depth=depth)
 
 
 def step(

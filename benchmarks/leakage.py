@@ -25,7 +25,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import select
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.loop import StyleJob, stylize_objects
 from stylesplat.stylization.measure import changes
 from stylesplat.stylization.nnfm import nnfm_loss

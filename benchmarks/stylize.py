@@ -42,7 +42,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import select
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.loop import stylize_live, stylize_objects
 from stylesplat.stylization.matching import StyleIndex, nearest
 from stylesplat.stylization.measure import object_nnfm

@@ -27,7 +27,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         (["train", "{tmp}/none", "-o", "{tmp}/x"], "none"),
         (["select", "{scene}", "--name", "x", "--id", "99"], "99 does not exist"),
         (["select", "{scene}", "--name", "x", "--id", "0"], "background"),
-        (["select", "{scene}", "--name", "x"], "exactly one way"),
+        (["select", "{scene}", "--name", "x"], "Say what with --id"),
         (["select", "{scene}", "--name", "5", "--id", "3"], "must not be numbers"),
         (["select", "{scene}", "--name", "x", "--point", "7,8"], "VIEW:x,y"),
         (["select", "{scene}", "--name", "x", "--point", VIEW + ":99,3"], "outside"),
@@ -56,7 +56,7 @@ def test_one_line_and_status_1(
 ):
     places = {"scene": scene, "tmp": scene.parent, "style": style}
     before = {p: p.stat().st_mtime_ns for p in scene.parent.rglob("*") if p.is_file()}
-    features = ["--features", "random"] if arguments[0] == "stylize" else []
+    features = ["--features", "compact"] if arguments[0] == "stylize" else []
     line = complaint(capsys, *(a.format(**places) for a in arguments), *features)
     assert expected in line
     after = {p: p.stat().st_mtime_ns for p in scene.parent.rglob("*") if p.is_file()}

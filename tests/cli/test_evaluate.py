@@ -11,7 +11,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
 from stylesplat.io.files import read_json, write_json
 from stylesplat.io.scene_folder import Scene, write_scene
-from stylesplat.stylization import weights
+from stylesplat.stylization.features import weights
 
 PER_RUN = ("seconds", "steps", "precision", "train")
 NEEDS_STYLE = {"nnfm_before", "nnfm_after", "statistics_before", "statistics_after"}
@@ -26,7 +26,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scene(Scene(SPLATS, CAMERAS, info=info, metrics={"psnr": 30.0}), folder / "scene")
     Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(folder / "style.png")
     styles = [text for id in (3, 7) for text in ("--style", f"{id}={folder / 'style.png'}")]
-    options = ("--features", "random", "--steps", "2", "--device", "cpu")
+    options = ("--features", "compact", "--steps", "2", "--device", "cpu")
     arguments = (str(folder / "scene"), "-o", str(folder / "styled"))
     assert main(["stylize", *arguments, *styles, *options]) == 0
     return folder / "styled"

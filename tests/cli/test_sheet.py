@@ -18,7 +18,7 @@ from stylesplat.verbs import sheet as verb
 from stylesplat.verbs.settings import parse_variation
 from stylesplat.verbs.sheet import plan_sheet
 
-FAST = ("--features", "random", "--steps", 2, "--device", "cpu")
+FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 
 def run(*arguments: object) -> int:

@@ -105,7 +105,7 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
     assert result(capsys, "select", scene, "--name", "also", "--box", box)["ids"] == [7]
     after = read_scene(scene)
     assert set(after.picks) == {"red", "green", "also"}
-    assert after.objects["green"]["view"] == CAMERAS.names[2]
+    assert after.objects["green"]["points"][0][0] == CAMERAS.names[2]
     names = {e["id"]: e["names"] for e in result(capsys, "objects", scene)["objects"]}
     assert names == {3: ["red"], 7: ["green", "also"], 300: []}
 
@@ -117,7 +117,7 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
     metrics = result(
         capsys,
         *("stylize", scene, "--style", f"red={style}", "--style", f"green={style}", "-o", out),
-        *("--features", "random", "--steps", 3, "--device", "cpu", *QUICK),
+        *("--features", "compact", "--steps", 3, "--device", "cpu", *QUICK),
     )
     before, styled = read_scene(scene).splats, read_scene(out)
     after = styled.splats[torch.arange(len(before))]
@@ -141,7 +141,7 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
 def styled(scene: Path, style: Path) -> Path:
     """Two balls in stripes, at half intensity."""
     out = scene.with_name("styled")
-    options = ("--features", "random", "--steps", 2, "--intensity", 0.5, *QUICK)
+    options = ("--features", "compact", "--steps", 2, "--intensity", 0.5, *QUICK)
     styles = ("--style", f"3={style}", "--style", f"7={style}")
     assert run("stylize", scene, "-o", out, *options, *styles) == 0
     return out

@@ -1,11 +1,12 @@
 import pytest
 import torch
 
-from stylesplat.stylization.features import Convolution, FeatureNetwork
+from stylesplat.stylization.features.network import Convolution
+from stylesplat.stylization.features.vgg import Vgg
 
 
 @pytest.fixture(scope="session")
-def network() -> FeatureNetwork:
+def network() -> Vgg:
     """Two blocks of few random filters; features of block 2 span 10 pixels."""
     generator = torch.Generator().manual_seed(0)
     blocks, inputs = [], 3
@@ -16,7 +17,7 @@ def network() -> FeatureNetwork:
             convs.append(Convolution(weight, torch.zeros(width)))
             inputs = width
         blocks.append(tuple(convs))
-    return FeatureNetwork(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
+    return Vgg(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization import loop, report
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.loop import stylize, stylize_live, stylize_objects
 from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.views import coverage

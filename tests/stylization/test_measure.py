@@ -5,7 +5,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.sh import SH_C0
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.measure import changes, view_loss
 from stylesplat.stylization.views import ObjectView, crop, evenly
 

@@ -9,7 +9,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, total_variation
 from stylesplat.stylization.optimize import optimize_colors

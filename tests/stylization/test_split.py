@@ -11,7 +11,7 @@ from stylesplat.rendering.contributions import contributions
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.split import COUNTS, Split, screen_sizes, split_large
 from stylesplat.stylization.views import ObjectView, coverage, cut_views, find_boxes
 

@@ -6,7 +6,7 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.statistics import (
     content_ssim,
     moments,

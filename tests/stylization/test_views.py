@@ -5,7 +5,7 @@ import torch
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.views import coverage, crop, cut_views, find_boxes, typical_length
 
 TABLE = 200  # Gaussians before the balls' 80 each

@@ -10,8 +10,7 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import write_json
-from stylesplat.stylization.config import PRESETS, StyleConfig
-from stylesplat.stylization.features import Network
+from stylesplat.stylization.config import PRESETS, Network, StyleConfig
 from stylesplat.verbs.recipe import TOP_KEYS, Recipe, read_recipe
 
 DEFAULTS = StyleConfig(steps=7, seed=5)
@@ -83,7 +82,7 @@ def test_the_recipe_of_a_styled_scene_gives_its_settings(preset: str, folder: Pa
     content = {
         "objects": [one, several],
         "settings": asdict(config),
-        "features": "random",
+        "features": "compact",
         "weights": None,
         "scene": folder / "scene",
     }
@@ -155,7 +154,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         (OBJECTS + "color: kepe", 'color must be "style" or "keep" or'),
         (OBJECTS + "color: [keep]", 'color must be "style" or "keep" or'),
         (OBJECTS + "preset: fast", 'preset must be "default" or "paper", not "fast".'),
-        (OBJECTS + "features: vgg", 'features must be "vgg16" or "vgg19" or "random" or null,'),
+        (OBJECTS + "features: vgg", 'features must be "compact" or "vgg16" or "vgg19" or null,'),
         (OBJECTS + "settings: [1]", "settings must be KEY: VALUE, not [1]."),
         (OBJECTS + "steps: 0", "steps 0: it must exceed 0."),
         ("objects: {vase: {style: wave.jpg, steps: 0}}", "vase: Cannot stylise with steps 0"),

@@ -56,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def style(path: Path, output: Path, *objects: StyledObject) -> None:
-    stylize_scene(path, output, objects, features="random", device="cpu")
+    stylize_scene(path, output, objects, features="compact", device="cpu")
 
 
 def assert_same(one: Splats, other: Splats) -> None:
@@ -147,7 +147,7 @@ def test_the_recipe_of_a_styled_scene_makes_it_again(folder: Path, tmp_path: Pat
     styled = folder / "twice"
     recipe = read_recipe(styled / "recipe.json", defaults=StyleConfig(steps=999, seed=9))
     _, green = recipe.objects
-    assert (green.name, green.config, recipe.features) == ("green", FAST, "random")
+    assert (green.name, green.config, recipe.features) == ("green", FAST, "compact")
     assert green.styles == (folder / "night.png", folder / "wave.png")
     source = Path(json.loads((styled / "recipe.json").read_text())["scene"])
     assert source == folder / "trained"

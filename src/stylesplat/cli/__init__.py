@@ -8,16 +8,18 @@ from typing import Any
 
 import tyro
 
-from stylesplat.cli import looking, making, styling
+from stylesplat.cli import looking, making, selecting, styling
 from stylesplat.errors import StyleSplatError
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
 
 VERBS = {
     "demo": making.Demo,
+    "mask": making.Mask,
     "train": making.Train,
+    "import": making.Import,
     "objects": looking.Objects,
-    "select": making.Select,
+    "select": selecting.Select,
     "stylize": styling.Stylize,
     "adjust": styling.Adjust,
     "sheet": styling.Sheet,

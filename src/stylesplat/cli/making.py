@@ -1,16 +1,15 @@
-"""The verbs that make scenes and name objects: what they take, and which function does the work.
+"""The verbs that make scenes: what they take, and which function does the work.
 
 Libraries are imported when a verb runs, so that `--help` answers at once.
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional
+from tyro.conf import Positional, arg
 
 from stylesplat.cli.options import Device, Json, Output, Overwrite, given
-from stylesplat.cli.parse import parse_box, parse_point
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,9 @@ class Train:
     """Every this many photos one is held out to measure quality; 0 trains on all."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
+    segment: Literal["joint", "lift"] = "joint"
+    """How Gaussians learn their objects: with their colours, as in the paper, or by lifting the
+    label maps afterwards, which is faster."""
     seed: int | None = None
     """The same seed and number of threads give the same result."""
     device: Device = "auto"
@@ -74,6 +76,7 @@ class Train:
             self.capture,
             self.output,
             config=replace(PRESETS[self.preset], **given(self, names)),
+            segment=self.segment,
             downscale=self.downscale,
             masks=self.masks,
             device=self.device,
@@ -82,38 +85,65 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Select:
-    """Name an object of a scene, by label id, by a box or by a point in a photo.
+class Mask:
+    """Give photos their label maps, which say what object each pixel shows.
 
-    Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
+    Example: stylesplat mask garden --method files --from deva-output
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
-    name: str
-    """What to call the object."""
-    id: tuple[int, ...] = ()
-    """Label ids, as `objects` lists them."""
-    box: str | None = None
-    """VIEW:x0,y0,x1,y1 in the photo's pixels: the object that shows most inside."""
-    point: str | None = None
-    """VIEW:x,y in the photo's pixels: the object that shows there."""
-    threshold: float = 0.5
-    """Probability of the object above which a Gaussian belongs to it."""
-    keep_outliers: FlagCreatePairsOff[bool] = False
-    """Keep Gaussians that lie apart from the rest of the object."""
+    capture: Positional[Path]
+    """Folder with the posed photos; the label maps go into its object_mask/."""
+    source: Annotated[Path, arg(name="from")]
+    """What another program made: a folder with pictures of ids named like the photos (DEVA,
+    Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
+    method: Literal["files"] = "files"
+    """Where label maps come from."""
+    overwrite: Overwrite = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.verbs.objects import select_object
+        from stylesplat.verbs.mask import import_masks
 
-        return select_object(
-            self.scene,
-            self.name,
-            ids=self.id,
-            box=parse_box(self.box) if self.box else None,
-            point=parse_point(self.point) if self.point else None,
-            threshold=self.threshold,
-            remove_outliers=not self.keep_outliers,
+        return import_masks(self.capture, self.source, overwrite=self.overwrite)
+
+
+@dataclass(frozen=True)
+class Import:
+    """Make a scene of a splat that exists already, without training.
+
+    Example: stylesplat import garden.ply garden -o garden-scene
+    """
+
+    splat: Positional[Path]
+    """A .ply (also SuperSplat's compressed one), .spz or .splat file."""
+    capture: Positional[Path | None] = None
+    """Folder with the posed photos that it was made from, and label maps in object_mask/. Without
+    it the scene gets views on circles around the content."""
+    output: Output = Path("imported-scene")
+    """Folder of the scene to make."""
+    masks: Path | None = None
+    """Folder of label maps; by default the capture's object_mask/."""
+    frame: Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"] = "capture"
+    """World frame of the splat; an import that does not fit says which one does."""
+    up: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
+    """Which way is up, where there is no capture; -y by default."""
+    device: Device = "auto"
+    """Where to render; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.verbs.import_splat import import_splat
+
+        return import_splat(
+            self.splat,
+            self.output,
+            capture_path=self.capture,
+            masks=self.masks,
+            frame=self.frame,
+            up=self.up,
+            device=self.device,
+            overwrite=self.overwrite,
         )

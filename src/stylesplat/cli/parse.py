@@ -1,5 +1,6 @@
-"""Small texts on the command line: `VIEW:x,y`, `VIEW:x0,y0,x1,y1` and `OBJECT=IMAGE,...`."""
+"""Small texts on the command line: places in views and in the world, objects and pictures."""
 
+import math
 import os
 from pathlib import Path
 
@@ -38,6 +39,40 @@ def parse_box(text: str) -> tuple[str, tuple[float, float, float, float]]:
         raise StyleSplatError(f"Expected VIEW:x0,y0,x1,y1 with pixels of the photo, got {text!r}.")
     x0, y0, x1, y1 = numbers
     return view, (x0, y0, x1, y1)
+
+
+def parse_box3d(text: str) -> tuple[float, ...]:
+    """Two corners in the world.
+
+    Raises:
+        StyleSplatError: If the text is no six numbers.
+
+    Example:
+        >>> parse_box3d("-1,0,2,1,0.5,3")
+        (-1.0, 0.0, 2.0, 1.0, 0.5, 3.0)
+    """
+    view, numbers = _split_place(text)
+    if view or len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise StyleSplatError(f"Expected x0,y0,z0,x1,y1,z1 in world units, got {text!r}.")
+    return tuple(numbers)
+
+
+def parse_sphere(text: str) -> tuple[str, tuple[float, ...]]:
+    """A centre and a radius; the centre in the world, or as the pixel of a view that shows it.
+
+    Raises:
+        StyleSplatError: If the text is neither.
+
+    Example:
+        >>> parse_sphere("0,1.5,2,0.5"), parse_sphere("view_003.png:640,400,0.5")
+        (('', (0.0, 1.5, 2.0, 0.5)), ('view_003.png', (640.0, 400.0, 0.5)))
+    """
+    view, numbers = _split_place(text)
+    if len(numbers) != (3 if view else 4) or not all(map(math.isfinite, numbers)):
+        raise StyleSplatError(
+            f"Expected x,y,z,RADIUS in world units, or VIEW:x,y,RADIUS, got {text!r}."
+        )
+    return view, tuple(numbers)
 
 
 def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:

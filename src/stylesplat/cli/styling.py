@@ -11,6 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.options import Device, Json, OptionalOutput, Output, Overwrite, given
 from stylesplat.cli.parse import parse_style
+from stylesplat.stylization.config import DEFAULT_NETWORK, Network
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,13 @@ class Stylize:
     """YAML file with objects, styles and settings instead of --style; options given
     here precede its own. A styled scene's recipe.json is one too."""
     preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper is the method as published."""
+    """Settings to start from; paper is the method as published (which used --features vgg16)."""
     steps: int | None = None
     """Optimiser steps per object, 300 by default."""
-    features: Literal["vgg16", "vgg19", "random"] | None = None
-    """Network whose features are matched, vgg16 by default; random needs no file, gives less."""
+    features: Network | None = None
+    """Network whose features are matched, by default compact, which ships with the package."""
     weights: Path | None = None
-    """File of the network's weights (.safetensors, .pth); downloaded once if not given."""
+    """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
     pattern: Literal["small", "medium", "large", "photo"] | None = None
     """Size of strokes and shapes, medium by default; photo matches at the photos' size."""
     layers: tuple[int, ...] | None = None
@@ -84,12 +85,14 @@ class Stylize:
             preset=self.preset,
             settings=given(self, names),
         )
+        planned = recipe.features or DEFAULT_NETWORK
+        features = self.features or planned
         return stylize_scene(
             self.scene,
             self.output,
             recipe.objects,
-            features=self.features or recipe.features or "vgg16",
-            weights=self.weights or recipe.weights,
+            features=features,
+            weights=self.weights or (recipe.weights if features == planned else None),
             max_memory=self.max_memory,
             device=self.device,
             overwrite=self.overwrite,
@@ -151,13 +154,13 @@ class Sheet:
     view: str | None = None
     """Name of the photo to look from; by default the one that shows most of the object."""
     preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper is the method as published."""
+    """Settings to start from; paper is the method as published (which used --features vgg16)."""
     steps: int | None = None
     """Optimiser steps per cell."""
-    features: Literal["vgg16", "vgg19", "random"] = "vgg16"
-    """Network whose features are matched; random needs no file, gives less."""
+    features: Network = DEFAULT_NETWORK
+    """Network whose features are matched; compact ships with the package."""
     weights: Path | None = None
-    """File of the network's weights (.safetensors, .pth); downloaded once if not given."""
+    """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
     seed: int | None = None
     """The same seed and number of threads give the same result."""
     device: Device = "auto"

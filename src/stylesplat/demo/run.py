@@ -13,13 +13,12 @@ from stylesplat.io.files import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import SCENE, read_scene
-from stylesplat.selection.pick import THRESHOLD
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.training.config import PRESETS as TRAIN_PRESETS
-from stylesplat.verbs.objects import list_objects, select_object
+from stylesplat.verbs.objects import list_objects
 from stylesplat.verbs.recipe import StyledObject
 from stylesplat.verbs.render import render_scene
-from stylesplat.verbs.say import say
+from stylesplat.verbs.select import Choice, select_object
 from stylesplat.verbs.stylize import stylize_scene
 from stylesplat.verbs.train import train_scene
 
@@ -31,7 +30,7 @@ TRAINING = replace(
     object_growth=10.0,
     object_pixels=2.5,
 )
-STYLING = replace(STYLE_PRESETS["default"], steps=120, object_size=192)
+STYLING = STYLE_PRESETS["default"]
 STYLES = {"vase": "swirling_night", "teapot": "burning_tide"}  # object: painting
 OBJECT_IDS = {"vase": 1, "teapot": 2}
 SHOWN = "000"  # the view in the report
@@ -60,11 +59,7 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
     trained = read_scene(scene).metrics
     list_objects(scene)
     for name, id in OBJECT_IDS.items():
-        select_object(scene, name, ids=[id], threshold=THRESHOLD)
-    say(
-        "As no feature network ships with the package yet, the demo matches seeded random filters "
-        "of VGG's shape. `stylize --features vgg16` gives more."
-    )
+        select_object(scene, name, Choice(ids=(id,)))
     measured = stylize_scene(
         scene,
         styled,
@@ -72,7 +67,6 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
             StyledObject(name, (capture / "styles" / f"{style}.png",), STYLING)
             for name, style in STYLES.items()
         ],
-        features="random",
         overwrite=True,
     )
     _render(output)

@@ -30,14 +30,39 @@ def read_splat_ply(path: Path | str) -> Splats:
     """
     table = read_ply_table(path)
     rest = _find_rest(table, path)
-    return Splats(
-        means=_columns(table, MEANS, path),
-        quats=_columns(table, QUATS, path),
-        scales=_columns(table, SCALES, path),
-        opacities=_columns(table, OPACITY, path)[:, 0],
-        sh0=_columns(table, SH0, path)[:, None],
-        shN=_columns(table, rest, path).unflatten(1, (3, len(rest) // 3)).mT.contiguous(),
+    return check_splats(
+        Splats(
+            means=_columns(table, MEANS),
+            quats=_columns(table, QUATS),
+            scales=_columns(table, SCALES),
+            opacities=_columns(table, OPACITY)[:, 0],
+            sh0=_columns(table, SH0)[:, None],
+            shN=_columns(table, rest).unflatten(1, (3, len(rest) // 3)).mT.contiguous(),
+        ),
+        path,
     )
+
+
+def check_splats(splats: Splats, path: Path | str) -> Splats:
+    """The splats of a file, if all numbers are finite and all Gaussians have a rotation.
+
+    Raises:
+        StyleSplatError: If not.
+    """
+    for name, values in splats.tensors().items():
+        bad = int((~values.isfinite()).sum())
+        if bad:
+            raise StyleSplatError(
+                f"Cannot read {path} as splats: {bad} values of {name} are not finite. "
+                "Remove those Gaussians or train again."
+            )
+    unturned = int((splats.quats == 0).all(dim=1).sum())
+    if unturned:
+        raise StyleSplatError(
+            f"Cannot read {path} as splats: the rotations of {unturned} Gaussians are 0. "
+            "Remove those Gaussians or export the file again."
+        )
+    return splats
 
 
 def write_splat_ply(splats: Splats, path: Path | str) -> None:
@@ -88,16 +113,8 @@ def _find_rest(table: Shaped[np.ndarray, " N"], path: Path | str) -> tuple[str, 
     return rest
 
 
-def _columns(
-    table: Shaped[np.ndarray, " N"], names: tuple[str, ...], path: Path | str
-) -> Float[Tensor, "N D"]:
+def _columns(table: Shaped[np.ndarray, " N"], names: tuple[str, ...]) -> Float[Tensor, "N D"]:
     values = np.empty((len(table), len(names)), np.float32)
     for i, name in enumerate(names):
         values[:, i] = table[name]
-    bad = ~np.isfinite(values)
-    if bad.any():
-        raise StyleSplatError(
-            f"Cannot read {path} as splats: {bad.sum()} values of {', '.join(names[:3])}... "
-            "are not finite. Remove those Gaussians or train again."
-        )
     return torch.from_numpy(values)

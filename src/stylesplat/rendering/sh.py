@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band
+from stylesplat.scene.splats import SH_C0
+
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 SH_C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658)

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour
 IDENTITY_SIZE = 16  # numbers per Gaussian that encode its object (Gaussian Grouping)
 
 

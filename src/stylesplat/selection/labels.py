@@ -21,8 +21,9 @@ def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifie
     """
     if splats.identities is None or splats.classifier is None:
         raise StyleSplatError(
-            "These splats have no identities, so no objects are known. Train from a capture "
-            "with label maps (`object_mask/` or --masks)."
+            "These splats have no identities, so no objects are known. Train from a capture with "
+            "label maps, or import with one (`object_mask/` or --masks); or pick by shape, with "
+            "--box3d or --sphere."
         )
     return splats.identities, splats.classifier
 

@@ -1,4 +1,4 @@
-"""Giving an object the mean and covariance of a picture's colours, in closed form."""
+"""Colours of an object in closed form: a picture's mean and covariance, blends of two states."""
 
 import math
 from collections.abc import Sequence
@@ -113,3 +113,22 @@ def map_colors(
 def _matrix_sqrt(matrix: Tensor) -> Tensor:
     values, vectors = torch.linalg.eigh(matrix)
     return vectors @ (values.clamp(min=0).sqrt()[:, None] * vectors.T)
+
+
+def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
+    """The base with the colours of picked Gaussians moved towards the styled ones.
+
+    Renders are linear in the colours, so this blends the renders.
+
+    Args:
+        base: Colours at intensity 0.
+        styled: The same Gaussians with their colours at intensity 1.
+        picked: Which of them to move.
+        intensity: How far; more than 1 goes beyond.
+    """
+    mask = picked[:, None, None]
+    return replace(
+        base,
+        sh0=torch.where(mask, torch.lerp(base.sh0, styled.sh0, intensity), base.sh0),
+        shN=torch.where(mask, torch.lerp(base.shN, styled.shN, intensity), base.shN),
+    )

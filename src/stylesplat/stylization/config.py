@@ -9,11 +9,12 @@ LAYERS = range(1, 5)  # groups that the networks share
 LARGEST = 1e4  # of any setting: more is a slip, or no number
 MAX_INTENSITY = 1.5  # beyond it colours leave their range
 
-Network = Literal["vgg16", "vgg19", "random"]
+Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
 
+DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
 COARSE = 0.6  # of the final size: where the large shapes are found
 COARSE_SHARE = 0.75  # of the steps; they are cheap, and the fine ones only add strokes

@@ -17,13 +17,14 @@ from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.precision import fastest_dtype
+from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.pictures import read_style
-from stylesplat.stylization.precision import fastest_dtype
 from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
 from stylesplat.stylization.report import measure_changes, measure_object
-from stylesplat.stylization.weights import load_weights
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
 MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
@@ -65,7 +66,7 @@ def stylize(
         picked: The object's Gaussians.
         style: A picture's file, or its colours in 0..1.
         config: Settings; see `StyleConfig` and `PRESETS`.
-        network: Whose features are matched; VGG16 by default, downloaded once.
+        network: Whose features are matched; the package's own by default.
 
     Raises:
         StyleSplatError: As `stylize_objects` does, and if the picture is unreadable.
@@ -165,25 +166,6 @@ def stylize_objects(
     return styled, {**run, **metrics, "objects": objects}
 
 
-def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
-    """The base with the colours of picked Gaussians moved towards the styled ones.
-
-    Renders are linear in the colours, so this blends the renders.
-
-    Args:
-        base: Colours at intensity 0.
-        styled: The same Gaussians with their colours at intensity 1.
-        picked: Which of them to move.
-        intensity: How far; more than 1 goes beyond.
-    """
-    mask = picked[:, None, None]
-    return replace(
-        base,
-        sh0=torch.where(mask, torch.lerp(base.sh0, styled.sh0, intensity), base.sh0),
-        shN=torch.where(mask, torch.lerp(base.shN, styled.shN, intensity), base.shN),
-    )
-
-
 def open_studio(
     splats: Splats,
     cameras: Cameras,
@@ -231,7 +213,7 @@ def _one_object(
     """What `stylize` and `stylize_live` are given, checked."""
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
-    network = network or load_weights("vgg16", depth=max(config.layers))
+    network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
     if isinstance(style, Tensor):
         image = style
     else:

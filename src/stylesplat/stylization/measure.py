@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.nnfm import nnfm_loss
 from stylesplat.stylization.views import COVERED, ObjectView, coverage
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex
 from stylesplat.stylization.nnfm import cosine_distance
 from stylesplat.stylization.views import ObjectView

@@ -14,7 +14,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import color_map, object_colors, transfer_colors, vary_colors
 from stylesplat.stylization.config import ColorMode, StyleConfig
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors

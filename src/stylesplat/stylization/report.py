@@ -77,7 +77,7 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
         "nnfm_before": object_nnfm(studio.splats, *rest, backend=backend),
         "nnfm_after": object_nnfm(styled, *rest, backend=backend),
     }
-    layers = STATISTICS[: len(studio.network.blocks)]
+    layers = STATISTICS[: studio.network.depth]
     views, targets = _object_in_styles(studio, job, boxes, layers)
     rest = (views, targets, studio.network, layers)
     return numbers | {

@@ -27,6 +27,8 @@ FINE_ENOUGH = 1.5  # pixels of deviation: strokes are wider at the sizes that fe
 HARDLY_SEEN = 0.05  # share of the rendering weight that is spread over Gaussians not worth it
 BISECTIONS = 7
 CHECKED_VIEWS = 16  # for children that show where their parents did not
+BASE = 10  # more than the largest count
+DIGITS = (BASE**2, BASE, 1)
 MAX_OPACITY = 0.995  # of a child; more would make its logit as good as infinite
 
 
@@ -140,10 +142,11 @@ def _counts(sizes: Tensor, worthwhile: Tensor, wanted: float) -> Tensor:
 
 def _groups(counts: Int[Tensor, "N 3"]) -> Iterator[tuple[tuple[int, ...], Tensor]]:
     """The rows to split, by their numbers of children."""
-    kinds, which = counts.unique(dim=0, return_inverse=True)
-    for number, kind in enumerate(kinds.tolist()):
+    codes = (counts * counts.new_tensor(DIGITS)).sum(dim=1)  # quicker to tell apart than rows
+    for code in codes.unique().tolist():
+        kind = tuple(code // digit % BASE for digit in DIGITS)
         if math.prod(kind) > 1:
-            yield tuple(kind), (which == number).nonzero()[:, 0]
+            yield kind, (codes == code).nonzero()[:, 0]
 
 
 def _heights(combination: tuple[int, ...]) -> Float[Tensor, " children"]:

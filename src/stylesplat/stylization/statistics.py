@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.views import COVERED, ObjectView
 from stylesplat.training.ssim import ssim_map
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.features.network import FeatureNetwork
 
 
 @torch.no_grad()

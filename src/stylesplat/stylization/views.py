@@ -16,7 +16,7 @@ from stylesplat.rendering.contributions import Contributions, contributions
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features import Cells
+from stylesplat.stylization.features.network import Cells
 
 COVERED = 0.5  # the opaque share from which a pixel or a feature is the object's
 SURVEY_SIZE = 160  # longer side of the renders in which objects are looked for

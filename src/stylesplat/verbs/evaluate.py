@@ -1,5 +1,6 @@
 """`evaluate`: measure a scene against photos and label maps, and objects against their styles."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ from stylesplat.io.load import load
 from stylesplat.io.scene_folder import RECIPE, Scene, read_scene, update_scene
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.frames import known_frames, seen_from
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig
 from stylesplat.stylization.loop import moved, open_studio
 from stylesplat.stylization.report import measure_changes, measure_look, measure_style, showing
+from stylesplat.stylization.views import evenly
 from stylesplat.verbs.adjust import unstyled
+from stylesplat.verbs.import_splat import MEASURED
 from stylesplat.verbs.objects import find_object
 from stylesplat.verbs.recipe import read_recipe
 from stylesplat.verbs.say import say
@@ -42,17 +46,30 @@ def evaluate_scene(
     """
     scene = read_scene(path)
     source = capture_path or scene.info.get("capture")
-    if source is None:
+    styled = scene.base_colors is not None
+    if source is None and not styled:
         raise StyleSplatError(f"{path} does not say what it was trained on. Pass --capture.")
-    downscale = scene.info.get("settings", {}).get("downscale", 1.0)
-    capture = load(source, downscale=downscale, masks=masks)
-    rows = [capture.cameras.index(name) for name in scene.info.get("test_views", [])]
     splats = scene.splats.to(pick_device(device))
-    metrics = evaluate_views(splats, capture, rows)
-    if scene.base_colors is not None:
+    metrics = _photo_metrics(scene, splats, Path(source), masks) if source else {}
+    if styled:
         metrics |= _styled_metrics(scene, path, splats)
     update_scene(path, metrics=scene.metrics | {"evaluate": metrics})
     return metrics
+
+
+def _photo_metrics(
+    scene: Scene, splats: Splats, source: Path, masks: Path | None
+) -> dict[str, Any]:
+    """The held-out views compared with their photos; of an import, some of all."""
+    settings = scene.info.get("settings", {})
+    capture = load(source, downscale=settings.get("downscale", 1.0), masks=masks)
+    if "splat" in scene.info:
+        frame = known_frames(capture.cameras)[settings.get("frame", "capture")]
+        capture = replace(capture, cameras=seen_from(capture.cameras, frame))
+        rows = evenly(range(len(capture.cameras)), MEASURED)
+    else:
+        rows = [capture.cameras.index(name) for name in scene.info.get("test_views", [])]
+    return evaluate_views(splats, capture, rows)
 
 
 def _styled_metrics(scene: Scene, path: Path, styled: Splats) -> dict[str, Any]:
@@ -82,7 +99,7 @@ def _closeness(
     try:
         recipe = read_recipe(path / RECIPE, defaults=StyleConfig())
         jobs = style_jobs(before, recipe.objects)
-        features = recipe.features or "vgg16"
+        features = recipe.features or DEFAULT_NETWORK
         network = load_network(jobs, features, recipe.weights, download=False)
         base = before.splats.to(styled.device)
         jobs = [moved(job, base) for job in jobs]

@@ -21,14 +21,9 @@ from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import PRESETS, Network, StyleConfig
-from stylesplat.stylization.loop import (
-    REPORT_EVERY,
-    blend_colors,
-    check_jobs,
-    moved,
-    open_studio,
-)
+from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.config import DEFAULT_NETWORK, PRESETS, Network, StyleConfig
+from stylesplat.stylization.loop import REPORT_EVERY, check_jobs, moved, open_studio
 from stylesplat.stylization.pictures import read_style
 from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
 from stylesplat.verbs.objects import find_object
@@ -112,7 +107,7 @@ def draw_sheet(
     plan: SheetPlan,
     *,
     view: str | None = None,
-    features: Network = "vgg16",
+    features: Network = DEFAULT_NETWORK,
     weights: Path | None = None,
     device: str = "auto",
     overwrite: bool = False,

@@ -13,12 +13,12 @@ from stylesplat.io.scene_folder import SCENE, Scene, Unsplit, read_scene, write_
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import Network
-from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.loop import MAX_MEMORY, Styled, stylize_objects
 from stylesplat.stylization.pictures import read_style
 from stylesplat.stylization.repaint import StyleJob
-from stylesplat.stylization.weights import load_weights
 from stylesplat.verbs.objects import find_object
 from stylesplat.verbs.recipe import StyledObject, write_recipe
 from stylesplat.verbs.render import scene_views
@@ -31,7 +31,7 @@ def stylize_scene(
     output: Path,
     objects: Sequence[StyledObject],
     *,
-    features: Network = "vgg16",
+    features: Network = DEFAULT_NETWORK,
     weights: Path | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
@@ -88,8 +88,7 @@ def load_network(
         StyleSplatError: As `load_weights` does.
     """
     depth = max(max(job.config.layers) for job in jobs)
-    seed = jobs[0].config.seed
-    return load_weights(features, weights, depth=depth, seed=seed, download=download)
+    return load_weights(features, weights, depth=depth, download=download)
 
 
 def style_jobs(scene: Scene, objects: Sequence[StyledObject]) -> list[StyleJob]:

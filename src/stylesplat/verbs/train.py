@@ -1,22 +1,33 @@
 """`train`: a capture's folder in, a scene's folder out."""
 
-from dataclasses import asdict
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.metrics import evaluate_views
 from stylesplat.io.files import refuse_occupied
 from stylesplat.io.load import load
 from stylesplat.io.scene_folder import SCENE, Scene, write_scene
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.lifting import lift
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 from stylesplat.training.progress import progress_bar
+from stylesplat.training.state import State
 from stylesplat.training.views import split_views
 from stylesplat.verbs.say import say
 
-CHECKPOINT = "checkpoint.pt"
+Segment = Literal["joint", "lift"]
+
+# By what is learned, so that a run is continued as it began
+CHECKPOINTS: dict[Segment, str] = {"joint": "checkpoint.pt", "lift": "checkpoint_lift.pt"}
+
 LIBRARIES = ("stylesplat", "torch", "numba")
 
 
@@ -25,6 +36,7 @@ def train_scene(
     output: Path,
     *,
     config: TrainConfig,
+    segment: Segment = "joint",
     downscale: float = 1.0,
     masks: Path | None = None,
     device: str = "auto",
@@ -32,14 +44,17 @@ def train_scene(
 ) -> dict[str, Any]:
     """Train a scene, or continue a run that was interrupted.
 
+    Gaussians learn their objects along with their colours (`joint`), or the label maps are lifted
+    onto them afterwards (`lift`).
+
     Returns:
         What `metrics.json` holds: PSNR and SSIM of the held-out views, seconds, steps, Gaussians.
 
     Raises:
         StyleSplatError: If the capture cannot be read, or `output` holds something else.
     """
-    checkpoint = output / CHECKPOINT
-    unfinished = output.is_dir() and [p.name for p in output.iterdir()] == [CHECKPOINT]
+    checkpoint = output / CHECKPOINTS[segment]
+    unfinished = output.is_dir() and [p.name for p in output.iterdir()] == [checkpoint.name]
     if output.is_file() or not (overwrite or unfinished):
         refuse_occupied(output, marker=SCENE)
     full = load(capture_path, masks=masks)
@@ -51,24 +66,25 @@ def train_scene(
         checkpoint.unlink(missing_ok=True)
     elif checkpoint.exists():
         say(f"Continuing from {checkpoint}.")
+    learned = capture if segment == "joint" else replace(capture, label_maps=None)
     with progress_bar(config, enabled=True) as report:
-        state = fit(capture, config, device=torch_device, checkpoint=checkpoint, on_progress=report)
-    splats = state.splats.detach()
-    _, held_out = split_views(capture, config.test_every)
+        state = fit(learned, config, device=torch_device, checkpoint=checkpoint, on_progress=report)
+    rows, held_out = split_views(capture, config.test_every)
+    splats, seconds = state.splats.detach(), state.seconds
+    if segment == "lift" and capture.label_maps is not None:
+        start = time.perf_counter()
+        splats = _lifted(splats, capture, rows)
+        seconds += time.perf_counter() - start
     metrics = evaluate_views(splats, capture, held_out) if held_out else {}
-    metrics |= {
-        "seconds": round(state.seconds, 2),
-        "steps": state.step,
-        "gaussians": len(splats),
-        "steps_per_second": round(state.step / max(state.seconds, 1e-9), 2),
-    }
+    metrics |= _numbers(state, seconds)
     scene = Scene(
         splats=splats.to("cpu"),
         cameras=full.cameras,
         info={
             "capture": capture_path.resolve(),
             "test_views": [capture.cameras.names[row] for row in held_out],
-            "settings": {**asdict(config), "downscale": downscale, "device": torch_device.type},
+            "settings": asdict(config)
+            | {"downscale": downscale, "segment": segment, "device": torch_device.type},
             "libraries": {name: version(name) for name in LIBRARIES},
         },
         metrics=metrics,
@@ -76,3 +92,21 @@ def train_scene(
     write_scene(scene, output, overwrite=True)
     checkpoint.unlink(missing_ok=True)
     return metrics
+
+
+def _numbers(state: State, seconds: float) -> dict[str, Any]:
+    return {
+        "seconds": round(seconds, 2),
+        "steps": state.step,
+        "gaussians": len(state.splats),
+        "steps_per_second": round(state.step / max(state.seconds, 1e-9), 2),
+    }
+
+
+def _lifted(splats: Splats, capture: Capture, rows: Sequence[int]) -> Splats:
+    """The splats with labels; without, if there is nothing to lift, for training took long."""
+    try:
+        return lift(splats, capture, rows=rows).splats
+    except StyleSplatError as error:
+        say(f"The scene knows no objects: {error}")
+        return splats

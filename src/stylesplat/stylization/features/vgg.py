@@ -1,4 +1,4 @@
-"""The feature network: the convolutions of VGG, cut after the layers that style transfer needs."""
+"""VGG's convolutions, cut after the layers that style transfer needs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,50 +9,18 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.config import Network
+from stylesplat.stylization.features.network import Cells, Convolution, check_blocks
 
 LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
 WIDTHS = (64, 128, 256, 512, 512)  # filters of a convolution, block by block
-DEPTHS: dict[Network, tuple[int, ...]] = {  # convolutions of a block (Simonyan & Zisserman 2014)
+DEPTHS = {  # convolutions of a block (Simonyan & Zisserman 2014)
     "vgg16": (2, 2, 3, 3, 3),
     "vgg19": (2, 2, 4, 4, 4),
-    "random": (2, 2, 3, 3, 3),
 }
 
 
 @dataclass(frozen=True)
-class Convolution:
-    """A 3x3 convolution with zero padding, followed by a ReLU."""
-
-    weight: Float[Tensor, "out in 3 3"]
-    """Filters; the first layer's inputs are red, green, blue."""
-    bias: Float[Tensor, " out"]
-    """One number per filter."""
-
-
-@dataclass(frozen=True)
-class Cells:
-    """Where the features of a block lie in the image: cell `i` sees `[i * stride - before, +size)`.
-
-    The receptive field is the same in x and y.
-    """
-
-    stride: int
-    """Pixels from one feature to the next."""
-    size: int
-    """Pixels that a feature depends on, its receptive field."""
-    before: int
-    """How many of them lie before pixel `i * stride`."""
-
-    def inside(self, length: int) -> slice:
-        """The cells of an axis of `length` pixels whose receptive field is all in the image."""
-        first = -(-self.before // self.stride)
-        last = (length - self.size + self.before) // self.stride
-        return slice(first, max(first, last + 1))
-
-
-@dataclass(frozen=True)
-class FeatureNetwork:
+class Vgg:
     """Blocks of convolutions with 2x2 maximum pooling between them."""
 
     blocks: tuple[tuple[Convolution, ...], ...]
@@ -65,20 +33,8 @@ class FeatureNetwork:
     def __call__(
         self, image: Float[Tensor, "H W 3"], blocks: Sequence[int] = (3,)
     ) -> tuple[Float[Tensor, "_ _ _"], ...]:
-        """The features of an image, its colours in 0..1.
-
-        Args:
-            image: May exceed 0..1, as renders do.
-            blocks: Which blocks, counted from 1.
-
-        Returns:
-            For each block an image of the ReLU outputs of its first three layers, concatenated,
-            in the network's precision.
-
-        Raises:
-            StyleSplatError: If the network has no such block.
-        """
-        self._check(blocks)
+        """The ReLU outputs of a block's first three layers, concatenated; see `FeatureNetwork`."""
+        check_blocks(blocks, self.depth)
         x = ((image - self.mean) / self.std).permute(2, 0, 1)[None]  # channels-last in memory
         x = x.to(self.dtype)
         outputs = {}
@@ -94,7 +50,7 @@ class FeatureNetwork:
 
     def cells(self, block: int) -> Cells:
         """Where the features of a block, counted from 1, lie in the image."""
-        self._check([block])
+        check_blocks([block], self.depth)
         size, before = 1, 0
         for number, convs in enumerate(self.blocks[:block], start=1):
             stride = 2 ** (number - 1)
@@ -104,29 +60,22 @@ class FeatureNetwork:
         return Cells(stride=2 ** (block - 1), size=size, before=before)
 
     @property
+    def depth(self) -> int:
+        """How many blocks it has."""
+        return len(self.blocks)
+
+    @property
     def dtype(self) -> torch.dtype:
         """The precision of the convolutions."""
         return self.blocks[0][0].weight.dtype
 
-    def to(
-        self, device: torch.device | str, dtype: torch.dtype = torch.float32
-    ) -> "FeatureNetwork":
+    def to(self, device: torch.device | str, dtype: torch.dtype = torch.float32) -> "Vgg":
         """The same network on another device and in another precision."""
-        blocks = tuple(
-            tuple(Convolution(c.weight.to(device, dtype), c.bias.to(device, dtype)) for c in block)
-            for block in self.blocks
-        )
+        blocks = tuple(tuple(conv.to(device, dtype) for conv in block) for block in self.blocks)
         return replace(self, blocks=blocks, mean=self.mean.to(device), std=self.std.to(device))
 
-    def _check(self, blocks: Sequence[int]) -> None:
-        if not blocks or min(blocks) < 1 or max(blocks) > len(self.blocks):
-            raise StyleSplatError(
-                f"Features of blocks {tuple(blocks)} were asked for, the network has blocks 1 to "
-                f"{len(self.blocks)}. Choose among those, or load deeper weights."
-            )
 
-
-def layer_widths(network: Network, depth: int) -> tuple[tuple[int, ...], ...]:
+def layer_widths(network: str, depth: int) -> tuple[tuple[int, ...], ...]:
     """The number of filters of each convolution down to the features of block `depth`.
 
     Raises:

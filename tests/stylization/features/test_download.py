@@ -11,9 +11,9 @@ import torch
 from safetensors.torch import save
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization import weights
-from stylesplat.stylization.safetensors_http import fetch_tensors
-from stylesplat.stylization.weights import load_weights
+from stylesplat.stylization.features import weights
+from stylesplat.stylization.features.safetensors_http import fetch_tensors
+from stylesplat.stylization.features.weights import load_vgg
 
 
 @dataclass
@@ -90,10 +90,10 @@ def test_first_use_downloads_and_later_ones_do_not(
     capsys: pytest.CaptureFixture[str],
 ):
     monkeypatch.setattr(weights, "HUB_URL", server.url)
-    first = load_weights("vgg16", depth=1)
+    first = load_vgg("vgg16", depth=1)
     requests = len(server.sent)
     assert f"Downloading vgg16's convolutions from {server.url}" in capsys.readouterr().err
-    again = load_weights("vgg16", depth=1)
+    again = load_vgg("vgg16", depth=1)
     assert len(server.sent) == requests
     assert capsys.readouterr().err == ""
     assert torch.equal(first.blocks[0][1].weight, tensors()["features.2.weight"].float())
@@ -105,7 +105,7 @@ def test_first_use_downloads_and_later_ones_do_not(
 def test_offline(no_cache: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(weights, "HUB_URL", "http://127.0.0.1:1/model.safetensors")
     with pytest.raises(StyleSplatError, match=r"Cannot download .* `--weights FILE`") as error:
-        load_weights("vgg19")
+        load_vgg("vgg19")
     assert "\n" not in str(error.value)
     assert not (no_cache / "stylesplat").exists()
 

@@ -3,14 +3,10 @@ import torch
 from torchvision.models import vgg
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.features import (
-    Convolution,
-    FeatureNetwork,
-    Network,
-    layer_widths,
-)
+from stylesplat.stylization.features.network import Convolution
+from stylesplat.stylization.features.vgg import Vgg, layer_widths
 
-OFFICIAL_LAYERS: dict[tuple[Network, int], list[int]] = {  # of torchvision's `features`
+OFFICIAL_LAYERS: dict[tuple[str, int], list[int]] = {  # of torchvision's `features`
     ("vgg16", 1): [1, 3],
     ("vgg16", 2): [6, 8],
     ("vgg16", 3): [11, 13, 15],
@@ -30,7 +26,7 @@ def frozen(module: torch.nn.Conv2d) -> Convolution:
 
 
 @pytest.mark.parametrize(("name", "block"), OFFICIAL_LAYERS)
-def test_layers_are_those_of_torchvision(name: Network, block: int):
+def test_layers_are_those_of_torchvision(name: str, block: int):
     layers = OFFICIAL_LAYERS[name, block]
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -40,7 +36,7 @@ def test_layers_are_those_of_torchvision(name: Network, block: int):
     blocks = tuple(
         tuple(frozen(next(convs)) for _ in widths) for widths in layer_widths(name, block)
     )
-    network = FeatureNetwork(blocks, torch.tensor([0.4, 0.5, 0.6]), torch.tensor([0.2, 0.3, 0.4]))
+    network = Vgg(blocks, torch.tensor([0.4, 0.5, 0.6]), torch.tensor([0.2, 0.3, 0.4]))
     image = picture(17, 26)
 
     x, outputs = ((image - network.mean) / network.std).permute(2, 0, 1)[None], []
@@ -55,13 +51,13 @@ def test_layers_are_those_of_torchvision(name: Network, block: int):
 def test_the_default_features_are_the_papers():
     zeros = [[torch.zeros(w) for w in widths] for widths in layer_widths("vgg19", 3)]
     blocks = tuple(tuple(Convolution(torch.zeros(len(b), 1, 3, 3), b) for b in bs) for bs in zeros)
-    cells = FeatureNetwork(blocks, torch.zeros(3), torch.ones(3)).cells(3)
+    cells = Vgg(blocks, torch.zeros(3), torch.ones(3)).cells(3)
     assert (cells.stride, cells.size) == (4, 40)
     assert sum(layer_widths("vgg19", 3)[-1]) == 768
 
 
 @pytest.mark.parametrize("block", [1, 2])
-def test_cells_say_what_a_feature_depends_on(network: FeatureNetwork, block: int):
+def test_cells_say_what_a_feature_depends_on(network: Vgg, block: int):
     cells, at = network.cells(block), 9
     seen = torch.zeros(40, 40, dtype=torch.bool)
     for seed in range(30):  # pooling passes on one pixel of four: look at many pictures
@@ -76,7 +72,7 @@ def test_cells_say_what_a_feature_depends_on(network: FeatureNetwork, block: int
 
 
 @pytest.mark.parametrize("block", [1, 2])
-def test_cells_inside_see_no_padding(network: FeatureNetwork, block: int):
+def test_cells_inside_see_no_padding(network: Vgg, block: int):
     cells = network.cells(block)
     (feats,) = network(torch.full((31, 31, 3), 0.3), [block])
     inside = feats[cells.inside(31), cells.inside(31)].reshape(-1, feats.shape[-1])
@@ -85,19 +81,19 @@ def test_cells_inside_see_no_padding(network: FeatureNetwork, block: int):
     assert not torch.allclose(feats[0, 0], inside[0])  # while the border does
 
 
-def test_no_cell_is_inside_a_picture_that_is_too_small(network: FeatureNetwork):
+def test_no_cell_is_inside_a_picture_that_is_too_small(network: Vgg):
     cells = network.cells(2)
     counts = [len(range(100)[cells.inside(n)]) for n in range(cells.size - 1, cells.size + 2)]
     assert counts == [0, 1, 1]
 
 
-def test_shifting_the_picture_shifts_the_features(network: FeatureNetwork):
+def test_shifting_the_picture_shifts_the_features(network: Vgg):
     image = picture(40, 40)
     (feats,), (shifted,) = network(image, [2]), network(image[6:], [2])
     torch.testing.assert_close(feats[8:17, 5:15], shifted[5:14, 5:15])
 
 
-def test_blocks_come_in_the_order_asked_for(network: FeatureNetwork):
+def test_blocks_come_in_the_order_asked_for(network: Vgg):
     image = picture(20, 20)
     second, first = network(image, [2, 1])
     assert torch.equal(second, network(image, [2])[0])
@@ -105,7 +101,7 @@ def test_blocks_come_in_the_order_asked_for(network: FeatureNetwork):
 
 
 @pytest.mark.parametrize("blocks", [[], [0], [1, 3]])
-def test_missing_blocks(network: FeatureNetwork, blocks: list[int]):
+def test_missing_blocks(network: Vgg, blocks: list[int]):
     with pytest.raises(StyleSplatError, match=r"has blocks 1 to 2\. Choose"):
         network(picture(20, 20), blocks)
 

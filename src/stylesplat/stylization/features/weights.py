@@ -1,4 +1,4 @@
-"""Where a feature network comes from: a file, a cache, a download, or chance."""
+"""Where a feature network comes from: the package, a file, a cache or a download."""
 
 import os
 import pickle
@@ -18,17 +18,20 @@ from tqdm import tqdm
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
 from stylesplat.stylization.config import Network
-from stylesplat.stylization.features import Convolution, FeatureNetwork, layer_widths
-from stylesplat.stylization.random_filters import random_network
-from stylesplat.stylization.safetensors_http import fetch_tensors
+from stylesplat.stylization.features.compact import compact_from
+from stylesplat.stylization.features.network import Convolution, FeatureNetwork
+from stylesplat.stylization.features.safetensors_http import fetch_tensors
+from stylesplat.stylization.features.vgg import Vgg, layer_widths
 
+VggNetwork = Literal["vgg16", "vgg19"]
 Preprocessing = Literal["torchvision", "caffe-rgb", "caffe-bgr"]
 
 HUB_URL = "https://huggingface.co/timm/{network}.tv_in1k/resolve/main/model.safetensors"
 TORCHVISION_FILES = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
 TORCHVISION_MEAN, TORCHVISION_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CAFFE_MEAN = (123.68, 116.779, 103.939)  # red, green, blue in 0..255; nothing is divided
-CONVOLUTION = re.compile(r"(features\.\d+|conv\d_\d)\.(weight|bias)")
+PACKAGED = Path(__file__).with_name("compact.safetensors")
+CONVOLUTION = re.compile(r"(features\.\d+|conv\d_\d|block\d\.(conv\d|head))\.(weight|bias)")
 MARKS = {  # layers that the other network does not have
     "vgg16": ("features.17.weight",),
     "vgg19": ("features.16.weight", "conv3_4.weight"),
@@ -40,18 +43,36 @@ UNREADABLE = (
 
 
 def load_weights(
-    network: Network,
-    path: Path | str | None = None,
-    *,
-    depth: int = 3,
-    preprocessing: Preprocessing | None = None,
-    seed: int = 0,
-    download: bool = True,
+    network: Network, path: Path | str | None = None, *, depth: int = 3, download: bool = True
 ) -> FeatureNetwork:
     """Load a feature network as deep as needed.
 
     Args:
-        network: Which one; `random` has filters drawn from `seed` and needs no file.
+        network: Which one; `compact` ships with the package.
+        path: Its file; by default the package's own, and for VGG as `load_vgg` says.
+        depth: The deepest block of features that is needed.
+        download: Whether to, if there is no file of VGG.
+
+    Raises:
+        StyleSplatError: As `load_vgg` does.
+    """
+    if network == "compact":
+        return _load_compact(Path(path) if path is not None else PACKAGED, depth)
+    return load_vgg(network, path, depth=depth, download=download)
+
+
+def load_vgg(
+    network: VggNetwork,
+    path: Path | str | None = None,
+    *,
+    depth: int = 3,
+    preprocessing: Preprocessing | None = None,
+    download: bool = True,
+) -> Vgg:
+    """Load VGG's convolutions as deep as needed.
+
+    Args:
+        network: Which one.
         path: A .safetensors, .pth or .pt file that holds at least the convolutions, named as
             in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`). By
             default what torchvision or we have cached, or else a download of a few megabytes,
@@ -60,15 +81,12 @@ def load_weights(
         preprocessing: What the first layer expects: `torchvision`, or colours in 0..255 minus
             the original mean in either order. By default the file's metadata decide, or else
             the layers' names: the original order is blue first.
-        seed: For `random`.
         download: Whether to, if there is no file.
 
     Raises:
         StyleSplatError: If the file is missing, unreadable or of another network, or if there
             is none and it cannot or must not be downloaded.
     """
-    if network == "random":
-        return random_network(depth, seed)
     layer_widths(network, depth)  # refuses a depth that the network does not have
     path = Path(path) if path is not None else _cached(network, depth, download)
     tensors, metadata = _read(path)
@@ -76,12 +94,22 @@ def load_weights(
     if preprocessing is None:
         preprocessing = _told(tensors, metadata)
     if preprocessing == "torchvision":
-        return FeatureNetwork(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
+        return Vgg(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
     if preprocessing == "caffe-bgr":
         (first, *block), *rest = blocks
         first = Convolution(first.weight.flip(1), first.bias)
         blocks = ((first, *block), *rest)
-    return FeatureNetwork(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
+    return Vgg(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
+
+
+def _load_compact(path: Path, depth: int) -> FeatureNetwork:
+    network = compact_from(_read(path)[0], path)
+    if depth > network.depth:
+        raise StyleSplatError(
+            f"Block {depth} of compact was asked for, it has blocks 1 to {network.depth}. "
+            "Use --features vgg16."
+        )
+    return network
 
 
 def cache_folder() -> Path:
@@ -89,7 +117,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
 
 
-def _cached(network: Network, depth: int, download: bool) -> Path:
+def _cached(network: VggNetwork, depth: int, download: bool) -> Path:
     """A file of the network that is there, or that is there now."""
     torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
     if torchvision.is_file():
@@ -105,7 +133,7 @@ def _cached(network: Network, depth: int, download: bool) -> Path:
     return path
 
 
-def _download(network: Network, depth: int, path: Path) -> None:
+def _download(network: VggNetwork, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
     tqdm.write(f"Downloading {network}'s convolutions from {url} to {path}.", file=sys.stderr)
     widths = layer_widths(network, depth)
@@ -115,7 +143,7 @@ def _download(network: Network, depth: int, path: Path) -> None:
         tensors = fetch_tensors(url, names, title=network)
     except StyleSplatError as error:
         raise StyleSplatError(
-            f"{error} Pass a file of {network} with `--weights FILE`, or use --features random."
+            f"{error} Pass a file of {network} with `--weights FILE`, or use --features compact."
         ) from error
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, metadata={"architecture": network.upper()})
@@ -146,7 +174,7 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 
 
 def _assemble(
-    tensors: dict[str, Tensor], network: Network, depth: int, path: Path
+    tensors: dict[str, Tensor], network: VggNetwork, depth: int, path: Path
 ) -> tuple[tuple[Convolution, ...], ...]:
     for other, marks in MARKS.items():
         if other != network and any(mark in tensors for mark in marks):

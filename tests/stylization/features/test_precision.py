@@ -3,7 +3,7 @@ import time
 import pytest
 import torch
 
-from stylesplat.stylization.precision import fastest_dtype
+from stylesplat.stylization.features.precision import fastest_dtype
 
 
 def test_the_choice_is_made_once(monkeypatch: pytest.MonkeyPatch):
@@ -24,5 +24,5 @@ def test_the_faster_one_is_chosen(
     def seconds(dtype: torch.dtype) -> float:
         return 1.0 if dtype == torch.float32 else 1 / speedup
 
-    monkeypatch.setattr("stylesplat.stylization.precision._convolution_seconds", seconds)
+    monkeypatch.setattr("stylesplat.stylization.features.precision._convolution_seconds", seconds)
     assert fastest_dtype.__wrapped__("cpu") == expected

@@ -1,0 +1,68 @@
+"""The verb that names objects: what it takes, and which function does the work."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
+
+from stylesplat.cli.options import Json
+from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
+
+
+@dataclass(frozen=True)
+class Select:
+    """Name an object of a scene, by label id, by places in photos, or by a shape in the world.
+
+    What is named more than once is united: `--id 3 --plus lid --minus lamp`.
+
+    Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    name: str
+    """What to call the object."""
+    id: tuple[int, ...] = ()
+    """Label ids, as `objects` lists them."""
+    box: UseAppendAction[tuple[str, ...]] = ()
+    """VIEW:x0,y0,x1,y1 in photo pixels: the object that shows most inside. May be repeated."""
+    point: UseAppendAction[tuple[str, ...]] = ()
+    """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
+    not_point: UseAppendAction[tuple[str, ...]] = ()
+    """VIEW:x,y of an object that is not meant. May be repeated."""
+    box3d: str | None = None
+    """x0,y0,z0,x1,y1,z1 in world units: what lies inside, whatever object it is."""
+    sphere: str | None = None
+    """x,y,z,RADIUS in world units; or VIEW:x,y,RADIUS around what shows at that pixel."""
+    plus: tuple[str, ...] = ()
+    """Names of earlier selections that belong to it."""
+    minus: tuple[str, ...] = ()
+    """Names of earlier selections that do not."""
+    threshold: float = 0.5
+    """Probability of the object above which a Gaussian belongs to it."""
+    keep_outliers: FlagCreatePairsOff[bool] = False
+    """Keep Gaussians that lie apart from the rest of the object."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.verbs.select import Choice, select_object
+
+        choice = Choice(
+            ids=self.id,
+            boxes=tuple(map(parse_box, self.box)),
+            points=tuple(map(parse_point, self.point)),
+            not_points=tuple(map(parse_point, self.not_point)),
+            box3d=parse_box3d(self.box3d) if self.box3d else (),
+            sphere=parse_sphere(self.sphere) if self.sphere else None,
+            plus=self.plus,
+            minus=self.minus,
+        )
+        return select_object(
+            self.scene,
+            self.name,
+            choice,
+            threshold=self.threshold,
+            remove_outliers=not self.keep_outliers,
+        )

@@ -1,0 +1,191 @@
+"""Masks of other programs, as label maps: pictures of ids, binary masks by object, COCO's RLE."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import read_json
+from stylesplat.io.label_maps import read_label_map
+
+MAX_ID = 65_535  # of an object; what scenes, viewers and 16-bit pictures agree on
+
+Labels = Int[Tensor, "H W"]
+
+
+def foreign_label_maps(source: Path, names: Sequence[str]) -> dict[str, Callable[[], Labels]]:
+    """Find the masks of photos among another program's output.
+
+    Understood are pictures of ids named like the photos, in any sub-folder (DEVA, Gaussian
+    Grouping); a sub-folder per object with a binary mask per photo; and COCO JSON with RLE masks.
+
+    Args:
+        source: A folder, or a .json file.
+        names: The photos' names.
+
+    Returns:
+        By photo a function that reads its label map; photos without one are left out.
+
+    Raises:
+        StyleSplatError: If there is nothing of these photos, or the masks contradict each other.
+    """
+    stems = {Path(name).stem: name for name in names}
+    if len(stems) < len(names):
+        raise StyleSplatError(
+            "Some photos differ in their folders or suffixes only, so masks cannot be told apart. "
+            "Put label maps into object_mask/ by hand, in the photos' folders."
+        )
+    if source.suffix.lower() == ".json":
+        found = _coco(source, stems)
+    elif source.is_dir():
+        found = _by_object(source, stems) or _by_photo(source, stems)
+    else:
+        raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
+    if not found:
+        raise StyleSplatError(
+            f"No mask in {source} belongs to a photo of this capture. Name them like the photos: "
+            f"{next(iter(stems))}.png."
+        )
+    return found
+
+
+def _by_photo(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labels]]:
+    """Pictures of ids, wherever they lie."""
+    found: dict[str, Path] = {}
+    for path in sorted(source.rglob("*.png")):
+        name = stems.get(path.stem)
+        if name in found:
+            raise StyleSplatError(
+                f"Both {found[name]} and {path} are named like {name}. Give the folder of one kind."
+            )
+        if name is not None:
+            found[name] = path
+    return {name: partial(_checked, path) for name, path in found.items()}
+
+
+def _by_object(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labels]]:
+    """A sub-folder for each object, the masks in it named like the photos."""
+    folders = sorted(path for path in source.iterdir() if path.is_dir())
+    masks = {f: {p.stem: p for p in sorted(f.glob("*.png")) if p.stem in stems} for f in folders}
+    objects = {folder: files for folder, files in masks.items() if files}
+    if not all(map(_is_binary, _some(objects))):
+        return {}
+    numbers = _numbers([folder.name for folder in objects])
+    found: dict[str, list[tuple[int, Path]]] = {}
+    for number, files in zip(numbers, objects.values(), strict=True):
+        for stem, path in files.items():
+            found.setdefault(stems[stem], []).append((number, path))
+    return {name: partial(_stacked, layers) for name, layers in found.items()}
+
+
+def _some(objects: Mapping[Path, Mapping[str, Path]]) -> Iterator[Path]:
+    for files in objects.values():
+        yield from list(files.values())[:3]
+
+
+def _numbers(folders: Sequence[str]) -> list[int]:
+    """The ids that folders are named by, or their places in the order of their names."""
+    if all(name.isdecimal() and 0 < int(name) <= MAX_ID for name in folders):
+        return [int(name) for name in folders]
+    return list(range(1, len(folders) + 1))
+
+
+def _is_binary(path: Path) -> bool:
+    return len(read_label_map(path).unique()) <= 2
+
+
+def _checked(path: Path) -> Labels:
+    labels = read_label_map(path)
+    if labels.numel() and int(labels.max()) > MAX_ID:
+        raise StyleSplatError(
+            f"{path} has the label id {int(labels.max())}; ids go up to {MAX_ID}. Save ids as 8- "
+            "or 16-bit grey pictures, not as colours."
+        )
+    return labels
+
+
+def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
+    """One label map of binary masks; smaller objects lie over larger ones."""
+    masks = [(number, read_label_map(path) != 0) for number, path in layers]
+    return overlaid(masks)
+
+
+def overlaid(masks: Sequence[tuple[int, Bool[Tensor, "H W"]]]) -> Labels:
+    """A label map of masks by id; where they overlap the smaller one shows."""
+    labels = torch.zeros(masks[0][1].shape, dtype=torch.int64)
+    for number, mask in sorted(masks, key=lambda each: -int(each[1].sum())):
+        if mask.shape != labels.shape:
+            raise StyleSplatError(
+                f"The masks of a photo differ in size: {list(mask.shape)} and "
+                f"{list(labels.shape)}. Export them at the photo's size."
+            )
+        labels[mask] = number
+    return labels
+
+
+def _coco(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labels]]:
+    """Annotations with RLE masks; an object is a track, or else a category."""
+    content = read_json(source)
+    try:
+        photos = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
+        found: dict[str, list[tuple[int, Any]]] = {}
+        for each in content["annotations"]:
+            stem = photos[each["image_id"]]
+            number = int(each.get("track_id", each["category_id"]))
+            if not 0 < number <= MAX_ID:
+                raise ValueError(f"the id {number} is not within 1 to {MAX_ID}")
+            if stem in stems:
+                found.setdefault(stems[stem], []).append((number, each["segmentation"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise StyleSplatError(
+            f"Cannot read {source} as COCO annotations: {error!r}. Export them with images, "
+            "annotations and RLE masks."
+        ) from error
+    return {name: partial(_decoded, layers, source) for name, layers in found.items()}
+
+
+def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:
+    masks = [(number, decode_rle(rle, source)) for number, rle in layers]
+    return overlaid(masks)
+
+
+def decode_rle(rle: Any, source: Path) -> Bool[Tensor, "H W"]:
+    """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros.
+
+    Raises:
+        StyleSplatError: If they do not fill the mask.
+    """
+    try:
+        height, width = (int(side) for side in rle["size"])
+        counts = rle["counts"]
+        runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
+        if height * width != runs.sum() or runs.min(initial=0) < 0:
+            raise ValueError(f"its runs hold {runs.sum()} pixels of {height}x{width}")
+    except (KeyError, TypeError, ValueError) as error:
+        raise StyleSplatError(
+            f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
+        ) from error
+    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
+
+
+def _unpack(text: str) -> list[int]:
+    """Run lengths from COCO's string: groups of 5 bits, and differences to the last but one."""
+    runs: list[int] = []
+    value = shift = 0
+    for letter in text:
+        group = ord(letter) - 48
+        value |= (group & 0x1F) << shift
+        shift += 5
+        if not group & 0x20:
+            if group & 0x10:  # negative
+                value -= 1 << shift
+            runs.append(value + runs[-2] if len(runs) > 2 else value)
+            value = shift = 0
+    return runs

@@ -1,0 +1,138 @@
+"""Label maps onto any splats, in closed form: what contributes to a pixel takes its label."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from tqdm import tqdm
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.contributed import contributed
+from stylesplat.rendering.rasterize import Backend
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+from stylesplat.selection.labels import BACKGROUND
+
+AT_ONCE = IDENTITY_SIZE  # labels of a view that are lifted in one pass
+NOBODY = -1  # no label
+SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
+PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
+REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
+MANY = 2048  # classes beyond which they stay where chance put them
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """Splats that know their objects, and how sure that is."""
+
+    splats: Splats
+    """With identities and a classifier, as after training."""
+    confidence: Float[Tensor, " N"]
+    """The share of a Gaussian's pixels that have its label; 0 if no label map shows it."""
+
+
+@torch.no_grad()
+def lift(
+    splats: Splats,
+    capture: Capture,
+    *,
+    rows: Sequence[int] | None = None,
+    backend: Backend = "auto",
+) -> Lifted:
+    """Give every Gaussian the labels of the pixels that it contributes to.
+
+    A render is linear in what Gaussians carry, so how much each contributes to the pixels of a
+    label is a gradient: one pass over the views, no training. All views together outvote the
+    mistakes of each.
+
+    Args:
+        splats: The scene.
+        capture: Posed label maps of it.
+        rows: The views to use; all by default.
+        backend: Of the rasteriser.
+
+    Raises:
+        StyleSplatError: If the capture has no label maps, or no Gaussian shows in them.
+    """
+    ids, votes = label_votes(splats, capture, rows, backend=backend)
+    if not votes.any():
+        raise StyleSplatError(
+            "None of the Gaussians shows in the capture's label maps. Check that the splat and the "
+            "cameras share a world frame."
+        )
+    seen = votes.sum(dim=1)
+    confidence = votes.amax(dim=1) / seen.clamp(min=PRIOR)
+    votes[:, ids.index(BACKGROUND)] += PRIOR
+    shares = votes / votes.sum(dim=1, keepdim=True)
+    codes = class_codes(len(ids)).to(shares)
+    classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
+    carrying = replace(splats, identities=shares @ codes, classifier=classifier)
+    return Lifted(carrying, confidence)
+
+
+@torch.no_grad()
+def label_votes(
+    splats: Splats,
+    capture: Capture,
+    rows: Sequence[int] | None = None,
+    *,
+    backend: Backend = "auto",
+) -> tuple[tuple[int, ...], Float[Tensor, "N K"]]:
+    """How many pixels of each label a Gaussian makes up, over all views with a label map.
+
+    Returns:
+        The ids that occur, background first, and the votes.
+    """
+    found: dict[int, Tensor] = {BACKGROUND: splats.means.new_zeros(len(splats))}
+    for index, labels in _label_maps(capture, rows):
+        present = labels.unique().tolist()
+        for start in range(0, len(present), AT_ONCE):
+            some = present[start : start + AT_ONCE]
+            weights = _contributed(splats, capture.cameras[index], labels, some, backend)
+            for column, id in enumerate(some):
+                found[id] = found.get(id, 0) + weights[:, column]
+    ids = tuple(sorted(found))
+    return ids, torch.stack([found[id] for id in ids], dim=1)
+
+
+def _contributed(
+    splats: Splats, camera: Cameras, labels: Tensor, ids: Sequence[int], backend: Backend
+) -> Float[Tensor, "N 16"]:
+    """What each Gaussian contributes to the pixels of some labels, a column for each."""
+    columns = labels.new_full((AT_ONCE,), NOBODY)  # as many for every view: kernels are compiled
+    columns[: len(ids)] = torch.tensor(ids)
+    wanted = (labels[..., None] == columns).to(splats.means)
+    return contributed(splats, camera, wanted, backend=backend)
+
+
+def class_codes(count: int) -> Float[Tensor, "K 16"]:
+    """Directions that tell classes apart: at right angles if there is room, else far apart."""
+    if count <= IDENTITY_SIZE:
+        return torch.eye(count, IDENTITY_SIZE)
+    generator = torch.Generator().manual_seed(0)
+    codes = torch.randn(count, IDENTITY_SIZE, generator=generator)
+    codes = torch.nn.functional.normalize(codes, dim=1)
+    if count > MANY:
+        return codes
+    for _ in range(REPULSIONS):
+        closeness = (codes @ codes.T).fill_diagonal_(-1)
+        push = (8 * closeness).softmax(dim=1) @ codes
+        codes = torch.nn.functional.normalize(codes - 0.1 * push, dim=1)
+    return codes
+
+
+def _label_maps(
+    capture: Capture, rows: Sequence[int] | None
+) -> Iterator[tuple[int, Int[Tensor, "H W"]]]:
+    if capture.label_maps is None:
+        raise StyleSplatError(
+            "The capture has no label maps to lift. Put them into `object_mask/`, or name their "
+            "folder with --masks."
+        )
+    for index in tqdm(range(len(capture.cameras)) if rows is None else rows, desc="lifting labels"):
+        labels = capture.label_maps[index]
+        if labels is not None:
+            yield index, labels

@@ -1,0 +1,122 @@
+"""`select`: name some Gaussians of a scene."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import Scene, read_scene, update_scene
+from stylesplat.scene.cameras import Cameras
+from stylesplat.selection.pick import THRESHOLD, Box, Point, pick_objects, resolve_ids, select
+from stylesplat.selection.shapes import in_box, in_sphere, surface_point
+from stylesplat.verbs.objects import find_object
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which Gaussians are meant: all that is named, less what is taken away."""
+
+    ids: tuple[int, ...] = ()
+    """Label ids."""
+    boxes: tuple[tuple[str, Box], ...] = ()
+    """A view and a rectangle of its pixels: the object that shows most inside."""
+    points: tuple[tuple[str, Point], ...] = ()
+    """A view and a pixel: the object that shows there."""
+    not_points: tuple[tuple[str, Point], ...] = ()
+    """Objects that are not meant."""
+    box3d: tuple[float, ...] = ()
+    """Two corners in the world, the lower one first."""
+    sphere: tuple[str, tuple[float, ...]] | None = None
+    """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
+    plus: tuple[str, ...] = ()
+    """Earlier names that are part of it."""
+    minus: tuple[str, ...] = ()
+    """Earlier names that are not."""
+
+
+def select_object(
+    path: Path,
+    name: str,
+    choice: Choice,
+    *,
+    threshold: float = THRESHOLD,
+    remove_outliers: bool = True,
+) -> dict[str, Any]:
+    """Name some Gaussians of a scene.
+
+    Returns:
+        `name`, `ids`, `gaussians`, and how they were chosen.
+
+    Raises:
+        StyleSplatError: If the scene has no such object, nothing is left, or the name would be
+            mistaken for an id.
+    """
+    if name.isdecimal() or not name or "=" in name:
+        raise StyleSplatError(
+            f"Cannot call an object {name!r}: names must not be numbers, empty or contain '='."
+        )
+    scene = read_scene(path)
+    without = _ids_at(scene, choice.not_points)
+    ids = tuple(id for id in _ids(scene, choice) if id not in without)
+    masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
+    if ids:
+        picked = select(
+            scene.splats, object_id=ids, threshold=threshold, remove_outliers=remove_outliers
+        )
+        masks.append(picked)
+    if not masks:
+        raise StyleSplatError(
+            f"Nothing to call {name!r}. Say what with --id, --point, --box, --box3d, --sphere or "
+            "--plus; --not-point only takes away."
+        )
+    mask = torch.stack(masks).any(dim=0)
+    taken = [find_object(scene, each) for each in choice.minus]
+    taken += pick_objects(scene.splats, without, threshold=threshold).values() if without else []
+    for each in taken:
+        mask &= ~each
+    if not mask.any():
+        raise StyleSplatError(f"Nothing is left of {name!r}. Take away less.")
+    said = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
+    how = {"ids": list(ids), "threshold": threshold, "gaussians": int(mask.sum()), **said}
+    update_scene(path, picks=scene.picks | {name: mask}, objects=scene.objects | {name: how})
+    return {"name": name, **how}
+
+
+def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
+    """The label ids that are named or pointed at, each once."""
+    found = list(resolve_ids(scene.splats, object_id=choice.ids)) if choice.ids else []
+    for view, box in choice.boxes:
+        found += resolve_ids(scene.splats, box=box, camera=_camera(scene, view))
+    return tuple(dict.fromkeys([*found, *_ids_at(scene, choice.points)]))
+
+
+def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
+    return [
+        id
+        for view, point in points
+        for id in resolve_ids(scene.splats, point=point, camera=_camera(scene, view))
+    ]
+
+
+def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
+    splats = scene.splats
+    if choice.box3d:
+        low, high = torch.tensor(choice.box3d).view(2, 3)
+        yield in_box(splats, low, high)
+    if choice.sphere:
+        view, (*place, radius) = choice.sphere
+        if view:
+            x, y = place
+            centre = surface_point(splats, _camera(scene, view), (x, y))
+        else:
+            centre = torch.tensor(place)
+        yield in_sphere(splats, centre, radius)
+
+
+def _camera(scene: Scene, view: str) -> Cameras:
+    return scene.cameras[scene.cameras.index(view)]

@@ -1,0 +1,91 @@
+from dataclasses import replace
+from pathlib import Path
+
+import distill_features as distill
+import pytest
+import torch
+from training_pictures import SIZE, shipped_photos, training_pictures
+
+from stylesplat.stylization.features.compact import compact_from
+from stylesplat.stylization.features.network import Convolution
+from stylesplat.stylization.features.vgg import Vgg, layer_widths
+
+OPTIONS = distill.Options(teacher=Path(), steps=20, batch=1, crop=96)
+
+
+@pytest.fixture(scope="module")
+def pictures() -> torch.Tensor:
+    return training_pictures(16, seed=0)
+
+
+@pytest.fixture(scope="module")
+def teacher(pictures: torch.Tensor) -> distill.Teacher:
+    """VGG19's shape with random filters."""
+    generator, inputs, blocks = torch.Generator().manual_seed(0), 3, []
+    for widths in layer_widths("vgg19", 3):
+        convs = []
+        for width in widths:
+            weight = torch.randn(width, inputs, 3, 3, generator=generator) * (2 / 9 / inputs) ** 0.5
+            convs.append(Convolution(weight, torch.zeros(width)))
+            inputs = width
+        blocks.append(tuple(convs))
+    network = Vgg(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
+    return distill.find_teacher(network, batches(pictures))
+
+
+def batches(pictures: torch.Tensor, seed: int = 1):
+    return distill.parts(pictures, OPTIONS, torch.Generator().manual_seed(seed))
+
+
+@pytest.fixture(autouse=True)
+def few_batches(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(distill, "BASIS_BATCHES", 2)
+    monkeypatch.setattr(distill, "WARM_UP", 1)
+
+
+def test_pictures_are_many_and_the_same_again(pictures: torch.Tensor):
+    assert pictures.shape == (16, SIZE, SIZE, 3)
+    assert torch.equal(pictures, training_pictures(16, seed=0))
+    assert len({bytes(picture.numpy()) for picture in pictures}) > 12  # a collage may repeat one
+    assert pictures.float().std(dim=(1, 2, 3)).min() > 2, "none is blank"
+
+
+def test_photos_come_from_the_wheels():
+    shapes = [photo.shape for photo in shipped_photos()]
+    assert len(shapes) > 10
+    assert all(shape[2] == 3 for shape in shapes)
+
+
+def test_directions_keep_cosines(teacher: distill.Teacher, pictures: torch.Tensor):
+    batch = teacher.teach(next(batches(pictures)))
+    rows = distill.teacher_rows(teacher.network, batch.pictures)
+    for block, kept, energy, scale in zip(
+        rows, batch.targets, batch.energies, teacher.scales, strict=True
+    ):
+        torch.testing.assert_close(energy, block.square().sum(dim=1) * scale**2)
+        assert (kept.square().sum(dim=1) / energy).mean() > 0.9
+        assert kept.square().sum(dim=1).max() <= energy.max() * 1.001
+
+
+def test_training_brings_the_student_closer(teacher: distill.Teacher, pictures: torch.Tensor):
+    params = distill.first_weights(torch.Generator().manual_seed(0))
+    batch = teacher.teach(next(batches(pictures, seed=2)))
+
+    def cosine() -> float:
+        with torch.no_grad():
+            return distill.loss_of(compact_from(distill.as_filters(params), "test"), batch)[1]
+
+    before = cosine()
+    generator = torch.Generator().manual_seed(3)
+    lessons = distill.lessons(teacher, batches(pictures), generator)
+    distill.train(params, lessons, replace(OPTIONS, steps=20), torch.float32)
+    assert cosine() > before + 0.2
+
+
+def test_batches_are_used_twice(teacher: distill.Teacher, pictures: torch.Tensor):
+    generator = torch.Generator().manual_seed(3)
+    lessons = distill.lessons(teacher, batches(pictures), generator)
+    first, second, third, fourth = (next(lessons) for _ in range(4))
+    assert second is first
+    assert third is not first
+    assert fourth is first or fourth is third

@@ -1,0 +1,70 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import BALLS, CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import Scene, read_scene, write_scene
+from stylesplat.selection.labels import render_labels
+from stylesplat.selection.pick import select
+from stylesplat.verbs.select import Choice, select_object
+
+VIEW = CAMERAS.names[2]
+
+
+def place(id: int) -> tuple[str, tuple[float, float]]:
+    """The middle of a ball in a view."""
+    labels = render_labels(SPLATS, CAMERAS[2])
+    y, x = (labels == id).nonzero().median(dim=0).values.tolist()
+    return VIEW, (float(x), float(y))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    write_scene(Scene(SPLATS, CAMERAS), tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def test_several_points_are_united(scene: Path):
+    found = select_object(scene, "two", Choice(points=(place(3), place(7))))
+    assert found["ids"] == [3, 7]
+
+
+def test_a_point_that_is_not_meant(scene: Path):
+    found = select_object(scene, "some", Choice(ids=(3, 7, 300), not_points=(place(7),)))
+    assert found["ids"] == [3, 300]
+    with pytest.raises(StyleSplatError, match="--not-point only takes away"):
+        select_object(scene, "none", Choice(ids=(7,), not_points=(place(7),)))
+    around = Choice(box3d=(-3.0, -3.0, 0.02, 3.0, 3.0, 3.0), not_points=(place(7),))
+    select_object(scene, "all but green", around)
+    green = select(SPLATS, object_id=7)
+    assert not (read_scene(scene).picks["all but green"] & green).any()
+
+
+def test_union_and_difference_of_earlier_selections(scene: Path):
+    for id, name in ((3, "red"), (7, "green")):
+        select_object(scene, name, Choice(ids=(id,)))
+    select_object(scene, "both", Choice(plus=("red", "green")))
+    select_object(scene, "rest", Choice(plus=("both",), minus=("red",)))
+    picks = read_scene(scene).picks
+    assert torch.equal(picks["both"], picks["red"] | picks["green"])
+    assert torch.equal(picks["rest"], picks["green"])
+    with pytest.raises(StyleSplatError, match="Nothing is left of 'none'"):
+        select_object(scene, "none", Choice(plus=("red",), minus=("both",)))
+    with pytest.raises(StyleSplatError, match="no object 'blue'"):
+        select_object(scene, "x", Choice(plus=("blue",)))
+
+
+def test_sphere_around_what_a_pixel_shows(scene: Path):
+    view, (x, y) = place(3)
+    found = select_object(scene, "ball", Choice(sphere=(view, (x, y, 0.65))))
+    mask = read_scene(scene).picks["ball"]
+    inside = (SPLATS.means - torch.tensor(BALLS[3][0])).norm(dim=1) < 0.31
+    assert (mask & inside).sum() > 0.8 * inside.sum()
+    assert found["sphere"][0] == view
+
+
+def test_nothing_said(scene: Path):
+    with pytest.raises(StyleSplatError, match="Say what with --id, --point"):
+        select_object(scene, "x", Choice())
