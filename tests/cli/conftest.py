@@ -4,27 +4,15 @@ import pytest
 import torch
 from PIL import Image
 
+from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.scene_folder import Scene, write_scene
-from stylesplat.io.transforms import write_transforms
-from stylesplat.rendering.rasterize import rasterize
-from stylesplat.selection.labels import render_labels
 
 
 @pytest.fixture(scope="session")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The balls as photos with label maps, in nerfstudio layout."""
-    folder = tmp_path_factory.mktemp("capture")
-    (folder / "images").mkdir()
-    for row, name in enumerate(CAMERAS.names):
-        image = rasterize(SPLATS, CAMERAS[row])[0][0].clamp(0, 1)
-        pixels = (255 * image).round().to(torch.uint8).numpy()
-        Image.fromarray(pixels).save(folder / "images" / name, quality=95)
-        labels = render_labels(SPLATS, CAMERAS[row])
-        write_label_map(labels, folder / "object_mask" / f"{Path(name).stem}.png")
-    write_transforms(CAMERAS, folder, points=SPLATS.means)
-    return folder
+    return write_ball_capture(tmp_path_factory.mktemp("capture"))
 
 
 @pytest.fixture

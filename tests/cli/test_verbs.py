@@ -7,6 +7,7 @@ import av
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
@@ -15,6 +16,7 @@ from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.io.splat_ply import read_splat_ply
 from stylesplat.selection.pick import select
+from tiny_captures import HEIGHT, WIDTH, write_capture
 
 QUICK = ("--pattern", "large", "--max-growth", 2)
 SPLIT = ("sh0", "shN", "scales", "opacities")  # what a Gaussian that is split and painted changes
@@ -222,3 +224,36 @@ def test_export_keeps_every_bit(scene: Path, tmp_path: Path):
     assert run("export", scene, tmp_path / "out.ply") == 1, "never overwrites by itself"
     assert run("export", scene, tmp_path / "out.ply", "--overwrite") == 0
     assert run("export", scene, tmp_path / "out.splat") == 0
+
+
+def test_labels_lifted_after_training(capture: Path, tmp_path: Path, capsys):
+    out = tmp_path / "scene"
+    options = ("--steps", 40, "--segment", "lift", "--device", "cpu")
+    result(capsys, "train", capture, "-o", out, *options)
+    scene = read_scene(out)
+    assert scene.splats.classifier is not None
+    assert scene.splats.classifier.ids == (0, 3, 7, 300)
+    assert scene.info["settings"]["segment"] == "lift"
+    assert not [*out.glob("checkpoint*")]
+
+
+def test_import_and_select_by_shape(scene: Path, capture: Path, tmp_path: Path, capsys):
+    splat, out = tmp_path / "balls.ply", tmp_path / "imported"
+    assert run("export", scene, splat) == 0
+    metrics = result(capsys, "import", splat, capture, "-o", out, "--device", "cpu")
+    assert metrics["psnr"] > 30
+    found = result(capsys, "select", out, "--name", "red", "--box3d=-1.1,-0.4,0.02,-0.3,0.4,0.7")
+    assert found["gaussians"] >= 79
+    less = result(capsys, "select", out, "--name", "rest", "--id", 3, 7, "--minus", "red")
+    assert 0 < less["gaussians"] <= 81
+
+
+def test_masks_of_another_program(tmp_path: Path, capsys):
+    photos = write_capture(tmp_path / "capture")
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[9:30, 20:40] = 255
+    (tmp_path / "masks" / "cup").mkdir(parents=True)
+    Image.fromarray(mask).save(tmp_path / "masks" / "cup" / "002.png")
+    found = result(capsys, "mask", photos, "--from", tmp_path / "masks")
+    assert (found["photos"], found["ids"]) == (1, [1])
+    assert read_label_map(photos / "object_mask" / "002.png").sum() == 21 * 20

@@ -3,17 +3,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from PIL import Image
 
+from ball_photos import write_ball_capture
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.exporter import export
-from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.scene_folder import read_scene
-from stylesplat.io.transforms import write_transforms
-from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.frames import known_frames
-from stylesplat.selection.labels import render_labels
 from stylesplat.verbs.evaluate import evaluate_scene
 from stylesplat.verbs.import_splat import import_splat
 from stylesplat.verbs.select import Choice, select_object
@@ -23,15 +19,7 @@ PLAIN = replace(SPLATS, identities=None, classifier=None, shN=SPLATS.shN[:, :0])
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("capture")
-    (folder / "images").mkdir()
-    for row, name in enumerate(CAMERAS.names):
-        image = rasterize(PLAIN, CAMERAS[row])[0][0].clamp(0, 1)
-        Image.fromarray((255 * image).byte().numpy()).save(folder / "images" / name, quality=95)
-        labels = render_labels(SPLATS, CAMERAS[row])
-        write_label_map(labels, folder / "object_mask" / f"{Path(name).stem}.png")
-    write_transforms(CAMERAS, folder, points=SPLATS.means)
-    return folder
+    return write_ball_capture(tmp_path_factory.mktemp("capture"))
 
 
 @pytest.fixture

@@ -71,19 +71,25 @@ def write_splat_ply(splats: Splats, path: Path | str) -> None:
     Raises:
         StyleSplatError: If the file cannot be written.
     """
-    rest = pad_bands(splats.shN).transpose(1, 2).flatten(1)  # [N, 45]: channel by channel
+    rest = _rest(3 * FULL_BANDS)
+    names = (*MEANS, *NORMALS, *SH0, *rest, *OPACITY, *SCALES, *QUATS)
     blocks = {
         MEANS: splats.means,
-        NORMALS: torch.zeros_like(splats.means),
         SH0: splats.sh0[:, 0],
-        _rest(3 * FULL_BANDS): rest,
         OPACITY: splats.opacities[:, None],
         SCALES: splats.scales,
         QUATS: splats.quats,
     }
-    rows = torch.cat([block.detach().float().cpu() for block in blocks.values()], dim=1)
-    dtype = np.dtype([(name, "<f4") for names in blocks for name in names])
-    write_ply_table(rows.contiguous().numpy().astype("<f4", copy=False).view(dtype)[:, 0], path)
+    for channel in range(3):
+        first = channel * FULL_BANDS
+        blocks[rest[first : first + splats.shN.shape[1]]] = splats.shN[:, :, channel]
+    rows = np.zeros((len(splats), len(names)), "<f4")  # one copy of it all, and no more
+    for columns, values in blocks.items():
+        if columns:
+            first = names.index(columns[0])
+            rows[:, first : first + len(columns)] = values.detach().float().cpu().numpy()
+    dtype = np.dtype([(name, "<f4") for name in names])
+    write_ply_table(rows.view(dtype)[:, 0], path)
 
 
 def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
