@@ -117,11 +117,11 @@ class Import:
 
     splat: Positional[Path]
     """A .ply (also SuperSplat's compressed one), .spz or .splat file."""
+    output: Output
+    """Folder of the scene to make."""
     capture: Positional[Path | None] = None
     """Folder with the posed photos that it was made from, and label maps in object_mask/. Without
     it the scene gets views on circles around the content."""
-    output: Output = Path("imported-scene")
-    """Folder of the scene to make."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     frame: Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"] = "capture"
