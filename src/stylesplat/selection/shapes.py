@@ -7,6 +7,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import unproject
 from stylesplat.scene.splats import Splats
 
 SOLID = 0.5  # of a pixel's coverage, below which there is no surface
@@ -54,8 +55,8 @@ def surface_point(
         raise StyleSplatError(
             f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels."
         )
-    viewmat, K = camera.viewmats[0].to(splats.means), camera.Ks[0].to(splats.means)
-    depths = splats.means @ viewmat[2, :3] + viewmat[2, 3]
+    axis = camera.viewmats[0, 2].to(splats.means)
+    depths = splats.means @ axis[:3] + axis[3]
     image, alphas, _ = rasterize(
         splats, camera, features=depths[:, None], sh_degree=0, backend=backend
     )
@@ -64,9 +65,7 @@ def surface_point(
     if alpha < SOLID:
         raise StyleSplatError(f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}.")
     depth = image[0, row, column, 3] / alpha
-    pixel = K.new_tensor([column + 0.5, row + 0.5, 1.0])
-    local = depth * (torch.linalg.inv(K) @ pixel)
-    return viewmat[:3, :3].T @ (local - viewmat[:3, 3])
+    return unproject(depth.new_tensor([[column + 0.5, row + 0.5]]), depth[None], camera)[0]
 
 
 def _some(inside: Tensor, splats: Splats, shape: str) -> Bool[Tensor, " N"]:

@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import unproject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import COVERED, evenly, find_boxes
 
@@ -86,7 +87,7 @@ def warped_difference(a: Look, b: Look) -> Float[Tensor, "P 6"]:
     mask = b.surface[..., 0] > COVERED
     coverage, summed = b.surface[mask].unbind(-1)
     pixels = mask.nonzero().flip(1) + 0.5  # x, y
-    places, depths = _project(_unproject(pixels, summed / coverage, b.camera), a.camera)
+    places, depths = _project(unproject(pixels, summed / coverage, b.camera), a.camera)
     size = torch.tensor(a.camera.size).to(places)
     inside = (places >= 0).all(dim=1) & (places <= size).all(dim=1)
     found, (coverage, summed) = _sample(a.colors, places), _sample(a.surface, places).unbind(-1)
@@ -106,15 +107,6 @@ def _look(
     after, _, _ = rasterize(styled, small, backend=backend)
     colors = torch.cat([before[0, ..., :3], after[0]], dim=-1).clamp(0, 1)
     return Look(small, colors, before[0, ..., 3:])
-
-
-def _unproject(
-    pixels: Float[Tensor, "P 2"], depths: Float[Tensor, " P"], camera: Cameras
-) -> Float[Tensor, "P 3"]:
-    """World positions at a depth along the camera's z axis."""
-    viewmat, K = camera.viewmats[0].to(depths), camera.Ks[0].to(depths)
-    rays_c = F.pad(pixels, (0, 1), value=1.0) @ torch.linalg.inv(K).T
-    return (rays_c * depths[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]
 
 
 def _project(
