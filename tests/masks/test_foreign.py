@@ -34,8 +34,8 @@ def test_pictures_of_ids_in_a_sub_folder(tmp_path: Path):
     labels = 3 * LARGE.long() + 300 * SMALL.long()
     write_label_map(labels, tmp_path / "Annotations" / "video" / "002.png")
     found = foreign_label_maps(tmp_path, NAMES)
-    assert found.keys() == {"002.png"}
-    assert torch.equal(found["002.png"](), labels)
+    assert found.maps.keys() == {"002.png"}
+    assert torch.equal(found.maps["002.png"](), labels)
 
 
 @pytest.mark.parametrize(("folders", "ids"), [(("pot", "vase"), (1, 2)), (("7", "30"), (7, 30))])
@@ -47,9 +47,9 @@ def test_a_folder_of_binary_masks_per_object(
             save_binary(mask, tmp_path / folder / f"{stem}.png")
     first, second = ids
     found = foreign_label_maps(tmp_path, NAMES)
-    assert found.keys() == {"001.png", "003.png"}
+    assert found.maps.keys() == {"001.png", "003.png"}
     expected = torch.where(SMALL, second, torch.where(LARGE, first, 0))
-    assert torch.equal(found["001.png"](), expected)
+    assert torch.equal(found.maps["001.png"](), expected)
 
 
 def test_the_smaller_mask_lies_on_top_in_either_order():
@@ -110,9 +110,9 @@ def coco(tmp_path: Path, **changes: object) -> Path:
 
 def test_coco(tmp_path: Path):
     found = foreign_label_maps(coco(tmp_path), NAMES)
-    assert torch.equal(found["002.png"](), 9 * LARGE.long())
+    assert torch.equal(found.maps["002.png"](), 9 * LARGE.long())
     found = foreign_label_maps(coco(tmp_path, track_id=4), NAMES)
-    assert torch.equal(found["002.png"](), 4 * LARGE.long())
+    assert torch.equal(found.maps["002.png"](), 4 * LARGE.long())
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_coco(tmp_path: Path):
 )
 def test_coco_that_is_damaged(tmp_path: Path, changes: dict, expected: str):
     with pytest.raises(StyleSplatError, match=expected):
-        foreign_label_maps(coco(tmp_path, **changes), NAMES)["002.png"]()
+        foreign_label_maps(coco(tmp_path, **changes), NAMES).maps["002.png"]()
 
 
 def test_masks_of_another_capture(tmp_path: Path):
@@ -142,7 +142,7 @@ def test_masks_of_another_capture(tmp_path: Path):
 def test_ids_that_are_colours(tmp_path: Path):
     write_label_map(LARGE.long() * 70_000 + SMALL.long(), tmp_path / "001.png")
     with pytest.raises(StyleSplatError, match=r"label id 70001; ids go up to 65535"):
-        foreign_label_maps(tmp_path, NAMES)["001.png"]()
+        foreign_label_maps(tmp_path, NAMES).maps["001.png"]()
 
 
 def test_two_kinds_of_pictures(tmp_path: Path):

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+from stylesplat.cli.options import Device, Json, Output, Overwrite, given, refuse_given
+from stylesplat.cli.parse import parse_named_box
+from stylesplat.errors import StyleSplatError
 
 
 @dataclass(frozen=True)
@@ -88,24 +90,47 @@ class Train:
 class Mask:
     """Give photos their label maps, which say what object each pixel shows.
 
-    Example: stylesplat mask garden --method files --from deva-output
+    Example: stylesplat mask garden --box vase=IMG_0007.jpg:500,300,800,700
     """
 
     capture: Positional[Path]
     """Folder with the posed photos; the label maps go into its object_mask/."""
-    source: Annotated[Path, arg(name="from")]
+    method: Literal["files", "grabcut"] | None = None
+    """files takes masks of another program, grabcut cuts out what boxes hold; by default what
+    the other options call for."""
+    source: Annotated[Path | None, arg(name="from")] = None
     """What another program made: a folder with pictures of ids named like the photos (DEVA,
     Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
-    method: Literal["files"] = "files"
-    """Where label maps come from."""
+    box: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VIEW:x0,y0,x1,y1 around an object, in photo pixels. May be repeated, for other objects
+    and for other photos of the same; one photo often suffices."""
+    scene: Path | None = None
+    """A scene of these photos, which carries masks from photo to photo; by default one is trained
+    for less than a minute."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.verbs.mask import import_masks
+        from stylesplat.verbs.mask_boxes import mask_boxes
 
-        return import_masks(self.capture, self.source, overwrite=self.overwrite)
+        method = self.method or ("files" if self.source else "grabcut")
+        if method == "files":
+            refuse_given(self, ("box", "scene"), f"--method {method}")
+            if self.source is None:
+                raise StyleSplatError("Say with --from where the masks are.")
+            return import_masks(self.capture, self.source, overwrite=self.overwrite)
+        refuse_given(self, ("source",), f"--method {method}")
+        return mask_boxes(
+            self.capture,
+            [parse_named_box(each) for each in self.box],
+            scene=self.scene,
+            device=self.device,
+            overwrite=self.overwrite,
+        )
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, arg
 
+from stylesplat.errors import StyleSplatError
+
 Device = Literal["auto", "cpu", "cuda"]
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
@@ -16,3 +18,15 @@ def given(command: object, names: tuple[str, ...]) -> dict[str, Any]:
     """The options of a command that the user set."""
     values = {name: getattr(command, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
+
+
+def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
+    """Refuse options that would change nothing.
+
+    Raises:
+        StyleSplatError: If one of them is set.
+    """
+    for name in names:
+        if getattr(command, name):
+            option = {"source": "from"}.get(name, name)
+            raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")

@@ -41,6 +41,23 @@ def parse_box(text: str) -> tuple[str, tuple[float, float, float, float]]:
     return view, (x0, y0, x1, y1)
 
 
+def parse_named_box(text: str) -> tuple[str, str, tuple[float, float, float, float]]:
+    """An object's name, a view's, and a rectangle of pixels; the name may be left out.
+
+    Raises:
+        StyleSplatError: If the text is anything else.
+
+    Example:
+        >>> parse_named_box("vase=IMG_0007.jpg:10,20,110,90")
+        ('vase', 'IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0))
+    """
+    name, equals, place = text.rpartition("=")
+    view, box = parse_box(place)
+    if equals and (not name or name.isdecimal()):
+        raise StyleSplatError(f"Cannot call an object {name!r}. Give NAME=VIEW:x0,y0,x1,y1.")
+    return name or "object", view, box
+
+
 def parse_box3d(text: str) -> tuple[float, ...]:
     """Two corners in the world.
 

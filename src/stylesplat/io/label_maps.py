@@ -1,6 +1,6 @@
 """Label maps: pictures whose pixels are the ids of objects, 0 where there is none."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +11,13 @@ from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, read_json, write_json
 from stylesplat.io.lazy import Lazy
 from stylesplat.io.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
 MAX_ID = 2**24 - 1
+NAMES = "names.json"  # beside the label maps: what objects are called, by id
 
 
 def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
@@ -50,6 +51,31 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         pixels = (ids[:, :, None] // RGB_CODE % 256).astype(np.uint8)
     with atomic_path(path) as temporary:
         Image.fromarray(pixels).save(temporary, format="PNG")
+
+
+def read_names(folder: Path) -> dict[int, str]:
+    """What the objects of a folder of label maps are called, by id; empty if nothing says it.
+
+    Raises:
+        StyleSplatError: If the file that says it is damaged.
+    """
+    path = folder / NAMES
+    if not path.exists():
+        return {}
+    names = read_json(path)
+    if not all(id.isdecimal() and isinstance(name, str) for id, name in names.items()):
+        raise StyleSplatError(f"Cannot read {path}: expected names by label id. Mend or delete it.")
+    return {int(id): name for id, name in names.items()}
+
+
+def write_names(names: Mapping[int, str], folder: Path) -> None:
+    """Say in a folder of label maps what objects are called.
+
+    Raises:
+        StyleSplatError: If the disk is full or the place cannot be written to.
+    """
+    if names:
+        write_json({str(id): name for id, name in names.items()}, folder / NAMES)
 
 
 def match_label_maps(

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.colmap import find_sparse, read_colmap
-from stylesplat.io.label_maps import match_label_maps
+from stylesplat.io.label_maps import match_label_maps, read_names
 from stylesplat.io.lazy import Lazy
 from stylesplat.io.photos import fit_photo
 from stylesplat.io.poses import PosedFiles
@@ -57,6 +57,7 @@ def load(path: Path | str, *, downscale: float = 1.0, masks: Path | str | None =
         cameras=cameras,
         photos=Lazy([photo.read for photo in photos]),
         label_maps=match_label_maps(Path(masks), posed.names, photos) if masks else None,
+        object_names=read_names(Path(masks)) if masks else {},
         points=posed.points,
         point_colors=posed.point_colors,
         path=folder,

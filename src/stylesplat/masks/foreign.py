@@ -1,6 +1,7 @@
 """Masks of other programs, as label maps: pictures of ids, binary masks by object, COCO's RLE."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,17 @@ MAX_ID = 65_535  # of an object; what scenes, viewers and 16-bit pictures agree 
 Labels = Int[Tensor, "H W"]
 
 
-def foreign_label_maps(source: Path, names: Sequence[str]) -> dict[str, Callable[[], Labels]]:
+@dataclass(frozen=True)
+class Found:
+    """Masks of photos among another program's output."""
+
+    maps: dict[str, Callable[[], Labels]]
+    """By photo a function that reads its label map; photos without one are left out."""
+    names: dict[int, str] = field(default_factory=dict)
+    """What objects are called, by id, where that is known."""
+
+
+def foreign_label_maps(source: Path, names: Sequence[str]) -> Found:
     """Find the masks of photos among another program's output.
 
     Understood are pictures of ids named like the photos, in any sub-folder (DEVA, Gaussian
@@ -28,9 +39,6 @@ def foreign_label_maps(source: Path, names: Sequence[str]) -> dict[str, Callable
     Args:
         source: A folder, or a .json file.
         names: The photos' names.
-
-    Returns:
-        By photo a function that reads its label map; photos without one are left out.
 
     Raises:
         StyleSplatError: If there is nothing of these photos, or the masks contradict each other.
@@ -47,7 +55,7 @@ def foreign_label_maps(source: Path, names: Sequence[str]) -> dict[str, Callable
         found = _by_object(source, stems) or _by_photo(source, stems)
     else:
         raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
-    if not found:
+    if not found.maps:
         raise StyleSplatError(
             f"No mask in {source} belongs to a photo of this capture. Name them like the photos: "
             f"{next(iter(stems))}.png."
@@ -55,7 +63,7 @@ def foreign_label_maps(source: Path, names: Sequence[str]) -> dict[str, Callable
     return found
 
 
-def _by_photo(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labels]]:
+def _by_photo(source: Path, stems: Mapping[str, str]) -> Found:
     """Pictures of ids, wherever they lie."""
     found: dict[str, Path] = {}
     for path in sorted(source.rglob("*.png")):
@@ -66,22 +74,23 @@ def _by_photo(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], 
             )
         if name is not None:
             found[name] = path
-    return {name: partial(_checked, path) for name, path in found.items()}
+    return Found({name: partial(_checked, path) for name, path in found.items()})
 
 
-def _by_object(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labels]]:
+def _by_object(source: Path, stems: Mapping[str, str]) -> Found | None:
     """A sub-folder for each object, the masks in it named like the photos."""
     folders = sorted(path for path in source.iterdir() if path.is_dir())
     masks = {f: {p.stem: p for p in sorted(f.glob("*.png")) if p.stem in stems} for f in folders}
     objects = {folder: files for folder, files in masks.items() if files}
-    if not all(map(_is_binary, _some(objects))):
-        return {}
-    numbers = _numbers([folder.name for folder in objects])
+    if not objects or not all(map(_is_binary, _some(objects))):
+        return None
+    called = _numbers([folder.name for folder in objects])
     found: dict[str, list[tuple[int, Path]]] = {}
-    for number, files in zip(numbers, objects.values(), strict=True):
+    for number, files in zip(called, objects.values(), strict=True):
         for stem, path in files.items():
             found.setdefault(stems[stem], []).append((number, path))
-    return {name: partial(_stacked, layers) for name, layers in found.items()}
+    names = {number: name for number, name in called.items() if not name.isdecimal()}
+    return Found({name: partial(_stacked, layers) for name, layers in found.items()}, names)
 
 
 def _some(objects: Mapping[Path, Mapping[str, Path]]) -> Iterator[Path]:
@@ -89,11 +98,12 @@ def _some(objects: Mapping[Path, Mapping[str, Path]]) -> Iterator[Path]:
         yield from list(files.values())[:3]
 
 
-def _numbers(folders: Sequence[str]) -> list[int]:
-    """The ids that folders are named by, or their places in the order of their names."""
-    if all(name.isdecimal() and 0 < int(name) <= MAX_ID for name in folders):
-        return [int(name) for name in folders]
-    return list(range(1, len(folders) + 1))
+def _numbers(folders: Sequence[str]) -> dict[int, str]:
+    """The folders by the ids that they are named by, or by their places in the order of names."""
+    numbers = {int(name): name for name in folders if name.isdecimal()}
+    if len(numbers) == len(folders) and all(0 < number <= MAX_ID for number in numbers):
+        return numbers
+    return dict(enumerate(folders, start=1))
 
 
 def _is_binary(path: Path) -> bool:
@@ -129,15 +139,19 @@ def overlaid(masks: Sequence[tuple[int, Bool[Tensor, "H W"]]]) -> Labels:
     return labels
 
 
-def _coco(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labels]]:
+def _coco(source: Path, stems: Mapping[str, str]) -> Found:
     """Annotations with RLE masks; an object is a track, or else a category."""
     content = read_json(source)
     try:
         photos = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
+        kinds = {kind["id"]: str(kind["name"]) for kind in content.get("categories", [])}
+        names: dict[int, str] = {}
         found: dict[str, list[tuple[int, Any]]] = {}
         for each in content["annotations"]:
             stem = photos[each["image_id"]]
             number = int(each.get("track_id", each["category_id"]))
+            if "track_id" not in each and number in kinds:
+                names[number] = kinds[number]
             if not 0 < number <= MAX_ID:
                 raise ValueError(f"the id {number} is not within 1 to {MAX_ID}")
             if stem in stems:
@@ -147,7 +161,8 @@ def _coco(source: Path, stems: Mapping[str, str]) -> dict[str, Callable[[], Labe
             f"Cannot read {source} as COCO annotations: {error!r}. Export them with images, "
             "annotations and RLE masks."
         ) from error
-    return {name: partial(_decoded, layers, source) for name, layers in found.items()}
+    maps = {name: partial(_decoded, layers, source) for name, layers in found.items()}
+    return Found(maps, names)
 
 
 def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:

@@ -1,7 +1,7 @@
 """The `Capture` noun: posed photos, with label maps if there are any."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from jaxtyping import Float, Int, UInt8
@@ -27,6 +27,8 @@ class Capture:
     """Colours of `points`."""
     path: Path | None = None
     """The folder that this was read from."""
+    object_names: Mapping[int, str] = field(default_factory=dict)
+    """What objects are called, by label id; most have no name."""
 
     def __post_init__(self) -> None:
         for what, items in (("photos", self.photos), ("label maps", self.label_maps)):

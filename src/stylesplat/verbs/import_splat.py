@@ -1,6 +1,7 @@
 """`import`: a splat of another program in, a scene out; no training."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -22,6 +23,7 @@ from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.lifting import lift
 from stylesplat.stylization.views import evenly
+from stylesplat.verbs.objects import with_names
 from stylesplat.verbs.say import say
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
@@ -73,6 +75,7 @@ def import_splat(
     splats = read_splats(path)
     metrics: dict[str, Any] = {"gaussians": len(splats)}
     settings: dict[str, Any] = {}
+    names: Mapping[int, str] = {}
     if capture_path is None:
         cameras = ring_cameras(splats, _direction(up or "-y"))
         say(f"No photos: {len(cameras)} views around the content. `stylesplat render` shows them.")
@@ -88,6 +91,7 @@ def import_splat(
         splats, found = _with_labels(splats, capture)
         metrics |= found
         settings = {"downscale": shrink, "frame": frame}
+        names = capture.object_names
     metrics["seconds"] = round(time.perf_counter() - start, 2)
     info = {
         "splat": path.resolve(),
@@ -97,7 +101,7 @@ def import_splat(
         "libraries": {"stylesplat": version("stylesplat")},
     }
     scene = Scene(splats=splats.to("cpu"), cameras=cameras, info=info, metrics=metrics)
-    write_scene(scene, output, overwrite=overwrite)
+    write_scene(with_names(scene, names), output, overwrite=overwrite)
     return metrics
 
 

@@ -1,42 +1,86 @@
 """`mask`: give a capture its label maps."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxtyping import Int
+from torch import Tensor
 from tqdm import tqdm
 
+from stylesplat.evaluation.preview import mask_preview
 from stylesplat.io.files import claim_directory, refuse_occupied
-from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.images import write_image
+from stylesplat.io.label_maps import write_label_map, write_names
 from stylesplat.io.load import OBJECT_MASK, load
 from stylesplat.masks.foreign import foreign_label_maps
 from stylesplat.selection.labels import BACKGROUND
+
+PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 
 
 def import_masks(capture_path: Path, source: Path, *, overwrite: bool = False) -> dict[str, Any]:
     """Write masks of another program into a capture, as `object_mask/`.
 
     Returns:
-        `masks`: their folder; `photos`: how many photos have one; `of`: how many there are;
-        `ids`: the objects found.
+        As `write_masks` does.
 
     Raises:
         StyleSplatError: If the masks are not of this capture, or there are label maps already.
     """
-    output = capture_path / OBJECT_MASK
+    refuse_masks(capture_path, overwrite=overwrite)
+    found = foreign_label_maps(source, load(capture_path).cameras.names)
+    return write_masks(capture_path, found.maps, found.names, overwrite=overwrite)
+
+
+def refuse_masks(capture_path: Path, *, overwrite: bool) -> None:
+    """Check that label maps may be written, before the work that makes them.
+
+    Raises:
+        StyleSplatError: If there are some already.
+    """
     if not overwrite:
-        refuse_occupied(output, marker="")
-    names = load(capture_path).cameras.names
-    found = foreign_label_maps(source, names)
-    ids: set[int] = set()
+        refuse_occupied(capture_path / OBJECT_MASK, marker="")
+
+
+def write_masks(
+    capture_path: Path,
+    maps: Mapping[str, Callable[[], Int[Tensor, "H W"]]],
+    names: Mapping[int, str],
+    *,
+    overwrite: bool,
+) -> dict[str, Any]:
+    """Write label maps into a capture with a picture of some, whole or not at all.
+
+    Args:
+        capture_path: The capture's folder.
+        maps: By photo what makes its label map.
+        names: What objects are called, by id; others have none.
+        overwrite: Whether label maps that are there may be replaced.
+
+    Returns:
+        `masks`: their folder; `preview`: a picture of some; `photos`: how many photos have one;
+        `of`: how many there are; `ids`: the objects found; `names`: what they are called.
+
+    Raises:
+        StyleSplatError: If they do not fit their photos, or there are label maps already.
+    """
+    output, ids = capture_path / OBJECT_MASK, set[int]()
     with claim_directory(output, overwrite=overwrite, marker="") as folder:
-        for name, read in tqdm(found.items(), desc="label maps", unit="photo"):
+        for name, read in tqdm(maps.items(), desc="label maps", unit="photo"):
             labels = read()
             ids |= set(labels.unique().tolist())
             write_label_map(labels, (folder / name).with_suffix(".png"))
-        load(capture_path, masks=folder)  # refuses those that do not fit their photos
+        ids -= {BACKGROUND}
+        called = {id: name for id, name in names.items() if id in ids}
+        write_names(called, folder)
+        capture = load(capture_path, masks=folder)  # refuses those that do not fit their photos
+        write_image(mask_preview(capture, called), folder / PREVIEW)
     return {
         "masks": output,
-        "photos": len(found),
-        "of": len(names),
-        "ids": sorted(ids - {BACKGROUND}),
+        "preview": output / PREVIEW,
+        "photos": len(maps),
+        "of": len(capture.cameras),
+        "ids": sorted(ids),
+        "names": called,
     }

@@ -1,5 +1,7 @@
 """`objects`: what is in a scene, and which Gaussians a name means."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,8 @@ from stylesplat.evaluation.sheet import object_sheet
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import Scene, read_scene
 from stylesplat.selection.labels import object_ids
-from stylesplat.selection.pick import pick_objects, select
+from stylesplat.selection.pick import THRESHOLD, pick_objects, select
+from stylesplat.verbs.say import say
 
 SHEET = "objects.png"
 SHAPING = {"plus", "minus", "box3d", "sphere"}  # selections with these are not the whole object
@@ -39,6 +42,32 @@ def list_objects(path: Path) -> dict[str, Any]:
         {"id": id, "names": names[id], "gaussians": int(mask.sum())} for id, mask in picked.items()
     ]
     return {"objects": objects, "sheet": path / SHEET}
+
+
+def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
+    """A scene in which objects are called what their label maps call them.
+
+    Args:
+        scene: With identities if anything is to be named.
+        names: By label id. What no Gaussian belongs to, or cannot be a name, stays unnamed.
+    """
+    classifier = scene.splats.classifier
+    known = {id: name for id, name in names.items() if classifier and id in classifier.ids}
+    picked = pick_objects(scene.splats, [*known]) if known else {}
+    picks, objects = dict(scene.picks), dict(scene.objects)
+    for id, mask in picked.items():
+        name = known[id]
+        if not mask.any() or not can_be_called(name):
+            say(f"Object {id} is not called {name!r}. `stylesplat select` names it.")
+            continue
+        picks[name] = mask
+        objects[name] = {"ids": [id], "threshold": THRESHOLD, "gaussians": int(mask.sum())}
+    return replace(scene, picks=picks, objects=objects)
+
+
+def can_be_called(name: str) -> bool:
+    """Whether a name is one: neither empty, nor like an id, nor in the way of `OBJECT=IMAGE`."""
+    return bool(name) and not name.isdecimal() and "=" not in name
 
 
 def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:

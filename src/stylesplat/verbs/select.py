@@ -14,7 +14,7 @@ from stylesplat.io.scene_folder import Scene, read_scene, update_scene
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import THRESHOLD, Box, Point, pick_objects, resolve_ids, select
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
-from stylesplat.verbs.objects import find_object
+from stylesplat.verbs.objects import can_be_called, find_object
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def select_object(
         StyleSplatError: If the scene has no such object, nothing is left, or the name would be
             mistaken for an id.
     """
-    if name.isdecimal() or not name or "=" in name:
+    if not can_be_called(name):
         raise StyleSplatError(
             f"Cannot call an object {name!r}: names must not be numbers, empty or contain '='."
         )

@@ -21,6 +21,7 @@ from stylesplat.training.loop import fit
 from stylesplat.training.progress import progress_bar
 from stylesplat.training.state import State
 from stylesplat.training.views import split_views
+from stylesplat.verbs.objects import with_names
 from stylesplat.verbs.say import say
 
 Segment = Literal["joint", "lift"]
@@ -89,7 +90,7 @@ def train_scene(
         },
         metrics=metrics,
     )
-    write_scene(scene, output, overwrite=True)
+    write_scene(with_names(scene, capture.object_names), output, overwrite=True)
     checkpoint.unlink(missing_ok=True)
     return metrics
 

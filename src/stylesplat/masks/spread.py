@@ -1,0 +1,138 @@
+"""From boxes around an object in a few photos to its masks in all, by way of a splat."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from tqdm import tqdm
+
+from stylesplat.masks.grabcut import Box, Evidence, Look, cut_box, evidence, refine
+from stylesplat.rendering.contributed import contributed
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import IDENTITY_SIZE, Splats
+
+GROWTH = 2  # times as many views after each round of spreading
+SETTLING = 2  # rounds over all views at most
+SETTLED = 0.98  # mean IoU with the round before, at which they stop
+PRIOR = 0.02  # pixels of background that every Gaussian has seen
+FAINT = 0.05  # coverage of a pixel below which its depth means nothing
+
+Mask = Bool[Tensor, "H W"]
+
+
+class Seen(Mapping[int, Evidence]):
+    """What GrabCut goes by in each photo of a capture, made on access and kept."""
+
+    def __init__(self, splats: Splats, capture: Capture) -> None:
+        self._splats, self._capture = splats, capture
+        self._kept: dict[int, Evidence] = {}
+
+    def __len__(self) -> int:
+        return len(self._capture)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(len(self)))
+
+    def __getitem__(self, row: int) -> Evidence:
+        if row not in self._kept:
+            nearness = _nearness(self._splats, self._capture.cameras[row])
+            self._kept[row] = evidence(self._capture.photos[row], nearness)
+        return self._kept[row]
+
+
+@torch.no_grad()
+def spread(
+    splats: Splats, cameras: Cameras, seen: Mapping[int, Evidence], boxes: Sequence[tuple[int, Box]]
+) -> list[Mask]:
+    """The masks of an object in every view, from boxes around it in one or a few.
+
+    GrabCut segments there. The masks are lifted onto the Gaussians, rendered into the nearest
+    other views and their contours moved to edges; then the next views, until all have one; then
+    all again until they settle.
+
+    Args:
+        splats: A scene of the views; its labels do not matter.
+        cameras: One per view.
+        seen: What GrabCut goes by in each view.
+        boxes: Rows of views, and boxes in their pixels.
+
+    Returns:
+        A mask per view; empty where the object does not show.
+
+    Raises:
+        StyleSplatError: If a box holds nothing that differs from what is around it.
+    """
+    cuts = {row: cut_box(seen[row], box) for row, box in boxes}
+    look = cuts[boxes[0][0]][0]
+    seeds = {row: mask for row, (_, mask) in cuts.items()}
+    known, others = dict(seeds), _nearest_first(cameras, [*seeds])
+    bar = tqdm(total=(1 + SETTLING) * len(others), desc="spreading the mask", unit="view")
+    start = 0
+    while start < len(others):
+        batch = others[start : start + max(1, (GROWTH - 1) * len(known))]
+        known |= _refined(splats, cameras, seen, known, batch, look, bar)
+        start += len(batch)
+    for _ in range(SETTLING):
+        again = _refined(splats, cameras, seen, known, others, look, bar)
+        overlap = [_iou(known[row], mask) for row, mask in again.items()]
+        known |= again
+        if sum(overlap) >= SETTLED * len(overlap):
+            break
+    bar.close()
+    return [known[row] for row in range(len(cameras))]
+
+
+def _nearest_first(cameras: Cameras, seeds: Sequence[int]) -> list[int]:
+    """The other views, those that look from the side of a seed first."""
+    positions, forward = cameras.positions, cameras.viewmats[:, 2, :3]
+    size = (positions - positions.mean(dim=0)).norm(dim=1).mean().clamp(min=1e-9)
+    apart = torch.cdist(positions, positions[seeds]) / size
+    turned = 1 - forward @ forward[list(seeds)].T
+    order = (apart + turned).amin(dim=1).argsort().tolist()
+    return [row for row in order if row not in seeds]
+
+
+def _refined(
+    splats: Splats,
+    cameras: Cameras,
+    seen: Mapping[int, Evidence],
+    known: Mapping[int, Mask],
+    rows: Sequence[int],
+    look: Look,
+    bar: tqdm,
+) -> dict[int, Mask]:
+    share = _lifted(splats, cameras, known)
+    found = {}
+    for row in rows:
+        image, _, _ = rasterize(splats, cameras[row], features=share[:, None], sh_degree=0)
+        found[row] = refine(seen[row], image[0, ..., 3].clamp(0, 1).cpu(), look)
+        bar.update()
+    return found
+
+
+def _lifted(splats: Splats, cameras: Cameras, known: Mapping[int, Mask]) -> Float[Tensor, " N"]:
+    """How sure each Gaussian belongs to the object; what no view has shown does not."""
+    votes = splats.means.new_zeros(len(splats), 2)
+    for row, mask in known.items():
+        wanted = splats.means.new_zeros(*mask.shape, IDENTITY_SIZE)
+        wanted[..., 0], wanted[..., 1] = mask, ~mask
+        votes += contributed(splats, cameras[row], wanted)[:, :2]
+    return votes[:, 0] / (votes.sum(dim=1) + PRIOR)
+
+
+@torch.no_grad()
+def _nearness(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+    """One over the depth that shows at each pixel."""
+    axis = camera.viewmats[0, 2].to(splats.means)
+    depths = splats.means @ axis[:3] + axis[3]
+    inverse = 1 / depths.clamp(min=1e-6 * float(depths.abs().max()))
+    image, alphas, _ = rasterize(splats, camera, features=inverse[:, None], sh_degree=0)
+    return (image[0, ..., 3] / alphas[0, ..., 0].clamp(min=FAINT)).cpu()
+
+
+def _iou(one: Tensor, other: Tensor) -> float:
+    union = (one | other).sum()
+    return float((one & other).sum() / union) if union else 1.0

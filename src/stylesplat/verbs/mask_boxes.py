@@ -1,0 +1,78 @@
+"""`mask --method grabcut`: label maps of objects that the user drew boxes around."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.load import load
+from stylesplat.masks.foreign import overlaid
+from stylesplat.masks.grabcut import Box
+from stylesplat.masks.spread import Seen, spread
+from stylesplat.scene.cameras import Cameras
+from stylesplat.verbs.mask import refuse_masks, write_masks
+from stylesplat.verbs.working import with_splat, working_capture
+
+SIZE = 480  # pixels of the longer side at which objects are cut out
+
+Boxes = Sequence[tuple[str, str, Box]]
+"""An object's name, a view's, and a rectangle of its pixels at full size."""
+
+
+def mask_boxes(
+    capture_path: Path,
+    boxes: Boxes,
+    *,
+    scene: Path | None = None,
+    device: str = "auto",
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Cut objects out of all photos, from boxes in one or a few, without any model.
+
+    Args:
+        capture_path: The capture's folder.
+        boxes: Those of the same object have the same name.
+        scene: A scene of the capture; by default a splat is trained for less than a minute.
+        device: Where to render.
+        overwrite: Whether label maps that are there may be replaced.
+
+    Returns:
+        As `write_masks` does.
+
+    Raises:
+        StyleSplatError: If a box is no part of its photo or shows nothing that stands out, or
+            there are label maps already.
+    """
+    refuse_masks(capture_path, overwrite=overwrite)
+    full, capture = load(capture_path).cameras, working_capture(capture_path, SIZE)
+    placed = [
+        (name, full.index(view), _scaled(box, full[full.index(view)], capture.cameras))
+        for name, view, box in boxes
+    ]
+    working = with_splat(capture, scene, device)
+    cameras, seen = working.capture.cameras, Seen(working.splats, working.capture)
+    names = dict(enumerate(dict.fromkeys(name for name, _, _ in placed), start=1))
+    masks = {
+        id: spread(working.splats, cameras, seen, [each[1:] for each in placed if each[0] == name])
+        for id, name in names.items()
+    }
+    maps = {
+        view: partial(overlaid, [(id, found[row]) for id, found in masks.items()])
+        for row, view in enumerate(cameras.names)
+    }
+    return write_masks(capture_path, maps, names, overwrite=overwrite)
+
+
+def _scaled(box: Box, camera: Cameras, working: Cameras) -> Box:
+    """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
+    (width, height), (name,) = camera.size, camera.names
+    x0, y0, x1, y1 = box
+    if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+        raise StyleSplatError(
+            f"Box {x0:g},{y0:g},{x1:g},{y1:g} is empty or reaches outside {name}, which is "
+            f"{width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo at full size."
+        )
+    small = working[working.index(name)].size
+    across, down = small[0] / width, small[1] / height
+    return (x0 * across, y0 * down, x1 * across, y1 * down)

@@ -1,0 +1,61 @@
+"""A capture at a size to work at, and a splat of it: one that exists, or one trained quickly."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.load import load
+from stylesplat.io.scene_folder import read_scene
+from stylesplat.rendering.device import pick_device
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+from stylesplat.training.config import TrainConfig
+from stylesplat.training.loop import fit
+from stylesplat.training.progress import progress_bar
+from stylesplat.verbs.say import say
+
+QUICK = TrainConfig(max_seconds=45.0, max_gaussians=30_000, test_every=0, sh_degree=1)
+
+
+@dataclass(frozen=True)
+class Working:
+    """Photos to work on and what they show in 3D."""
+
+    capture: Capture
+    """At working size, without label maps."""
+    splats: Splats
+    """In the frame of the capture's cameras."""
+
+
+def working_capture(path: Path, size: int) -> Capture:
+    """A capture whose photos are at most so many pixels long, its label maps left out."""
+    full = load(path)
+    shrink = max(1.0, float(full.cameras.sizes.max()) / size)
+    return replace(load(path, downscale=shrink), label_maps=None)
+
+
+def with_splat(capture: Capture, scene_path: Path | None, device: str) -> Working:
+    """A capture with a scene of it, or with a splat that is trained for less than a minute.
+
+    Raises:
+        StyleSplatError: If the scene shows other photos.
+    """
+    torch_device = pick_device(device)
+    if scene_path is None:
+        say(f"Training a quick splat, {QUICK.max_seconds:.0f} s; --scene takes one that you have.")
+        with progress_bar(QUICK, enabled=True) as report:
+            state = fit(capture, QUICK, device=torch_device, on_progress=report)
+        return Working(capture, state.splats.detach())
+    scene = read_scene(scene_path)
+    missing = set(capture.cameras.names) - set(scene.cameras.names)
+    if missing:
+        raise StyleSplatError(
+            f"{scene_path} is a scene of other photos: it has no view {min(missing)}. Give a scene "
+            f"of {capture.path}, or leave out --scene."
+        )
+    seen = scene.cameras[[scene.cameras.index(name) for name in capture.cameras.names]]
+    ratio = capture.cameras.sizes / seen.sizes
+    Ks = seen.Ks.clone()
+    Ks[:, :2] *= ratio[:, :, None].to(Ks)
+    cameras = replace(seen, Ks=Ks, sizes=capture.cameras.sizes)
+    return Working(replace(capture, cameras=cameras), scene.splats.to(torch_device))
