@@ -112,6 +112,16 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
     assert names == {3: ["red"], 7: ["green", "also"], 300: []}
 
 
+def test_select_grows_and_shrinks(scene: Path, capsys):
+    red = ("select", scene, "--name", "red", "--id", 3)
+    plain = result(capsys, *red)["gaussians"]
+    assert result(capsys, *red, "--grow", 0.2)["gaussians"] > plain
+    assert 0 < result(capsys, *red, "--shrink", 0.1)["gaussians"] < plain
+    for bad in ("nan", 0, 3):
+        assert run(*red, "--grow", bad) == 1
+        assert "Give more than 0 and at most 1" in capsys.readouterr().err
+
+
 def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Path, capsys):
     assert run("select", scene, "--name", "red", "--id", 3, "--keep-outliers") == 0
     assert run("select", scene, "--name", "green", "--id", 7, "--keep-outliers") == 0

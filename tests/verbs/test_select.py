@@ -8,6 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.selection.labels import render_labels
 from stylesplat.selection.pick import select
+from stylesplat.verbs.objects import list_objects
 from stylesplat.verbs.select import Choice, select_object
 
 VIEW = CAMERAS.names[2]
@@ -63,6 +64,40 @@ def test_sphere_around_what_a_pixel_shows(scene: Path):
     inside = (SPLATS.means - torch.tensor(BALLS[3][0])).norm(dim=1) < 0.31
     assert (mask & inside).sum() > 0.8 * inside.sum()
     assert found["sphere"][0] == view
+
+
+def test_grow_and_shrink_come_last(scene: Path):
+    whole = select_object(scene, "two", Choice(ids=(3, 7)))
+    half = Choice(ids=(3, 7), not_points=(place(7),), grow=0.2)
+    more = select_object(scene, "more", half)
+    assert more["grow"] == 0.2 and "shrink" not in more
+    picks = read_scene(scene).picks
+    red, green = (select(SPLATS, object_id=id) for id in (3, 7))
+    assert picks["more"][red].all() and not picks["more"][green].any(), "what was taken stays away"
+    assert picks["more"].sum() > red.sum(), "the table under it is taken in"
+    less = select_object(scene, "less", Choice(plus=("more",), shrink=0.05))
+    assert less["shrink"] == 0.05
+    assert 0 < less["gaussians"] < more["gaussians"] < whole["gaussians"]
+    assert read_scene(scene).objects["less"]["shrink"] == 0.05
+
+
+def test_a_grown_name_is_not_the_object(scene: Path):
+    select_object(scene, "red", Choice(ids=(3,)))
+    select_object(scene, "more", Choice(ids=(3,), grow=0.1))
+    select_object(scene, "less", Choice(ids=(3,), shrink=0.01))
+    names = {each["id"]: each["names"] for each in list_objects(scene)["objects"]}
+    assert names[3] == ["red"]
+
+
+def test_grow_or_shrink_that_cannot_be(scene: Path):
+    with pytest.raises(StyleSplatError, match="Pass --grow or --shrink"):
+        select_object(scene, "x", Choice(ids=(3,), grow=0.1, shrink=0.1))
+    for share in (0.0, float("nan"), 2.0):
+        with pytest.raises(StyleSplatError, match="at most 1"):
+            select_object(scene, "x", Choice(ids=(3,), grow=share))
+    with pytest.raises(StyleSplatError, match="Shrink it less"):
+        select_object(scene, "x", Choice(ids=(3,), shrink=1.0))
+    assert not read_scene(scene).picks
 
 
 def test_nothing_said(scene: Path):

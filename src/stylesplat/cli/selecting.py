@@ -39,6 +39,10 @@ class Select:
     """Names of earlier selections that belong to it."""
     minus: tuple[str, ...] = ()
     """Names of earlier selections that do not."""
+    grow: float | None = None
+    """Take in what lies close by: 0.05 reaches 5 % of the object's extent."""
+    shrink: float | None = None
+    """Give up what lies close to anything else: 0.02 reaches 2 % of the object's extent."""
     threshold: float = 0.5
     """Probability of the object above which a Gaussian belongs to it."""
     keep_outliers: FlagCreatePairsOff[bool] = False
@@ -58,6 +62,8 @@ class Select:
             sphere=parse_sphere(self.sphere) if self.sphere else None,
             plus=self.plus,
             minus=self.minus,
+            grow=self.grow,
+            shrink=self.shrink,
         )
         return select_object(
             self.scene,

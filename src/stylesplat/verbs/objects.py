@@ -17,7 +17,8 @@ from stylesplat.selection.pick import THRESHOLD, pick_objects, select
 from stylesplat.verbs.say import say
 
 SHEET = "objects.png"
-SHAPING = {"plus", "minus", "box3d", "sphere"}  # selections with these are not the whole object
+# Selections with these are not the whole object
+SHAPING = {"plus", "minus", "box3d", "sphere", "grow", "shrink"}
 
 
 def list_objects(path: Path) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import Scene, read_scene, update_scene
 from stylesplat.scene.cameras import Cameras
+from stylesplat.selection.margins import grow, shrink
 from stylesplat.selection.pick import THRESHOLD, Box, Point, pick_objects, resolve_ids, select
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 from stylesplat.verbs.objects import can_be_called, find_object
@@ -37,6 +38,10 @@ class Choice:
     """Earlier names that are part of it."""
     minus: tuple[str, ...] = ()
     """Earlier names that are not."""
+    grow: float | None = None
+    """Share of its extent by which to grow what was chosen by all that is above."""
+    shrink: float | None = None
+    """Share of its extent by which to shrink it."""
 
 
 def select_object(
@@ -53,13 +58,15 @@ def select_object(
         `name`, `ids`, `gaussians`, and how they were chosen.
 
     Raises:
-        StyleSplatError: If the scene has no such object, nothing is left, or the name would be
-            mistaken for an id.
+        StyleSplatError: If the scene has no such object, nothing is left, the name would be
+            mistaken for an id, or it is to grow and to shrink.
     """
     if not can_be_called(name):
         raise StyleSplatError(
             f"Cannot call an object {name!r}: names must not be numbers, empty or contain '='."
         )
+    if choice.grow is not None and choice.shrink is not None:
+        raise StyleSplatError("An object cannot grow and shrink. Pass --grow or --shrink.")
     scene = read_scene(path)
     without = _ids_at(scene, choice.not_points)
     ids = tuple(id for id in _ids(scene, choice) if id not in without)
@@ -81,6 +88,7 @@ def select_object(
         mask &= ~each
     if not mask.any():
         raise StyleSplatError(f"Nothing is left of {name!r}. Take away less.")
+    mask = _resized(scene, mask, choice)
     said = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how = {"ids": list(ids), "threshold": threshold, "gaussians": int(mask.sum()), **said}
     update_scene(path, picks=scene.picks | {name: mask}, objects=scene.objects | {name: how})
@@ -116,6 +124,12 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
         else:
             centre = torch.tensor(place)
         yield in_sphere(splats, centre, radius)
+
+
+def _resized(scene: Scene, mask: Bool[Tensor, " N"], choice: Choice) -> Bool[Tensor, " N"]:
+    if choice.grow is not None:
+        return grow(scene.splats, mask, choice.grow)
+    return mask if choice.shrink is None else shrink(scene.splats, mask, choice.shrink)
 
 
 def _camera(scene: Scene, view: str) -> Cameras:
