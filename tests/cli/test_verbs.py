@@ -97,6 +97,7 @@ def test_objects_lists_ids_and_draws_them(scene: Path, capsys):
 def test_select_by_id_and_by_point(scene: Path, capsys):
     by_id = result(capsys, "select", scene, "--name", "red", "--id", 3, "--keep-outliers")
     assert by_id["ids"] == [3] and by_id["gaussians"] == 80
+    assert read_image(by_id["picture"]).shape[1] > 3 * 480, "three views of it"
     labels = read_scene(scene)
     from stylesplat.selection.labels import render_labels
 
@@ -131,6 +132,7 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
         *("stylize", scene, "--style", f"red={style}", "--style", f"green={style}", "-o", out),
         *("--features", "compact", "--steps", 3, "--device", "cpu", *QUICK),
     )
+    assert (scene / "selections").exists() and not (out / "selections").exists(), "left behind"
     before, styled = read_scene(scene).splats, read_scene(out)
     after = styled.splats[torch.arange(len(before))]
     new = len(styled.splats) - len(before)

@@ -5,13 +5,21 @@ import torch
 
 from balls import CAMERAS, CLASSIFIER, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.sheet import CARD, CELL, MARGIN, object_sheet
+from stylesplat.evaluation.sheet import CARD, CELL, GAP, MARGIN, SMALL, close_up, object_sheet
 from stylesplat.scene.splats import Classifier
+
+WIDTH = CELL + GAP + SMALL  # of a cell
 
 
 def cut_out(sheet: torch.Tensor, column: int) -> torch.Tensor:
-    left = MARGIN + column * (CELL + MARGIN)
+    left = MARGIN + column * (WIDTH + MARGIN)
     return sheet[MARGIN : MARGIN + CELL, left : left + CELL]
+
+
+def small_ones(sheet: torch.Tensor, column: int) -> list[torch.Tensor]:
+    left = MARGIN + column * (WIDTH + MARGIN) + CELL + GAP
+    tops = (MARGIN, MARGIN + SMALL + GAP)
+    return [sheet[top : top + SMALL, left : left + SMALL] for top in tops]
 
 
 def test_each_cell_is_filled_by_its_object_alone():
@@ -22,6 +30,29 @@ def test_each_cell_is_filled_by_its_object_alone():
         assert 0.5 < shown.float().mean() < 0.9  # a disc in its square covers 0.79
         assert (cell[shown].mean(dim=0).argmax()) == channel
         assert torch.equal(cell[0, 0], torch.tensor(CARD).float())
+
+
+def test_two_other_sides_are_shown_small():
+    sheet = object_sheet(SPLATS, CAMERAS)
+    for column, channel in enumerate((0, 1, 2)):
+        first, second = small_ones(sheet, column)
+        for cell in (first.float(), second.float()):
+            shown = (cell - torch.tensor(CARD)).abs().sum(dim=-1) > 60
+            assert 0.4 < shown.float().mean() < 0.9
+            assert cell[shown].mean(dim=0).argmax() == channel
+        assert not torch.equal(first, second)
+    one = object_sheet(SPLATS, CAMERAS[:1])
+    assert all((cell == torch.tensor(CARD)).all() for cell in small_ones(one, 0))
+
+
+def test_no_close_up_of_what_does_not_show():
+    nothing = torch.zeros(len(SPLATS), dtype=torch.bool)
+    nothing[0] = True
+    splats = replace(SPLATS, opacities=SPLATS.opacities.index_fill(0, torch.tensor([0]), -9.0))
+    with pytest.raises(StyleSplatError, match=r"does not show in any of 8 views"):
+        close_up(splats, CAMERAS, nothing)
+    with pytest.raises(StyleSplatError, match=r"does not show in 0003\.jpg"):
+        close_up(splats, CAMERAS[3], nothing)
 
 
 def test_strays_do_not_shrink_the_object():
@@ -55,8 +86,8 @@ def test_names_are_drawn():
     changed = (plain != named).any(dim=-1).nonzero()
     assert len(changed)
     assert changed[:, 0].min() >= MARGIN + CELL  # in the caption
-    assert changed[:, 1].min() >= 2 * MARGIN + CELL  # of the second cell
-    assert changed[:, 1].max() < 2 * (MARGIN + CELL)
+    assert changed[:, 1].min() >= 2 * MARGIN + WIDTH  # of the second cell
+    assert changed[:, 1].max() < 2 * (MARGIN + WIDTH)
 
 
 def test_an_object_without_gaussians_has_an_empty_cell():

@@ -1,6 +1,7 @@
 import errno
 import json
 from pathlib import Path
+from string import ascii_lowercase, digits
 
 import pytest
 
@@ -8,6 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import (
     atomic_path,
     claim_directory,
+    file_stem,
     read_json,
     refuse_occupied,
     write_json,
@@ -185,3 +187,27 @@ def test_bad_json(tmp_path: Path, text: str | None, match: str):
         (tmp_path / "a.json").write_bytes(text.encode("latin-1"))
     with pytest.raises(StyleSplatError, match=rf"Cannot read .*a\.json: .*{match}"):
         read_json(tmp_path / "a.json")
+
+
+def test_file_stems_are_safe_and_differ():
+    names = [
+        "vase",
+        "Vase",
+        "VASE",
+        "a/b",
+        "a\\b",
+        "a-b",
+        "..",
+        "",
+        "\u00e9",
+        "e\u0301",
+        "x" * 48,
+        "x" * 99,
+    ]
+    stems = [file_stem(name) for name in names]
+    assert len({stem.lower() for stem in stems}) == len(names)
+    assert stems[0] == "vase" and stems[5] == "a-b"
+    for stem in stems:
+        assert len(stem) < 80 and set(stem) <= set(ascii_lowercase + digits + "_-~")
+        again = file_stem(stem)
+        assert again == stem or again not in stems, "a name cannot be another's stem"

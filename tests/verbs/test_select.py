@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -5,6 +6,7 @@ import torch
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.selection.labels import render_labels
 from stylesplat.selection.pick import select
@@ -98,6 +100,38 @@ def test_grow_or_shrink_that_cannot_be(scene: Path):
     with pytest.raises(StyleSplatError, match="Shrink it less"):
         select_object(scene, "x", Choice(ids=(3,), shrink=1.0))
     assert not read_scene(scene).picks
+
+
+def test_a_picture_of_it(scene: Path):
+    found = select_object(scene, "red", Choice(ids=(3,)))
+    assert found["picture"] == scene / "selections" / "red.png"
+    before = read_image(found["picture"])
+    assert "picture" not in read_scene(scene).objects["red"]
+    select_object(scene, "red", Choice(ids=(7,)))
+    assert (read_image(found["picture"]) != before).any(), "it shows the last one of that name"
+
+
+def test_no_two_names_share_a_picture(scene: Path):
+    names = ["vase", "Vase", "a/b", "a-b", "../a", ".", "..", "花瓶", "花", "x" * 300, "x" * 301]
+    pictures = [select_object(scene, name, Choice(ids=(3,)))["picture"] for name in names]
+    assert len({str(path).lower() for path in pictures}) == len(names)
+    assert {path.parent for path in pictures} == {scene / "selections"}
+    assert sorted(pictures) == sorted((scene / "selections").iterdir())
+    assert read_scene(scene).picks.keys() == set(names)
+
+
+def test_what_shows_in_no_view_has_no_picture(scene: Path, capsys: pytest.CaptureFixture[str]):
+    shown = select_object(scene, "red", Choice(ids=(3,)))
+    below = SPLATS.means.clone()
+    below[200:280] = torch.tensor([0.0, 0.0, 60.0])  # the red ball, above all cameras
+    write_scene(Scene(replace(SPLATS, means=below), CAMERAS), scene / "other")
+    (scene / "other" / "selections").mkdir()
+    old = scene / "other" / "selections" / "red.png"
+    old.write_bytes(shown["picture"].read_bytes())
+    found = select_object(scene / "other", "red", Choice(ids=(3,)))
+    assert found["picture"] is None and found["gaussians"] == 80
+    assert not old.exists(), "the picture of an earlier choice would be wrong"
+    assert "red shows in none of the views" in capsys.readouterr().err
 
 
 def test_nothing_said(scene: Path):

@@ -43,22 +43,13 @@ def draw_grid(rows: Sequence[Row]) -> UInt8[Tensor, "H W 3"]:
             if cell is not None:
                 left = head + MARGIN + column * width
                 sheet.paste(Image.fromarray(cell[0].cpu().numpy()), (left, top))
-                _write(sheet, (left + 2, top + CELL + 4), cell[1], TITLE_SIZE, CELL - 2)
+                write_line(sheet, (left + 2, top + CELL + 4), cell[1], TITLE_SIZE, CELL - 2)
     return torch.from_numpy(np.array(sheet))
 
 
-def _draw_head(sheet: Image.Image, row: Row, top: int) -> None:
-    _write(sheet, (MARGIN, top), row.label, COUNT_SIZE, HEAD)
-    top += LABEL if row.label else 0
-    room = (CELL - LABEL) // max(1, len(row.pictures))  # pixels of height for each
-    for picture in row.pictures:
-        small = Image.fromarray(picture.cpu().numpy())
-        small.thumbnail((HEAD, room - 4))
-        sheet.paste(small, (MARGIN, top))
-        top += small.height + 4
-
-
-def _write(sheet: Image.Image, place: tuple[int, int], text: str, size: int, width: int) -> None:
+def write_line(
+    sheet: Image.Image, place: tuple[int, int], text: str, size: int, width: int
+) -> None:
     """Draw one line of text that is at most so wide."""
     font = ImageFont.load_default(size)
     shown = text
@@ -66,3 +57,14 @@ def _write(sheet: Image.Image, place: tuple[int, int], text: str, size: int, wid
         text = text[:-1]
         shown = text + "…"
     ImageDraw.Draw(sheet).text(place, shown, INK, font)
+
+
+def _draw_head(sheet: Image.Image, row: Row, top: int) -> None:
+    write_line(sheet, (MARGIN, top), row.label, COUNT_SIZE, HEAD)
+    top += LABEL if row.label else 0
+    room = (CELL - LABEL) // max(1, len(row.pictures))  # pixels of height for each
+    for picture in row.pictures:
+        small = Image.fromarray(picture.cpu().numpy())
+        small.thumbnail((HEAD, room - 4))
+        sheet.paste(small, (MARGIN, top))
+        top += small.height + 4

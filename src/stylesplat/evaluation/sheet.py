@@ -1,4 +1,4 @@
-"""The contact sheet of objects: each cut out, with its label id, name and Gaussian count."""
+"""The contact sheet of objects: three cut-outs of each, its label id, name and Gaussian count."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,24 +13,33 @@ from torch import Tensor
 from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.best_views import (
+    SURVEY_SIZE,
+    VIEWS,
+    find_views,
+    small,
+    spread_rows,
+    visibility,
+)
 from stylesplat.evaluation.pictures import to_uint8
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, object_ids, render_labels
+from stylesplat.selection.margins import solid
 from stylesplat.selection.pick import pick_objects
-from stylesplat.stylization.views import coverage
+from stylesplat.stylization.views import evenly
 
 CELL = 256  # pixels along a cut-out
+GAP = 8  # pixels between the cut-outs of one object
+SMALL = (CELL - GAP) // 2  # pixels along those from other sides
 MARGIN = 16  # pixels around a cut-out
 CAPTION = 58  # pixels of height for the text under a cut-out
 TITLE_SIZE, COUNT_SIZE = 22, 15  # pixels
 PAPER, CARD = (250, 250, 248), (226, 228, 230)
 INK, FAINT_INK = (25, 25, 28), (105, 105, 112)
-MAX_COLUMNS = 5  # of a sheet with few objects
-ASPECT = 1.5  # of a sheet with many
-SURVEY_VIEWS = 24  # views searched for the best one of each object
-SURVEY_SIZE = 160  # pixels along the longer side of those
+MAX_COLUMNS = 4  # of a sheet with few objects; of many there are as many lines as columns
+SURVEY_VIEWS = 24  # views searched for the best ones of each object
 OVERSCAN = 0.5  # of the view on each side, to show what the photo's border cuts off
 PART_SHARE = 0.2  # of the largest part's pixels, below which a part is taken for a stray
 PADDING = 0.06  # of a cut-out on each side
@@ -47,8 +56,8 @@ def object_sheet(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw one cell per object, so that ids need not be guessed from label maps.
 
-    Each object is cut out of the whole scene, from the view that shows most of it: what shows
-    is what a viewer would see of it there.
+    Each object is cut out of the whole scene, from the view that shows most of it and small from
+    two other sides: what shows is what a viewer would see of it there.
 
     Args:
         splats: Gaussians with identities.
@@ -69,12 +78,15 @@ def object_sheet(
             "Train with label maps that name some."
         )
     picked = pick_objects(splats, ids)
-    rows = _best_views(splats, cameras, ids, backend)
+    rows = _best_views(splats, cameras, picked, backend)
     cells = []
-    for id, row in tqdm(zip(ids, rows, strict=True), "objects", total=len(ids), unit="object"):
-        picture = _portrait(splats, picked[id], cameras[row], backend)
+    for id in tqdm(ids, "objects", unit="object"):
+        pictures = [
+            _portrait(splats, picked[id], cameras[row], side, backend)
+            for row, side in zip(rows[id], (CELL, *[SMALL] * (VIEWS - 1)), strict=False)
+        ]
         title = " · ".join([str(id), *filter(None, [(names or {}).get(id)])])
-        cells.append(_cell(picture, title, f"{int(picked[id].sum()):,} Gaussians"))
+        cells.append(_cell(pictures, title, f"{int(picked[id].sum()):,} Gaussians"))
     return torch.from_numpy(np.array(_grid(cells)))
 
 
@@ -96,54 +108,15 @@ def close_up(
     Raises:
         StyleSplatError: If the object shows in none of the views.
     """
-    scores = {}
-    for row in tqdm(_survey_rows(cameras), "find the object", unit="view", leave=False):
-        shown = coverage(splats, _small(cameras[row]), picked, backend=backend) > MIN_COVERAGE
-        scores[row] = _visibility(shown)
-    best = max(scores, key=lambda row: scores[row])
-    if scores[best] == -math.inf:
+    found = find_views(splats, cameras, picked, count=1, backend=backend)
+    if not found:
         where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"
         raise StyleSplatError(f"The object does not show in {where}. Choose a view of it.")
-    return _aim(splats, picked, cameras[best], backend, padding=SURROUNDINGS)
+    best = cameras[found[0].row]
+    return _aim(splats, picked, best, CELL, backend, padding=SURROUNDINGS)
 
 
-def _best_views(
-    splats: Splats, cameras: Cameras, ids: Sequence[int], backend: Backend
-) -> list[int]:
-    """For each object the camera that shows most of it, uncut by the image's border."""
-    rows, scores = _survey_rows(cameras), []
-    for row in tqdm(rows, "find objects", unit="view"):
-        labels = render_labels(splats, _small(cameras[row]), backend=backend)
-        scores.append([_visibility(labels == id) for id in ids])
-    return [rows[int(np.argmax(column))] for column in zip(*scores, strict=True)]
-
-
-def _survey_rows(cameras: Cameras) -> list[int]:
-    """Some of the cameras, from the first to the last."""
-    return torch.linspace(0, len(cameras) - 1, min(SURVEY_VIEWS, len(cameras))).long().tolist()
-
-
-def _small(camera: Cameras) -> Cameras:
-    return camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
-
-
-def _visibility(shown: Tensor) -> float:
-    """Pixels, less those of a square per border pixel: 0 for a square that is cut along a side."""
-    area = float(shown.sum())
-    border = sum(float(edge.sum()) for edge in (shown[0], shown[-1], shown[:, 0], shown[:, -1]))
-    return area - border * math.sqrt(area) if area else -math.inf
-
-
-def _portrait(
-    splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: Backend
-) -> UInt8[Tensor, "S S 3"]:
-    """An object that fills a square picture, seen from a camera's position."""
-    image, share = _cut_out(splats, picked, _aim(splats, picked, camera, backend), backend)
-    card = image.new_tensor(CARD) / 255
-    return to_uint8(share * image + (1 - share) * card).cpu()
-
-
-def _cut_out(
+def cut_out(
     splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, backend: Backend
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
     """The scene, and the picked Gaussians' share of every pixel."""
@@ -152,27 +125,57 @@ def _cut_out(
     return render[0, ..., :3], render[0, ..., 3:]
 
 
+def _best_views(
+    splats: Splats,
+    cameras: Cameras,
+    picked: Mapping[int, Bool[Tensor, " N"]],
+    backend: Backend,
+) -> dict[int, list[int]]:
+    """For each object the cameras that show it best and from sides that differ, best first."""
+    scores: dict[int, dict[int, float]] = {id: {} for id in picked}
+    rows = evenly(range(len(cameras)), SURVEY_VIEWS)
+    for row in tqdm(rows, "find objects", unit="view"):
+        labels = render_labels(splats, small(cameras[row]), backend=backend)
+        for id in picked:
+            scores[id][row] = visibility(labels == id)
+    return {
+        id: spread_rows(cameras, splats.means[solid(splats, mask)], scores[id])
+        for id, mask in picked.items()
+    }
+
+
+def _portrait(
+    splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras, side: int, backend: Backend
+) -> UInt8[Tensor, "S S 3"]:
+    """An object that fills a square picture, seen from a camera's position."""
+    image, share = cut_out(splats, picked, _aim(splats, picked, camera, side, backend), backend)
+    card = image.new_tensor(CARD) / 255
+    return to_uint8(share * image + (1 - share) * card).cpu()
+
+
 def _aim(
     splats: Splats,
     picked: Bool[Tensor, " N"],
     camera: Cameras,
+    side: int,
     backend: Backend,
+    *,
     padding: float = PADDING,
 ) -> Cameras:
-    """The same camera, shifted and zoomed to the square around an object."""
+    """The same camera, shifted and zoomed to the square around an object, for a picture of it."""
     width, height = camera.size
     step = max(width, height) / SURVEY_SIZE
     left, top = -OVERSCAN * width, -OVERSCAN * height
     wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
     survey = _crop(camera, (left, top), 1 / step, tuple(wide))
-    _, share = _cut_out(splats, picked, survey, backend)
+    _, share = cut_out(splats, picked, survey, backend)
     box = _main_box(share[..., 0].cpu().numpy() > MIN_COVERAGE)
     if box is None:
-        return _crop(camera, (0.0, 0.0), CELL / max(width, height), (CELL, CELL))
+        return _crop(camera, (0.0, 0.0), side / max(width, height), (side, side))
     x0, y0, x1, y1 = box
-    side = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
-    corner = (left + (x0 + x1) / 2 * step - side / 2, top + (y0 + y1) / 2 * step - side / 2)
-    return _crop(camera, corner, CELL / side, (CELL, CELL))
+    length = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
+    corner = (left + (x0 + x1) / 2 * step - length / 2, top + (y0 + y1) / 2 * step - length / 2)
+    return _crop(camera, corner, side / length, (side, side))
 
 
 def _main_box(shown: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
@@ -197,17 +200,22 @@ def _crop(
     return replace(camera, Ks=Ks, sizes=torch.tensor([size]))
 
 
-def _cell(picture: UInt8[Tensor, "S S 3"], title: str, count: str) -> Image.Image:
-    cell = Image.new("RGB", (CELL, CELL + CAPTION), PAPER)
-    cell.paste(Image.fromarray(picture.numpy()))
+def _cell(pictures: Sequence[UInt8[Tensor, "_ _ 3"]], title: str, count: str) -> Image.Image:
+    """The first picture large, the others small in a column beside it."""
+    cell = Image.new("RGB", (CELL + GAP + SMALL, CELL + CAPTION), PAPER)
+    places = [(0, 0), *((CELL + GAP, number * (SMALL + GAP)) for number in range(VIEWS - 1))]
     draw = ImageDraw.Draw(cell)
+    for place, side in zip(places, (CELL, *[SMALL] * (VIEWS - 1)), strict=True):
+        draw.rectangle((*place, place[0] + side - 1, place[1] + side - 1), CARD)
+    for place, picture in zip(places, pictures, strict=False):
+        cell.paste(Image.fromarray(picture.numpy()), place)
     draw.text((2, CELL + 6), title, INK, ImageFont.load_default(TITLE_SIZE))
     draw.text((2, CELL + 35), count, FAINT_INK, ImageFont.load_default(COUNT_SIZE))
     return cell
 
 
 def _grid(cells: Sequence[Image.Image]) -> Image.Image:
-    lines = math.ceil(len(cells) / max(MAX_COLUMNS, math.sqrt(ASPECT * len(cells))))
+    lines = math.ceil(len(cells) / max(MAX_COLUMNS, math.sqrt(len(cells))))
     columns = math.ceil(len(cells) / lines)
     width, height = cells[0].width + MARGIN, cells[0].height + MARGIN
     sheet = Image.new("RGB", (columns * width + MARGIN, lines * height + MARGIN), PAPER)

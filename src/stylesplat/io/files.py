@@ -1,9 +1,11 @@
 """Files are written whole or not at all: to a temporary name beside the target, then renamed."""
 
 import errno
+import hashlib
 import json
 import math
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +16,8 @@ from uuid import uuid4
 from stylesplat.errors import StyleSplatError
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+MAX_STEM = 48  # characters of a file name that are taken from a text
+PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
 
 
 @contextmanager
@@ -118,6 +122,19 @@ def write_json(content: dict[str, Any], path: Path | str) -> None:
     text = json.dumps(_strict(content), indent=2, allow_nan=False, default=os.fspath)
     with atomic_path(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def file_stem(name: str) -> str:
+    """A file name, without extension, for any text; it differs for any two, also if case is lost.
+
+    Example:
+        >>> file_stem("vase_2"), file_stem("Vase/Lid")
+        ('vase_2', 'vase-lid~ef30192c6487ab44')
+    """
+    if PLAIN.fullmatch(name):
+        return name
+    readable = re.sub("[^a-z0-9_-]+", "-", name.lower()).strip("-")[:MAX_STEM]
+    return f"{readable}~{hashlib.sha256(name.encode()).hexdigest()[:16]}"
 
 
 def reason(error: Exception) -> str:

@@ -28,7 +28,7 @@ def grow(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tenso
         StyleSplatError: If the share is not above 0 and at most 1.
     """
     others = (~picked).nonzero()[:, 0]
-    surface = splats.means[_solid(splats, picked)]
+    surface = splats.means[solid(splats, picked)]
     near = _near(splats.means[others], surface, _reach(surface, share))
     return picked.index_fill(0, others[near], True)
 
@@ -47,7 +47,7 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
         StyleSplatError: If the share is not above 0 and at most 1, or nothing is left.
     """
     own = picked.nonzero()[:, 0]
-    reach = _reach(splats.means[_solid(splats, picked)], share)
+    reach = _reach(splats.means[solid(splats, picked)], share)
     around = ~picked & (torch.sigmoid(splats.opacities) >= FAINT)
     near = _near(splats.means[own], splats.means[around], reach)
     if near.all():
@@ -57,16 +57,16 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
     return picked.index_fill(0, own[near], False)
 
 
+def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
+    """Those of the picked that show; all of them if none does."""
+    solid = picked & (torch.sigmoid(splats.opacities) >= FAINT)
+    return solid if solid.any() else picked
+
+
 def extent(points: Float[Tensor, "M 3"]) -> float:
     """The diameter of the sphere around the median that holds nearly all points."""
     distances = (points - points.median(dim=0).values).norm(dim=1)
     return 2 * float(distances.sort().values[int(INSIDE * (len(points) - 1))])
-
-
-def _solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
-    """Those of the picked that show; all of them if none does."""
-    solid = picked & (torch.sigmoid(splats.opacities) >= FAINT)
-    return solid if solid.any() else picked
 
 
 def _reach(surface: Float[Tensor, "M 3"], share: float) -> float:

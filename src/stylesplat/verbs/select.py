@@ -10,12 +10,18 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.selection_picture import selection_picture
+from stylesplat.io.files import file_stem
+from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import Scene, read_scene, update_scene
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.margins import grow, shrink
 from stylesplat.selection.pick import THRESHOLD, Box, Point, pick_objects, resolve_ids, select
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 from stylesplat.verbs.objects import can_be_called, find_object
+from stylesplat.verbs.say import say
+
+PICTURES = "selections"  # the folder inside a scene
 
 
 @dataclass(frozen=True)
@@ -52,10 +58,11 @@ def select_object(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> dict[str, Any]:
-    """Name some Gaussians of a scene.
+    """Name some Gaussians of a scene, and draw them in three views.
 
     Returns:
-        `name`, `ids`, `gaussians`, and how they were chosen.
+        `name`, `ids`, `gaussians`, and how they were chosen; `picture`: the drawing's path, None
+        if they show in no view.
 
     Raises:
         StyleSplatError: If the scene has no such object, nothing is left, the name would be
@@ -92,7 +99,7 @@ def select_object(
     said = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how = {"ids": list(ids), "threshold": threshold, "gaussians": int(mask.sum()), **said}
     update_scene(path, picks=scene.picks | {name: mask}, objects=scene.objects | {name: how})
-    return {"name": name, **how}
+    return {"name": name, **how, "picture": _draw(scene, path, name, mask)}
 
 
 def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
@@ -124,6 +131,17 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
         else:
             centre = torch.tensor(place)
         yield in_sphere(splats, centre, radius)
+
+
+def _draw(scene: Scene, path: Path, name: str, mask: Bool[Tensor, " N"]) -> Path | None:
+    target = path / PICTURES / f"{file_stem(name)}.png"
+    picture = selection_picture(scene.splats, scene.cameras, mask)
+    if picture is None:
+        say(f"{name} shows in none of the views, so there is no picture of it.")
+        target.unlink(missing_ok=True)
+        return None
+    write_image(picture, target)
+    return target
 
 
 def _resized(scene: Scene, mask: Bool[Tensor, " N"], choice: Choice) -> Bool[Tensor, " N"]:

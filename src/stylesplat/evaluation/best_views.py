@@ -1,0 +1,109 @@
+"""Which views show an object best, and from sides that differ."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn.functional import normalize
+from tqdm import tqdm
+
+from stylesplat.rendering.rasterize import Backend
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.labels import MIN_COVERAGE
+from stylesplat.selection.margins import solid
+from stylesplat.stylization.views import coverage, evenly
+
+VIEWS = 3  # of an object
+SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
+SURVEY_SIZE = 160  # pixels along the longer side of these renders
+MOST = 0.5  # of what the fullest image has of an object, from which others are searched too
+SAMPLE = 1000  # points of an object that are projected into every image
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An object in one view."""
+
+    row: int
+    """The camera's."""
+    mask: Bool[Tensor, "h w"]
+    """The pixels that show it, in the camera that `small` returns."""
+
+
+@torch.no_grad()
+def find_views(
+    splats: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+    *,
+    count: int = VIEWS,
+    backend: Backend = "auto",
+) -> list[Shown]:
+    """The views that show most of an object from sides that differ, the best one first.
+
+    Args:
+        splats: The scene.
+        cameras: Views to choose from.
+        picked: The object's Gaussians.
+        count: How many to find; fewer if it shows in fewer.
+        backend: See `rasterize`.
+    """
+    surface = splats.means[solid(splats, picked)]
+    masks = {}
+    for row in tqdm(_likely_rows(cameras, surface), "find the object", unit="view", leave=False):
+        masks[row] = coverage(splats, small(cameras[row]), picked, backend=backend) > MIN_COVERAGE
+    scores = {row: visibility(mask) for row, mask in masks.items()}
+    return [Shown(row, masks[row]) for row in spread_rows(cameras, surface, scores, count)]
+
+
+def spread_rows(
+    cameras: Cameras, surface: Float[Tensor, "M 3"], scores: Mapping[int, float], count: int = VIEWS
+) -> list[int]:
+    """The cameras that see an object best and from sides that differ, the best one first.
+
+    Args:
+        cameras: All there are.
+        surface: Points of the object.
+        scores: The `visibility` of the object in some of them.
+        count: How many to choose; fewer if it shows in fewer.
+    """
+    rows = [row for row, score in scores.items() if score > 0]
+    if not rows:
+        return []
+    seen = torch.tensor([scores[row] for row in rows])
+    away = normalize(cameras[rows].positions.to(surface) - surface.median(dim=0).values, dim=1)
+    chosen = [int(seen.argmax())]
+    while len(chosen) < min(count, len(rows)):
+        apart = torch.cdist(away, away[chosen]).amin(dim=1).cpu()
+        gains = (seen * apart).index_fill(0, torch.tensor(chosen), -math.inf)
+        chosen.append(int(gains.argmax()))
+    return [rows[each] for each in chosen]
+
+
+def visibility(shown: Bool[Tensor, "h w"]) -> float:
+    """Pixels that show an object, fewer if the border cuts it: of a square cut along a side 1/4."""
+    area = float(shown.sum())
+    border = sum(float(edge.sum()) for edge in (shown[0], shown[-1], shown[:, 0], shown[:, -1]))
+    return area / (1 + border / math.sqrt(area)) ** 2 if area else 0.0
+
+
+def small(camera: Cameras) -> Cameras:
+    """The same camera, for a render in which objects are only looked for."""
+    return camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
+
+
+def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:
+    """Some of the cameras that have an object in their image, though something may hide it."""
+    points = surface[:: max(1, len(surface) // SAMPLE)].to(cameras.viewmats)
+    rotations, shifts = cameras.viewmats[:, :3, :3], cameras.viewmats[:, :3, 3]
+    points_c = torch.einsum("cij,mj->cmi", rotations, points) + shifts[:, None]
+    pixels = torch.einsum("cij,cmj->cmi", cameras.Ks, points_c)
+    depths, sizes = pixels[..., 2:], cameras.sizes[:, None]
+    within = (pixels[..., :2] >= 0) & (pixels[..., :2] < sizes * depths) & (depths > 0)
+    shares = within.all(dim=2).float().mean(dim=1)
+    good = (shares > 0) & (shares >= MOST * shares.max())
+    return evenly(good.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
