@@ -66,8 +66,8 @@ def quality() -> str:
     lines = []
     for name, splats in (
         ("joint training, 150 s", joint),
-        ("its Gaussians, labels lifted", lift(joint, given, rows=rows).splats),
-        ("100 s without labels, then lifted", lift(apart, given, rows=rows).splats),
+        ("its Gaussians, labels lifted", lift(joint, given, rows=rows)),
+        ("100 s without labels, then lifted", lift(apart, given, rows=rows)),
     ):
         found = evaluate_views(splats, exact, held_out)
         numbers = (f"{found[key]:.3f}" for key in ("miou", "boundary_miou"))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load, save
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import Scene, Unsplit, read_scene, update_scene, write_scene
@@ -41,7 +42,12 @@ def full_scene() -> Scene:
     classifier = Classifier(random(3, 16), random(3), ids=(0, 7, 70000))
     return replace(
         scene,
-        splats=replace(scene.splats, identities=random(COUNT, 16), classifier=classifier),
+        splats=replace(
+            scene.splats,
+            identities=random(COUNT, 16),
+            classifier=classifier,
+            confidence=random(COUNT).sigmoid(),
+        ),
         picks={"fox": torch.arange(COUNT) % 2 == 0, "a name": torch.zeros(COUNT, dtype=torch.bool)},
         objects={"fox": {"ids": [7], "count": 3}, "a name": {"count": 0}},
         info={"capture": "garden", "test": ["a.jpg"], "settings": {"steps": 500}},
@@ -185,6 +191,23 @@ def test_files_of_different_scenes(tmp_path: Path):
     write_scene(scene, tmp_path / "scene")
     update_scene(tmp_path / "scene", picks={"fox": torch.ones(COUNT + 1, dtype=torch.bool)})
     with pytest.raises(StyleSplatError, match=r"fox has the shape \[7\], .* 6 Gaussians"):
+        read_scene(tmp_path / "scene")
+
+
+def test_identities_that_were_not_lifted_have_no_confidence(tmp_path: Path):
+    scene = full_scene()
+    scene = replace(scene, splats=replace(scene.splats, confidence=None))
+    write_scene(scene, tmp_path / "scene")
+    assert_same(read_scene(tmp_path / "scene"), scene)
+
+
+def test_confidence_of_another_scene(tmp_path: Path):
+    scene = full_scene()
+    splats = replace(scene.splats, confidence=None)
+    write_scene(replace(scene, splats=splats), tmp_path / "scene")
+    path = tmp_path / "scene/identities.safetensors"
+    path.write_bytes(save({**load(path.read_bytes()), "confidence": torch.ones(COUNT - 1)}))
+    with pytest.raises(StyleSplatError, match=r"confidence has the shape \[5\]"):
         read_scene(tmp_path / "scene")
 
 

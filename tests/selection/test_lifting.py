@@ -28,17 +28,18 @@ def agreement(splats: Splats) -> float:
 
 def test_objects_come_back():
     lifted = lift(PLAIN, capture(TRUTH))
-    assert agreement(lifted.splats) > 0.97
-    known, found = pick_objects(SPLATS, [*BALLS]), pick_objects(lifted.splats, [*BALLS])
+    assert agreement(lifted) > 0.97
+    known, found = pick_objects(SPLATS, [*BALLS]), pick_objects(lifted, [*BALLS])
     for id, mask in known.items():
         assert (mask & found[id]).sum() / (mask | found[id]).sum() > 0.7  # undersides are hidden
-    assert lifted.confidence.max() <= 1 + 1e-5
+    assert lifted.confidence is not None and lifted.confidence.max() <= 1 + 1e-5
     hidden = replace(PLAIN, means=PLAIN.means.index_fill(0, torch.tensor([5]), 99.0))
-    assert lift(hidden, capture(TRUTH)).confidence[5] == 0
+    unseen = lift(hidden, capture(TRUTH)).confidence
+    assert unseen is not None and unseen[5] == 0
 
 
 def test_only_identities_are_new():
-    lifted = lift(PLAIN, capture(TRUTH)).splats
+    lifted = lift(PLAIN, capture(TRUTH))
     for name, values in PLAIN.tensors().items():
         assert torch.equal(values, lifted.tensors()[name])
 
@@ -54,20 +55,20 @@ def test_other_views_outvote_a_wrong_map():
     wrong = [labels.clone() for labels in TRUTH]
     wrong[2] = torch.where(wrong[2] == 3, 7, wrong[2])  # two balls merged
     wrong[5] = torch.zeros_like(wrong[5])  # all lost
-    assert agreement(lift(PLAIN, capture(wrong)).splats) > 0.95
+    assert agreement(lift(PLAIN, capture(wrong))) > 0.95
 
 
 def test_views_without_a_map_and_views_left_out():
     some = [labels if row % 2 else None for row, labels in enumerate(TRUTH)]
-    with_gaps = lift(PLAIN, capture(some)).splats
-    chosen = lift(PLAIN, capture(TRUTH), rows=range(1, len(TRUTH), 2)).splats
+    with_gaps = lift(PLAIN, capture(some))
+    chosen = lift(PLAIN, capture(TRUTH), rows=range(1, len(TRUTH), 2))
     assert with_gaps.identities is not None and chosen.identities is not None
     assert torch.equal(with_gaps.identities, chosen.identities)
 
 
 def test_more_classes_than_numbers_per_gaussian():
     strips = [torch.arange(36)[:, None].expand(36, 48) + 100 for _ in TRUTH]  # 36 classes
-    lifted = lift(PLAIN, capture(strips)).splats
+    lifted = lift(PLAIN, capture(strips))
     assert lifted.classifier is not None
     assert len(lifted.classifier.ids) == 37  # and background
     codes = class_codes(37)

@@ -33,7 +33,10 @@ def stretched(*, seed: int = 0) -> Splats:
     quats[large] = torch.randn(LARGE, 4, generator=generator)
     opacities = 2 * torch.randn(len(SPLATS), generator=generator) + 1
     shN = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=generator)
-    return replace(SPLATS, scales=scales, quats=quats, opacities=opacities, shN=shN)
+    confidence = torch.rand(len(SPLATS), generator=generator)
+    return replace(
+        SPLATS, scales=scales, quats=quats, opacities=opacities, shN=shN, confidence=confidence
+    )
 
 
 SCENE = stretched()
@@ -78,7 +81,7 @@ def test_only_the_picked_are_touched(split: Split):
 
 
 def test_children_take_after_their_parents(split: Split):
-    for name in ("sh0", "shN", "identities", "quats"):
+    for name in ("sh0", "shN", "identities", "quats", "confidence"):
         inherited = SCENE.tensors()[name][split.parents]
         assert torch.equal(split.splats.tensors()[name], inherited), name
     parents = SCENE[split.parents]

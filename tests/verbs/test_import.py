@@ -10,8 +10,10 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.exporter import export
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.scene.frames import known_frames
+from stylesplat.selection.pick import select
 from stylesplat.verbs.evaluate import evaluate_scene
 from stylesplat.verbs.import_splat import import_splat
+from stylesplat.verbs.objects import list_objects
 from stylesplat.verbs.select import Choice, select_object
 
 PLAIN = replace(SPLATS, identities=None, classifier=None, shN=SPLATS.shN[:, :0])
@@ -39,6 +41,14 @@ def test_with_photos_and_label_maps(capture: Path, splat: Path, tmp_path: Path):
     assert scene.splats.classifier is not None
     assert scene.splats.classifier.ids == (0, *BALLS)
     torch.testing.assert_close(scene.cameras.viewmats, CAMERAS.viewmats, atol=1e-6, rtol=0)
+    assert scene.splats.confidence is not None
+    seen = scene.splats.confidence[scene.splats.confidence > 0]
+    assert metrics["confidence"] == pytest.approx(float(seen.mean()))
+    listed = list_objects(tmp_path / "scene")["objects"]
+    for each in listed:
+        picked = select(scene.splats, object_id=each["id"])
+        mean = float(scene.splats.confidence[picked].mean())
+        assert each["confidence"] == pytest.approx(mean, abs=1e-3) and 0.7 < mean <= 1
     found = select_object(tmp_path / "scene", "red", Choice(ids=(3,)))
     assert found["gaussians"] > 60
     again = evaluate_scene(tmp_path / "scene", device="cpu")

@@ -24,7 +24,11 @@ GENERATOR = torch.Generator().manual_seed(0)
 ROWS = torch.arange(len(SPLATS))
 RED, GREEN = ((ROWS >= start) & (ROWS < start + 80) for start in (200, 280))
 TRAINED = Scene(
-    splats=replace(SPLATS, shN=0.1 * torch.randn(len(SPLATS), 15, 3, generator=GENERATOR)),
+    splats=replace(
+        SPLATS,
+        shN=0.1 * torch.randn(len(SPLATS), 15, 3, generator=GENERATOR),
+        confidence=ROWS / len(SPLATS),
+    ),
     cameras=CAMERAS,
     picks={"red": RED, "green": GREEN, "both": RED | GREEN},
     objects={name: {"ids": []} for name in ("red", "green", "both")},
@@ -63,6 +67,17 @@ def assert_same(one: Splats, other: Splats) -> None:
     assert one.tensors().keys() == other.tensors().keys()
     for name, tensor in one.tensors().items():
         assert torch.equal(tensor, other.tensors()[name]), name
+
+
+def test_confidence_stays_with_its_gaussians(folder: Path):
+    before = read_scene(folder / "trained").splats
+    assert before.confidence is not None and before.identities is not None
+    for name, painted in (("once", RED), ("twice", RED | GREEN)):
+        after = read_scene(folder / name).splats
+        assert after.confidence is not None
+        assert torch.equal(after.confidence[: len(before)], before.confidence)
+        new = after.confidence[len(before) :]
+        assert len(new) and torch.isin(new, before.confidence[painted]).all()
 
 
 @pytest.mark.parametrize("styled", ["once", "twice"])

@@ -182,6 +182,8 @@ def _write_identities(splats: Splats, folder: Path) -> None:
         "bias": splats.classifier.bias,
         "ids": torch.tensor(splats.classifier.ids),
     }
+    if splats.confidence is not None:
+        tensors["confidence"] = splats.confidence
     _write_tensors(tensors, folder / IDENTITIES)
 
 
@@ -193,9 +195,10 @@ def _read_identities(splats: Splats, folder: Path) -> Splats:
     missing = {"identities", "weight", "bias", "ids"} - tensors.keys()
     if missing:
         raise StyleSplatError(f"Cannot read {path}: it has no {min(missing)}. Train again.")
-    _check_rows({"identities": tensors["identities"]}, path, len(splats))
     classifier = Classifier(tensors["weight"], tensors["bias"], tuple(tensors["ids"].tolist()))
-    return replace(splats, identities=tensors["identities"], classifier=classifier)
+    rows = {name: tensors[name] for name in ("identities", "confidence") if name in tensors}
+    _check_rows(rows, path, len(splats))
+    return replace(splats, **rows, classifier=classifier)
 
 
 def _write_cameras(cameras: Cameras, folder: Path) -> None:

@@ -54,6 +54,9 @@ class Splats:
     """What object each Gaussian belongs to, to be read by `classifier`."""
     classifier: Classifier | None = None
     """Decoder of `identities`; None without label maps."""
+    confidence: Float[Tensor, " N"] | None = None
+    """The share of a Gaussian's pixels that have its label, 0 if no label map shows it; None if
+    identities were not lifted from label maps."""
 
     def __len__(self) -> int:
         return self.means.shape[0]

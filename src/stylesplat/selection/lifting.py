@@ -1,7 +1,7 @@
 """Label maps onto any splats, in closed form: what contributes to a pixel takes its label."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float, Int
@@ -24,16 +24,6 @@ REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
 MANY = 2048  # classes beyond which they stay where chance put them
 
 
-@dataclass(frozen=True)
-class Lifted:
-    """Splats that know their objects, and how sure that is."""
-
-    splats: Splats
-    """With identities and a classifier, as after training."""
-    confidence: Float[Tensor, " N"]
-    """The share of a Gaussian's pixels that have its label; 0 if no label map shows it."""
-
-
 @torch.no_grad()
 def lift(
     splats: Splats,
@@ -41,7 +31,7 @@ def lift(
     *,
     rows: Sequence[int] | None = None,
     backend: Backend = "auto",
-) -> Lifted:
+) -> Splats:
     """Give every Gaussian the labels of the pixels that it contributes to.
 
     A render is linear in what Gaussians carry, so how much each contributes to the pixels of a
@@ -53,6 +43,9 @@ def lift(
         capture: Posed label maps of it.
         rows: The views to use; all by default.
         backend: Of the rasteriser.
+
+    Returns:
+        The splats with identities and a classifier, as after training, and with `confidence`.
 
     Raises:
         StyleSplatError: If the capture has no label maps, or no Gaussian shows in them.
@@ -69,8 +62,7 @@ def lift(
     shares = votes / votes.sum(dim=1, keepdim=True)
     codes = class_codes(len(ids)).to(shares)
     classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
-    carrying = replace(splats, identities=shares @ codes, classifier=classifier)
-    return Lifted(carrying, confidence)
+    return replace(splats, identities=shares @ codes, classifier=classifier, confidence=confidence)
 
 
 @torch.no_grad()

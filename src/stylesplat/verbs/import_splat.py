@@ -121,9 +121,9 @@ def _with_labels(splats: Splats, capture: Capture) -> tuple[Splats, dict[str, An
     if capture.label_maps is None:
         say("No label maps: objects can be picked by --box3d and --sphere only.")
     else:
-        lifted = lift(splats, capture)
-        splats = lifted.splats
-        seen = lifted.confidence[lifted.confidence > 0]
+        splats = lift(splats, capture)
+        assert splats.confidence is not None
+        seen = splats.confidence[splats.confidence > 0]
         metrics["confidence"] = float(seen.mean())
         metrics["unseen_gaussians"] = len(splats) - len(seen)
     rows = evenly(range(len(capture.cameras)), MEASURED)

@@ -25,7 +25,8 @@ def list_objects(path: Path) -> dict[str, Any]:
     """The objects of a scene with their Gaussian counts; writes a contact sheet of them.
 
     Returns:
-        `objects`: id, names and Gaussians of each; `sheet`: the picture's path.
+        `objects`: id, names and Gaussians of each, and if labels were lifted the mean
+        `confidence` of these; `sheet`: the picture's path.
 
     Raises:
         StyleSplatError: If the folder is no scene or has no identities.
@@ -40,7 +41,8 @@ def list_objects(path: Path) -> dict[str, Any]:
     )
     write_image(sheet, path / SHEET)
     objects = [
-        {"id": id, "names": names[id], "gaussians": int(mask.sum())} for id, mask in picked.items()
+        {"id": id, "names": names[id], "gaussians": int(mask.sum()), **_confidence(scene, mask)}
+        for id, mask in picked.items()
     ]
     return {"objects": objects, "sheet": path / SHEET}
 
@@ -86,6 +88,13 @@ def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
         f"The scene has no object {name!r}. Named objects: {known}. "
         "Name one with `stylesplat select SCENE --name NAME --id N`."
     )
+
+
+def _confidence(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, float]:
+    confidence = scene.splats.confidence
+    if confidence is None or not mask.any():
+        return {}
+    return {"confidence": round(float(confidence[mask].mean()), 3)}
 
 
 def _names_of(scene: Scene, id: int) -> list[str]:

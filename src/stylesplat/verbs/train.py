@@ -107,7 +107,7 @@ def _numbers(state: State, seconds: float) -> dict[str, Any]:
 def _lifted(splats: Splats, capture: Capture, rows: Sequence[int]) -> Splats:
     """The splats with labels; without, if there is nothing to lift, for training took long."""
     try:
-        return lift(splats, capture, rows=rows).splats
+        return lift(splats, capture, rows=rows)
     except StyleSplatError as error:
         say(f"The scene knows no objects: {error}")
         return splats
