@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.load import load
+from stylesplat.io.load import load, open_capture
 from stylesplat.io.transforms import write_transforms
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
 
@@ -109,6 +109,33 @@ def test_label_maps_are_found_or_given(make_capture: MakeCapture, tmp_path: Path
     assert found is not None and given is not None
     assert [None if m is None else int(m.max()) for m in found] == [None, 5, None]
     assert [None if m is None else int(m.max()) for m in given] == [700, None, None]
+
+
+def test_damaged_label_maps_can_be_left_out(make_capture: MakeCapture, tmp_path: Path):
+    folder = make_capture()
+    (folder / "object_mask").mkdir()
+    (folder / "object_mask/002.png").write_bytes(b"no picture")
+    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*002\.png"):
+        load(folder)
+    assert load(folder, masks=False).label_maps is None
+    write_label_map(torch.full((HEIGHT, WIDTH), 7), tmp_path / "mine/001.png")
+    assert load(folder, masks=tmp_path / "mine").label_maps is not None
+
+
+def test_one_reading_at_several_sizes(make_capture: MakeCapture):
+    folder = make_capture(*BARREL)
+    write_label_map(torch.full((HEIGHT, WIDTH), 5), folder / "object_mask/002.png")
+    files = open_capture(folder)
+    assert torch.equal(files.cameras.Ks, load(folder).cameras.Ks)
+    (folder / "sparse/0/points3D.bin").unlink()
+    for factor in (2.0, 1.0, 3.0):
+        capture = files.at(factor)
+        assert torch.equal(capture.cameras.Ks, files.cameras.downscale(factor).Ks)
+        width, height = capture.cameras.size
+        assert capture.photos[1].shape == (height, width, 3)
+        assert capture.label_maps is not None and capture.label_maps[1] is not None
+        assert capture.label_maps[1].shape == (height, width)
+        assert capture.points is not None and capture.path == folder
 
 
 def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):

@@ -8,6 +8,7 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import read_label_map, write_label_map
+from stylesplat.io.load import load
 from stylesplat.masks.foreign import decode_rle, foreign_label_maps, overlaid
 from stylesplat.verbs.mask import import_masks
 from tiny_captures import HEIGHT, WIDTH, write_capture
@@ -163,7 +164,10 @@ def test_a_capture_gets_its_label_maps(tmp_path: Path):
     assert torch.equal(read_label_map(capture / "object_mask" / "003.png") == 1, mask)
     with pytest.raises(StyleSplatError, match="--overwrite"):
         import_masks(capture, tmp_path / "masks")
-    import_masks(capture, tmp_path / "masks", overwrite=True)
+    (capture / "object_mask/001.png").write_bytes(b"damaged")
+    again = import_masks(capture, tmp_path / "masks", overwrite=True)
+    assert again["ids"] == found["ids"]
+    load(capture)  # they are whole again
 
 
 def test_masks_of_another_shape_leave_nothing(tmp_path: Path):

@@ -8,6 +8,7 @@ from ball_photos import write_ball_capture
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.exporter import export
+from stylesplat.io import load as load_module
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.scene.frames import known_frames
 from stylesplat.selection.pick import select
@@ -53,6 +54,15 @@ def test_with_photos_and_label_maps(capture: Path, splat: Path, tmp_path: Path):
     assert found["gaussians"] > 60
     again = evaluate_scene(tmp_path / "scene", device="cpu")
     assert again["psnr"] == pytest.approx(metrics["psnr"])
+
+
+def test_a_capture_is_read_once(
+    capture: Path, splat: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    reads, real = [], load_module.read_transforms
+    monkeypatch.setattr(load_module, "read_transforms", lambda f: reads.append(f) or real(f))
+    import_splat(splat, tmp_path / "scene", capture_path=capture, device="cpu")
+    assert reads == [capture]
 
 
 def test_without_photos(splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -13,10 +13,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.fit import CLOSER, frame_fits
 from stylesplat.evaluation.metrics import evaluate_views
 from stylesplat.io.files import refuse_occupied
-from stylesplat.io.load import load
+from stylesplat.io.load import open_capture
 from stylesplat.io.scene_folder import SCENE, Scene, write_scene
 from stylesplat.io.splat_files import read_splats
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames, seen_from
 from stylesplat.scene.ring import ring_cameras
@@ -81,13 +82,11 @@ def import_splat(
         say(f"No photos: {len(cameras)} views around the content. `stylesplat render` shows them.")
     else:
         splats = splats.to(pick_device(device))
-        full = load(capture_path, masks=masks)
-        small = load(capture_path, downscale=_shrink(full, CHECK_SIZE), masks=masks)
-        _check_fit(splats, path, small, frame)
-        cameras = seen_from(full.cameras, known_frames(full.cameras)[frame])
-        shrink = _shrink(full, WORKING_SIZE)
-        capture = load(capture_path, downscale=shrink, masks=masks)
-        capture = replace(capture, cameras=cameras.downscale(shrink))
+        files = open_capture(capture_path, masks=masks)
+        _check_fit(splats, path, files.at(_shrink(files.cameras, CHECK_SIZE)), frame)
+        cameras = seen_from(files.cameras, known_frames(files.cameras)[frame])
+        shrink = _shrink(cameras, WORKING_SIZE)
+        capture = replace(files.at(shrink), cameras=cameras.downscale(shrink))
         splats, found = _with_labels(splats, capture)
         metrics |= found
         settings = {"downscale": shrink, "frame": frame}
@@ -151,8 +150,8 @@ def _check_fit(splats: Splats, path: Path, small: Capture, frame: FrameName) -> 
     )
 
 
-def _shrink(capture: Capture, size: int) -> float:
-    return max(1.0, float(capture.cameras.sizes.max()) / size)
+def _shrink(cameras: Cameras, size: int) -> float:
+    return max(1.0, float(cameras.sizes.max()) / size)
 
 
 def _direction(up: Up) -> torch.Tensor:

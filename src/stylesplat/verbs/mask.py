@@ -16,7 +16,7 @@ from stylesplat.io.load import OBJECT_MASK, load
 from stylesplat.masks.foreign import foreign_label_maps
 from stylesplat.selection.labels import BACKGROUND
 
-PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
+PREVIEW = "preview.jpg"  # beside the label maps; it tells those that `mask` wrote
 
 
 def import_masks(capture_path: Path, source: Path, *, overwrite: bool = False) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def import_masks(capture_path: Path, source: Path, *, overwrite: bool = False) -
         StyleSplatError: If the masks are not of this capture, or there are label maps already.
     """
     refuse_masks(capture_path, overwrite=overwrite)
-    found = foreign_label_maps(source, load(capture_path).cameras.names)
+    found = foreign_label_maps(source, load(capture_path, masks=False).cameras.names)
     return write_masks(capture_path, found.maps, found.names, overwrite=overwrite)
 
 
@@ -40,7 +40,7 @@ def refuse_masks(capture_path: Path, *, overwrite: bool) -> None:
         StyleSplatError: If there are some already.
     """
     if not overwrite:
-        refuse_occupied(capture_path / OBJECT_MASK, marker="")
+        refuse_occupied(capture_path / OBJECT_MASK, marker=PREVIEW)
 
 
 def write_masks(
@@ -66,7 +66,7 @@ def write_masks(
         StyleSplatError: If they do not fit their photos, or there are label maps already.
     """
     output, ids = capture_path / OBJECT_MASK, set[int]()
-    with claim_directory(output, overwrite=overwrite, marker="") as folder:
+    with claim_directory(output, overwrite=overwrite, marker=PREVIEW) as folder:
         for name, read in tqdm(maps.items(), desc="label maps", unit="photo"):
             labels = read()
             ids |= set(labels.unique().tolist())

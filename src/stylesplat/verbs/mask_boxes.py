@@ -45,7 +45,8 @@ def mask_boxes(
             there are label maps already.
     """
     refuse_masks(capture_path, overwrite=overwrite)
-    full, capture = load(capture_path).cameras, working_capture(capture_path, SIZE)
+    full = load(capture_path, masks=False).cameras
+    capture = working_capture(capture_path, SIZE)
     placed = [
         (name, full.index(view), _scaled(box, full[full.index(view)], capture.cameras))
         for name, view, box in boxes

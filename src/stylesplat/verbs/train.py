@@ -10,7 +10,7 @@ from typing import Any, Literal
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.metrics import evaluate_views
 from stylesplat.io.files import refuse_occupied
-from stylesplat.io.load import load
+from stylesplat.io.load import open_capture
 from stylesplat.io.scene_folder import SCENE, Scene, write_scene
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
@@ -58,8 +58,8 @@ def train_scene(
     unfinished = output.is_dir() and [p.name for p in output.iterdir()] == [checkpoint.name]
     if output.is_file() or not (overwrite or unfinished):
         refuse_occupied(output, marker=SCENE)
-    full = load(capture_path, masks=masks)
-    capture = load(capture_path, downscale=downscale, masks=masks)
+    files = open_capture(capture_path, masks=masks)
+    capture = files.at(downscale)
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
@@ -80,7 +80,7 @@ def train_scene(
     metrics |= _numbers(state, seconds)
     scene = Scene(
         splats=splats.to("cpu"),
-        cameras=full.cameras,
+        cameras=files.cameras,
         info={
             "capture": capture_path.resolve(),
             "test_views": [capture.cameras.names[row] for row in held_out],

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.load import load
+from stylesplat.io.load import open_capture
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
@@ -29,9 +29,8 @@ class Working:
 
 def working_capture(path: Path, size: int) -> Capture:
     """A capture whose photos are at most so many pixels long, its label maps left out."""
-    full = load(path)
-    shrink = max(1.0, float(full.cameras.sizes.max()) / size)
-    return replace(load(path, downscale=shrink), label_maps=None)
+    files = open_capture(path, masks=False)
+    return files.at(max(1.0, float(files.cameras.sizes.max()) / size))
 
 
 def with_splat(capture: Capture, scene_path: Path | None, device: str) -> Working:
