@@ -1,5 +1,8 @@
 """Set-up of the whole suite."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import stylesplat  # noqa: F401  (first: it sets up threading before torch loads)
 
 import pytest  # isort: skip
@@ -9,3 +12,18 @@ import torch  # isort: skip
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("cuda") and not torch.cuda.is_available():
         pytest.skip("needs an NVIDIA GPU, and torch sees none")
+
+
+@pytest.fixture(scope="session")
+def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder of a model with random weights, by kind; made once, so not to be changed."""
+    root = tmp_path_factory.mktemp("models")
+
+    def folder(kind: str) -> Path:
+        if not (root / kind).exists():
+            from tiny_models import write_model  # loads transformers: seconds
+
+            write_model(kind, root / kind)
+        return root / kind
+
+    return folder

@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS
+from color_detector import ColorDetector
 from stylesplat.cli import main
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.photos import read_image
@@ -122,6 +123,27 @@ def test_select_grows_and_shrinks(scene: Path, capsys):
     for bad in ("nan", 0, 3):
         assert run(*red, "--grow", bad) == 1
         assert "Give more than 0 and at most 1" in capsys.readouterr().err
+
+
+def test_select_by_text(scene: Path, capsys, monkeypatch):
+    from stylesplat.verbs import select as verb
+
+    asked = []
+    monkeypatch.setattr(verb, "load_detector", lambda *a: asked.append(a) or ColorDetector())
+    found = result(capsys, "select", scene, "--name", "it", "--text", "blue", "--model", "a/b")
+    assert found["ids"] == [300] and found["scores"].keys() == {"300"}
+    assert asked[0][0] == "a/b"
+
+
+def test_select_by_text_with_a_real_detector(scene: Path, tiny_model, capsys, monkeypatch):
+    """Random weights find what fits by chance, and that is said in one line."""
+    monkeypatch.setattr("stylesplat.selection.text.CHANCE", 1.0)
+    folder = tiny_model("grounding-dino")
+    assert run("select", scene, "--name", "it", "--text", "red ball", "--model", folder) == 1
+    assert (
+        "what fits 'red ball'. By id, with scores: 3 (0."
+        in capsys.readouterr().err.splitlines()[-1]
+    )
 
 
 def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Path, capsys):

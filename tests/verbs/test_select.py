@@ -5,11 +5,13 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS
+from color_detector import ColorDetector
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.selection.labels import render_labels
 from stylesplat.selection.pick import select
+from stylesplat.verbs import select as verb
 from stylesplat.verbs.objects import list_objects
 from stylesplat.verbs.select import Choice, select_object
 
@@ -137,3 +139,60 @@ def test_what_shows_in_no_view_has_no_picture(scene: Path, capsys: pytest.Captur
 def test_nothing_said(scene: Path):
     with pytest.raises(StyleSplatError, match="Say what with --id, --point"):
         select_object(scene, "x", Choice())
+
+
+@pytest.fixture
+def detector(monkeypatch: pytest.MonkeyPatch) -> ColorDetector:
+    detector = ColorDetector()
+    monkeypatch.setattr(verb, "load_detector", lambda model, device: detector)
+    return detector
+
+
+def test_by_text(scene: Path, detector: ColorDetector):
+    found = select_object(scene, "it", Choice(text="the red one"))
+    assert found["ids"] == [3] and found["text"] == "the red one"
+    assert found["scores"].keys() == {3} and 0.5 < found["scores"][3] < 0.81
+    assert torch.equal(read_scene(scene).picks["it"], select(SPLATS, object_id=3))
+    assert read_scene(scene).objects["it"]["text"] == "the red one"
+
+
+def test_text_is_united_with_the_rest(scene: Path, detector: ColorDetector):
+    assert select_object(scene, "two", Choice(ids=(7,), text="red"))["ids"] == [7, 3]
+    assert select_object(scene, "one", Choice(ids=(3,), text="red"))["ids"] == [3]
+    select_object(scene, "red", Choice(ids=(3,)))
+    select_object(scene, "green", Choice(ids=(3, 7), text="green", minus=("red",)))
+    assert torch.equal(read_scene(scene).picks["green"], select(SPLATS, object_id=7))
+
+
+def test_text_that_means_several(scene: Path, detector: ColorDetector):
+    with pytest.raises(StyleSplatError, match=r"may mean several objects.* 3 \(0.*--id"):
+        select_object(scene, "it", Choice(text="red or green"))
+    assert read_scene(scene).picks == {}
+    found = select_object(scene, "it", Choice(text="red or green", not_points=(place(7),)))
+    assert found["ids"] == [3] and found["scores"].keys() == {3}
+
+
+def test_text_that_means_nothing(scene: Path, detector: ColorDetector):
+    with pytest.raises(StyleSplatError, match="No object of the scene fits 'owl'"):
+        select_object(scene, "it", Choice(text="owl"))
+    with pytest.raises(StyleSplatError, match="The text is empty"):
+        select_object(scene, "it", Choice(text=" "))
+
+
+def test_text_is_about_how_things_looked_before_styling(tmp_path: Path, detector: ColorDetector):
+    """A red ball that was painted green is still the red one."""
+    colors = {name: getattr(SPLATS, name) for name in ("sh0", "shN")}
+    painted = SPLATS.sh0.clone()
+    assert SPLATS.identities is not None
+    red, green = (SPLATS.identities[:, column] == 1 for column in (1, 2))
+    painted[red], painted[green] = SPLATS.sh0[green], SPLATS.sh0[red]
+    styled = Scene(replace(SPLATS, sh0=painted), CAMERAS, base_colors=colors, style_colors=colors)
+    write_scene(styled, tmp_path / "styled")
+    assert select_object(tmp_path / "styled", "it", Choice(text="red"))["ids"] == [3]
+
+
+def test_text_needs_objects(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(verb, "load_detector", lambda *_: pytest.fail("it is not needed"))
+    write_scene(Scene(replace(SPLATS, identities=None, classifier=None), CAMERAS), tmp_path / "s")
+    with pytest.raises(StyleSplatError, match="no identities"):
+        select_object(tmp_path / "s", "it", Choice(text="red"))

@@ -8,11 +8,12 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.options import Json
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
+from stylesplat.errors import StyleSplatError
 
 
 @dataclass(frozen=True)
 class Select:
-    """Name an object of a scene, by label id, by places in photos, or by a shape in the world.
+    """Name an object of a scene, by label id, places in photos, words, or a shape in the world.
 
     What is named more than once is united: `--id 3 --plus lid --minus lamp`.
 
@@ -31,6 +32,10 @@ class Select:
     """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
     not_point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y of an object that is not meant. May be repeated."""
+    text: str | None = None
+    """A few words: the object that they mean, if it is clear which one."""
+    model: str | None = None
+    """Folder or hub name of the model that finds the words: a Grounding DINO or SAM 3."""
     box3d: str | None = None
     """x0,y0,z0,x1,y1,z1 in world units: what lies inside, whatever object it is."""
     sphere: str | None = None
@@ -53,11 +58,14 @@ class Select:
         """Do it."""
         from stylesplat.verbs.select import Choice, select_object
 
+        if self.model is not None and self.text is None:
+            raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
         choice = Choice(
             ids=self.id,
             boxes=tuple(map(parse_box, self.box)),
             points=tuple(map(parse_point, self.point)),
             not_points=tuple(map(parse_point, self.not_point)),
+            text=self.text,
             box3d=parse_box3d(self.box3d) if self.box3d else (),
             sphere=parse_sphere(self.sphere) if self.sphere else None,
             plus=self.plus,
@@ -71,4 +79,5 @@ class Select:
             choice,
             threshold=self.threshold,
             remove_outliers=not self.keep_outliers,
+            model=self.model,
         )

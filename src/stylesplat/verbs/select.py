@@ -1,7 +1,7 @@
 """`select`: name some Gaussians of a scene."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,14 @@ from stylesplat.evaluation.selection_picture import selection_picture
 from stylesplat.io.files import file_stem
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import Scene, read_scene, update_scene
+from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
+from stylesplat.selection.detector import load_detector
+from stylesplat.selection.labels import object_ids
 from stylesplat.selection.margins import grow, shrink
 from stylesplat.selection.pick import THRESHOLD, Box, Point, pick_objects, resolve_ids, select
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
+from stylesplat.selection.text import clear_winner, rank_objects
 from stylesplat.verbs.objects import can_be_called, find_object
 from stylesplat.verbs.say import say
 
@@ -36,6 +40,8 @@ class Choice:
     """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
     """Objects that are not meant."""
+    text: str | None = None
+    """A few words: the object that they mean."""
     box3d: tuple[float, ...] = ()
     """Two corners in the world, the lower one first."""
     sphere: tuple[str, tuple[float, ...]] | None = None
@@ -57,16 +63,26 @@ def select_object(
     *,
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
+    model: str | None = None,
 ) -> dict[str, Any]:
     """Name some Gaussians of a scene, and draw them in three views.
 
+    Args:
+        path: The scene.
+        name: What to call them.
+        choice: Which.
+        threshold: Probability of an object above which a Gaussian belongs to it.
+        remove_outliers: Whether to drop Gaussians that lie apart from the rest of an object.
+        model: Folder or name of the detector that finds `choice.text`.
+
     Returns:
-        `name`, `ids`, `gaussians`, and how they were chosen; `picture`: the drawing's path, None
-        if they show in no view.
+        `name`, `ids`, `gaussians`, and how they were chosen; for a text the `scores` of the
+        objects that it may mean, by id; `picture`: the drawing's path, None if they show in no
+        view.
 
     Raises:
-        StyleSplatError: If the scene has no such object, nothing is left, the name would be
-            mistaken for an id, or it is to grow and to shrink.
+        StyleSplatError: If the scene has no such object, the text means none or several, nothing
+            is left, the name would be mistaken for an id, or it is to grow and to shrink.
     """
     if not can_be_called(name):
         raise StyleSplatError(
@@ -76,8 +92,14 @@ def select_object(
         raise StyleSplatError("An object cannot grow and shrink. Pass --grow or --shrink.")
     scene = read_scene(path)
     without = _ids_at(scene, choice.not_points)
-    ids = tuple(id for id in _ids(scene, choice) if id not in without)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
+    taken = [find_object(scene, each) for each in choice.minus]
+    taken += pick_objects(scene.splats, without, threshold=threshold).values() if without else []
+    named, scores = _ids(scene, choice), {}
+    if choice.text is not None:
+        scores = _scores(scene, choice.text, model, without)
+        named += (clear_winner(scores, choice.text),)
+    ids = tuple(id for id in dict.fromkeys(named) if id not in without)
     if ids:
         picked = select(
             scene.splats, object_id=ids, threshold=threshold, remove_outliers=remove_outliers
@@ -85,12 +107,10 @@ def select_object(
         masks.append(picked)
     if not masks:
         raise StyleSplatError(
-            f"Nothing to call {name!r}. Say what with --id, --point, --box, --box3d, --sphere or "
-            "--plus; --not-point only takes away."
+            f"Nothing to call {name!r}. Say what with --id, --point, --box, --text, --box3d, "
+            "--sphere or --plus; --not-point only takes away."
         )
     mask = torch.stack(masks).any(dim=0)
-    taken = [find_object(scene, each) for each in choice.minus]
-    taken += pick_objects(scene.splats, without, threshold=threshold).values() if without else []
     for each in taken:
         mask &= ~each
     if not mask.any():
@@ -98,16 +118,17 @@ def select_object(
     mask = _resized(scene, mask, choice)
     said = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how = {"ids": list(ids), "threshold": threshold, "gaussians": int(mask.sum()), **said}
+    how |= {"scores": scores} if scores else {}
     update_scene(path, picks=scene.picks | {name: mask}, objects=scene.objects | {name: how})
     return {"name": name, **how, "picture": _draw(scene, path, name, mask)}
 
 
 def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
-    """The label ids that are named or pointed at, each once."""
+    """The label ids that are named or pointed at."""
     found = list(resolve_ids(scene.splats, object_id=choice.ids)) if choice.ids else []
     for view, box in choice.boxes:
         found += resolve_ids(scene.splats, box=box, camera=_camera(scene, view))
-    return tuple(dict.fromkeys([*found, *_ids_at(scene, choice.points)]))
+    return (*found, *_ids_at(scene, choice.points))
 
 
 def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
@@ -116,6 +137,17 @@ def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
         for view, point in points
         for id in resolve_ids(scene.splats, point=point, camera=_camera(scene, view))
     ]
+
+
+def _scores(scene: Scene, text: str, model: str | None, without: Sequence[int]) -> dict[int, float]:
+    """How well a text fits each object that may be meant, as it looks without a style."""
+    object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
+    if not text.strip():
+        raise StyleSplatError("The text is empty. Say what to find, such as --text 'red chair'.")
+    device = pick_device()
+    splats = replace(scene.splats, **(scene.base_colors or {})).to(device)
+    ranking = rank_objects(splats, scene.cameras, text, load_detector(model, device))
+    return {id: score for id, score in ranking.items() if id not in without}
 
 
 def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:

@@ -1,0 +1,217 @@
+"""Votes of scripted boxes; then of a detector of colours, and of real architectures."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from balls import CAMERAS, SPLATS
+from color_detector import NOTHING, ColorDetector
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+from stylesplat.selection.detector import Detections, Detector, load_detector
+from stylesplat.selection.labels import render_labels
+from stylesplat.selection.text import clear_winner, rank_objects, spread_rows, tally
+
+Models = Callable[[str], Path]
+Box = tuple[float, float, float, float]
+
+WALL, VASE, CUP = 70000, 2, 3
+VASE_BOX, CUP_BOX = (10.0, 5.0, 20.0, 25.0), (30.0, 15.0, 36.0, 21.0)
+
+
+def labels() -> Tensor:
+    """A wall that fills the picture, before it a vase and a cup, and a strip of nothing."""
+    labels = torch.full((40, 60), WALL)
+    labels[5:25, 10:20] = VASE
+    labels[15:21, 30:36] = CUP
+    labels[38:] = 0
+    return labels
+
+
+def found(*boxes: tuple[Box, float]) -> Detections:
+    return Detections(torch.tensor([b for b, _ in boxes]), torch.tensor([s for _, s in boxes]))
+
+
+def votes(*views: Detections) -> dict[int, float]:
+    return tally((labels(), view) for view in views)
+
+
+def test_a_box_votes_with_its_score_for_what_it_fits():
+    assert votes(found((VASE_BOX, 0.75))) == {VASE: 0.75}
+    loose = (8.0, 4.0, 22.0, 27.0)
+    assert votes(found((loose, 0.5), (CUP_BOX, 0.25))) == {VASE: 0.5, CUP: 0.25}
+
+
+def test_the_best_comes_first():
+    assert [*votes(found((CUP_BOX, 0.6), (VASE_BOX, 0.5)))] == [CUP, VASE]
+    assert [*votes(found((CUP_BOX, 0.5), (VASE_BOX, 0.6)))] == [VASE, CUP]
+    assert [*votes(found((CUP_BOX, 0.5), (VASE_BOX, 0.5)))] == [VASE, CUP], "by id if equal"
+
+
+def test_what_fills_a_box_does_not_win_for_that():
+    """Most pixels of a loose box around the cup are the wall's."""
+    around = (27.0, 12.0, 37.0, 22.0)
+    x0, y0, x1, y1 = map(int, around)
+    inside = labels()[y0:y1, x0:x1]
+    assert (inside == WALL).sum() > (inside == CUP).sum()
+    assert votes(found((around, 0.5))) == {CUP: 0.5}
+
+
+def test_the_wall_wins_with_a_box_around_it():
+    assert votes(found(((0.0, 0.0, 60.0, 38.0), 0.5))) == {WALL: 0.5}
+
+
+def test_a_box_that_fits_nothing_has_no_vote():
+    assert votes(found(((50.0, 2.0, 58.0, 9.0), 0.9))) == {}
+    assert votes(found(((0.0, 38.0, 60.0, 40.0), 0.9))) == {}, "background is no object"
+    assert votes(found(((8.0, 20.0, 34.0, 22.0), 0.9))) == {}, "it crosses both"
+
+
+def test_boxes_around_one_object_are_one_vote():
+    again = (10.0, 5.0, 21.0, 25.0)
+    assert votes(found((VASE_BOX, 0.5), (again, 0.75), (VASE_BOX, 0.25))) == {VASE: 0.75}
+
+
+def test_views_vote_together():
+    one, other = found((VASE_BOX, 0.5)), found((CUP_BOX, 1.0))
+    assert votes(one, one, one, other) == {VASE: 0.375, CUP: 0.25}
+    assert votes(one, NOTHING) == {VASE: 0.25}, "a view that shows nothing counts"
+
+
+def test_without_boxes_or_objects_or_views():
+    assert votes(NOTHING) == {}
+    empty = torch.zeros(40, 60, dtype=torch.int64)
+    assert tally([(empty, found((VASE_BOX, 1.0)))]) == {}
+    assert tally([]) == {}
+
+
+def test_strays_do_not_stretch_an_object():
+    strewn = labels()
+    strewn[0, 0] = strewn[37, 59] = VASE
+    assert tally([(strewn, found((VASE_BOX, 0.5)))]) == {VASE: 0.5}
+
+
+def test_boxes_may_reach_out_of_the_picture():
+    cut = labels()
+    cut[10:20, :8] = 9
+    assert tally([(cut, found(((-30.0, 10.0, 8.0, 20.0), 0.5)))]) == {9: 0.5}
+
+
+def test_a_clear_winner():
+    assert clear_winner({7: 0.5}, "ball") == 7
+    assert clear_winner({7: 0.5, 3: 0.39, 9: 0.1}, "ball") == 7
+
+
+def test_rivals_are_listed():
+    with pytest.raises(
+        StyleSplatError, match=r"'ball' may mean .*: 7 \(0\.50\), 3 \(0\.40\), 9 \(0\.10\)\. .*--id"
+    ):
+        clear_winner({7: 0.5, 3: 0.4, 9: 0.1}, "ball")
+
+
+def test_a_box_in_one_view_may_be_chance():
+    assert clear_winner(votes(*[found((VASE_BOX, 0.32))] * 2, *[NOTHING] * 6), "vase") == VASE
+    assert clear_winner(votes(found((VASE_BOX, 0.7)), *[NOTHING] * 7), "vase") == VASE
+    with pytest.raises(StyleSplatError, match=r"Hardly any view .* 'vase'.*: 2 \(0\.06\)\. .*--id"):
+        clear_winner(votes(found((VASE_BOX, 0.5)), *[NOTHING] * 7), "vase")
+
+
+def test_nothing_fits():
+    with pytest.raises(StyleSplatError, match=r"No object of the scene fits 'owl'\. .*--id"):
+        clear_winner({}, "owl")
+
+
+def ring(angles: Sequence[float]) -> Cameras:
+    """Cameras on a circle; where they look does not matter."""
+    viewmats = torch.eye(4).repeat(len(angles), 1, 1)
+    turns = torch.tensor(angles).deg2rad()
+    viewmats[:, 0, 3], viewmats[:, 1, 3] = turns.cos(), turns.sin()
+    names = tuple(map(str, angles))
+    return Cameras(
+        viewmats, torch.eye(3).repeat(len(angles), 1, 1), torch.ones(len(angles), 2).int(), names
+    )
+
+
+def test_views_are_spread_whatever_their_order():
+    cameras = ring([0.0, 1.0, 2.0, 3.0, 90.0, 91.0, 180.0, 181.0, 270.0, 271.0])
+    chosen = sorted(float(cameras.names[row]) // 90 for row in spread_rows(cameras, 4))
+    assert chosen == [0, 1, 2, 3]
+
+
+def test_no_view_is_taken_twice():
+    same_place = ring([0.0] * 5)
+    assert sorted(spread_rows(same_place, 5)) == [0, 1, 2, 3, 4]
+    assert len(spread_rows(same_place, 8)) == 5
+    assert len(set(spread_rows(CAMERAS, 3))) == 3
+
+
+@pytest.mark.parametrize(("phrase", "id"), [("red", 3), ("green", 7), ("blue", 300)])
+def test_balls_are_found_by_their_colours(phrase: str, id: int):
+    detector = ColorDetector()
+    assert isinstance(detector, Detector)
+    scores = rank_objects(SPLATS, CAMERAS, phrase, detector)
+    assert clear_winner(scores, phrase) == id
+    assert scores[id] > 0.6, "seen and found in most of eight views"
+    assert detector.sizes == {(36, 48, 3)}
+
+
+def test_large_views_are_looked_at_small():
+    detector = ColorDetector()
+    rank_objects(SPLATS, CAMERAS[:1].downscale(1 / 40), "red", detector)
+    assert detector.sizes == {(768, 1024, 3)}
+
+
+def test_splats_without_objects():
+    bare = replace(SPLATS, identities=None, classifier=None)
+    with pytest.raises(StyleSplatError, match="no identities"):
+        rank_objects(bare, CAMERAS, "red", ColorDetector())
+
+
+@pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])
+def test_real_architectures(kind: str, tiny_model: Models):
+    detector = load_detector(str(tiny_model(kind)))
+    assert isinstance(detector, Detector)
+    generator = torch.Generator().manual_seed(0)
+    picture = torch.randint(0, 256, (40, 60, 3), generator=generator, dtype=torch.uint8)
+    all_boxes = replace(detector, min_score=0.0).detect(picture, "Red")
+    assert len(all_boxes.boxes) == (6 if detector.grounded else 5), "one for each query"
+    assert (all_boxes.scores > 0).all() and (all_boxes.scores <= 1).all()
+    assert (all_boxes.boxes[:, 2:] >= all_boxes.boxes[:, :2]).all()
+    assert all_boxes.boxes[:, ::2].max() > 40, "x reaches beyond the height: it is in pixels"
+    between = float(all_boxes.scores.median())
+    sure = replace(detector, min_score=between).detect(picture, "Red")
+    assert 0 < len(sure.scores) < len(all_boxes.scores) and (sure.scores > between).all()
+    assert len(replace(detector, min_score=1.0).detect(picture, "Red").boxes) == 0
+    assert rank_objects(SPLATS, CAMERAS[:2], "red", detector).keys() <= {3, 7, 300}
+
+
+@pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])
+def test_the_phrase_matters(kind: str, tiny_model: Models):
+    detector = replace(load_detector(str(tiny_model(kind))), min_score=0.0)
+    picture = render_labels(SPLATS, CAMERAS[0])[..., None].repeat(1, 1, 3).to(torch.uint8)
+    red, other = (detector.detect(picture, phrase).scores for phrase in ("red", "ee"))
+    assert not torch.equal(red, other)
+
+
+def test_a_full_stop_may_be_left_out(tiny_model: Models):
+    detector = replace(load_detector(str(tiny_model("grounding-dino"))), min_score=0.0)
+    picture = torch.zeros(40, 60, 3, dtype=torch.uint8)
+    without, with_one = (detector.detect(picture, phrase) for phrase in ("red ball", "Red ball."))
+    assert torch.equal(without.scores, with_one.scores)
+
+
+@pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])
+def test_a_phrase_that_is_too_long(kind: str, tiny_model: Models):
+    detector = load_detector(str(tiny_model(kind)))
+    picture = torch.zeros(40, 60, 3, dtype=torch.uint8)
+    with pytest.raises(StyleSplatError, match=r"tokens, the model reads \d+\. Use fewer words"):
+        detector.detect(picture, "red " * 40)
+
+
+def test_a_model_that_finds_no_words(tiny_model: Models):
+    with pytest.raises(StyleSplatError, match="To find objects by a phrase, pass one of"):
+        load_detector(str(tiny_model("sam2")))
