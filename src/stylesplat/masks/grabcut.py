@@ -90,20 +90,27 @@ def cut_box(seen: Evidence, box: Box) -> tuple[Look, Bool[Tensor, "H W"]]:
     return best, torch.from_numpy(cuts[best])
 
 
-def refine(seen: Evidence, probability: Float[Tensor, "H W"], look: Look) -> Bool[Tensor, "H W"]:
+def refine(
+    seen: Evidence,
+    probability: Float[Tensor, "H W"],
+    novelty: Float[Tensor, "H W"],
+    look: Look,
+) -> Bool[Tensor, "H W"]:
     """The mask of an object of which a probability is known, its contour moved to an edge.
 
     Args:
         seen: Of the photo.
         probability: That a pixel shows the object.
+        novelty: How much of what it shows is new, from 0 to 1: colours decide where it is.
         look: The channels to go by.
     """
     likely = probability.numpy()
     mask = np.zeros(likely.shape, bool)
     diagonal = float(np.hypot(*likely.shape))
-    near = _dilated(likely > UNSURE, PLAY * diagonal)
     if not (likely > 0.5).any():
         return torch.from_numpy(mask)
+    near = _dilated(likely > UNSURE, PLAY * diagonal)
+    near |= (novelty.numpy() > 0.5) & _dilated(near, AROUND * diagonal)
     window = _window(near, round(AROUND * diagonal))
     likely, near = likely[window], near[window]
     sure = ~_dilated(likely <= SURE, PLAY * diagonal)

@@ -18,6 +18,7 @@ GROWTH = 2  # times as many views after each round of spreading
 SETTLING = 2  # rounds over all views at most
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
 PRIOR = 0.02  # pixels of background that every Gaussian has seen
+CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is news
 FAINT = 0.05  # coverage of a pixel below which its depth means nothing
 
 Mask = Bool[Tensor, "H W"]
@@ -104,23 +105,42 @@ def _refined(
     look: Look,
     bar: tqdm,
 ) -> dict[int, Mask]:
-    share = _lifted(splats, cameras, known)
+    share, closest = _lifted(splats, cameras, known)
     found = {}
     for row in rows:
-        image, _, _ = rasterize(splats, cameras[row], features=share[:, None], sh_degree=0)
-        found[row] = refine(seen[row], image[0, ..., 3].clamp(0, 1).cpu(), look)
+        novel = _pixels(splats, cameras[row]) > CLOSER * closest
+        carried = torch.stack([share, novel], dim=1)
+        image, _, _ = rasterize(splats, cameras[row], features=carried, sh_degree=0)
+        probability, novelty = image[0, ..., 3:].clamp(0, 1).cpu().unbind(dim=-1)
+        found[row] = refine(seen[row], probability, novelty, look)
         bar.update()
     return found
 
 
-def _lifted(splats: Splats, cameras: Cameras, known: Mapping[int, Mask]) -> Float[Tensor, " N"]:
-    """How sure each Gaussian belongs to the object; what no view has shown does not."""
+def _lifted(
+    splats: Splats, cameras: Cameras, known: Mapping[int, Mask]
+) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
+    """How sure each Gaussian belongs to the object, and its pixels in the view that shows it best.
+
+    What no view has shown does not belong to it.
+    """
     votes = splats.means.new_zeros(len(splats), 2)
+    closest = splats.means.new_zeros(len(splats))
     for row, mask in known.items():
         wanted = splats.means.new_zeros(*mask.shape, IDENTITY_SIZE)
         wanted[..., 0], wanted[..., 1] = mask, ~mask
-        votes += contributed(splats, cameras[row], wanted)[:, :2]
-    return votes[:, 0] / (votes.sum(dim=1) + PRIOR)
+        pixels = contributed(splats, cameras[row], wanted)[:, :2]
+        votes += pixels
+        closest = torch.maximum(closest, pixels.sum(dim=1))
+    return votes[:, 0] / (votes.sum(dim=1) + PRIOR), closest
+
+
+def _pixels(splats: Splats, camera: Cameras) -> Float[Tensor, " N"]:
+    """How many pixels of a view each Gaussian makes up."""
+    width, height = camera.size
+    wanted = splats.means.new_zeros(height, width, IDENTITY_SIZE)
+    wanted[..., 0] = 1
+    return contributed(splats, camera, wanted)[:, 0]
 
 
 @torch.no_grad()
