@@ -5,11 +5,10 @@ import torch
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import render_labels
-from stylesplat.selection.lifting import class_codes, label_votes, lift
+from stylesplat.selection.lifting import class_codes, lift
 from stylesplat.selection.pick import pick_objects
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
@@ -42,13 +41,6 @@ def test_only_identities_are_new():
     lifted = lift(PLAIN, capture(TRUTH))
     for name, values in PLAIN.tensors().items():
         assert torch.equal(values, lifted.tensors()[name])
-
-
-def test_votes_are_the_pixels_that_show_a_gaussian():
-    ids, votes = label_votes(PLAIN, capture(TRUTH))
-    assert ids == (0, *BALLS)
-    alphas = sum(rasterize(PLAIN, CAMERAS[row])[1].sum() for row in range(len(CAMERAS)))
-    assert votes.sum() == pytest.approx(float(alphas), rel=1e-4)
 
 
 def test_other_views_outvote_a_wrong_map():

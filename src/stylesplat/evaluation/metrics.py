@@ -13,9 +13,9 @@ from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend, rasterize
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import BACKGROUND, Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import BACKGROUND, render_labels
+from stylesplat.selection.labels import render_labels
 from stylesplat.training.ssim import ssim
 
 BOUNDARY = 0.02  # of the image's diagonal: what counts as near a contour

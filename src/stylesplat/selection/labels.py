@@ -7,9 +7,9 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Classifier, Splats
 
-BACKGROUND = 0  # the label id that means 'no object'
 MIN_COVERAGE = 0.5  # of a pixel, below which it shows mostly what lies behind all Gaussians
 
 

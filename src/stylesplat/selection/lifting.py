@@ -9,15 +9,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.contributed import contributed
 from stylesplat.rendering.rasterize import Backend
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
+from stylesplat.rendering.votes import label_votes
+from stylesplat.scene.capture import BACKGROUND, Capture
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
-from stylesplat.selection.labels import BACKGROUND
 
-AT_ONCE = IDENTITY_SIZE  # labels of a view that are lifted in one pass
-NOBODY = -1  # no label
 SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
 PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
 REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
@@ -50,7 +46,8 @@ def lift(
     Raises:
         StyleSplatError: If the capture has no label maps, or no Gaussian shows in them.
     """
-    ids, votes = label_votes(splats, capture, rows, backend=backend)
+    maps = _label_maps(capture, rows)
+    ids, votes = label_votes(splats, capture.cameras, maps, backend=backend)
     if not votes.any():
         raise StyleSplatError(
             "None of the Gaussians shows in the capture's label maps. Check that the splat and the "
@@ -63,41 +60,6 @@ def lift(
     codes = class_codes(len(ids)).to(shares)
     classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
     return replace(splats, identities=shares @ codes, classifier=classifier, confidence=confidence)
-
-
-@torch.no_grad()
-def label_votes(
-    splats: Splats,
-    capture: Capture,
-    rows: Sequence[int] | None = None,
-    *,
-    backend: Backend = "auto",
-) -> tuple[tuple[int, ...], Float[Tensor, "N K"]]:
-    """How many pixels of each label a Gaussian makes up, over all views with a label map.
-
-    Returns:
-        The ids that occur, background first, and the votes.
-    """
-    found: dict[int, Tensor] = {BACKGROUND: splats.means.new_zeros(len(splats))}
-    for index, labels in _label_maps(capture, rows):
-        present = labels.unique().tolist()
-        for start in range(0, len(present), AT_ONCE):
-            some = present[start : start + AT_ONCE]
-            weights = _contributed(splats, capture.cameras[index], labels, some, backend)
-            for column, id in enumerate(some):
-                found[id] = found.get(id, 0) + weights[:, column]
-    ids = tuple(sorted(found))
-    return ids, torch.stack([found[id] for id in ids], dim=1)
-
-
-def _contributed(
-    splats: Splats, camera: Cameras, labels: Tensor, ids: Sequence[int], backend: Backend
-) -> Float[Tensor, "N 16"]:
-    """What each Gaussian contributes to the pixels of some labels, a column for each."""
-    columns = labels.new_full((AT_ONCE,), NOBODY)  # as many for every view: kernels are compiled
-    columns[: len(ids)] = torch.tensor(ids)
-    wanted = (labels[..., None] == columns).to(splats.means)
-    return contributed(splats, camera, wanted, backend=backend)
 
 
 def class_codes(count: int) -> Float[Tensor, "K 16"]:

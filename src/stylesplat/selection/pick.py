@@ -10,9 +10,9 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import (
-    BACKGROUND,
     class_probabilities,
     object_ids,
     render_labels,

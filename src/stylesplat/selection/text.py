@@ -11,9 +11,10 @@ from tqdm import tqdm
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.detector import MIN_SCORE, Detections, Detector
-from stylesplat.selection.labels import BACKGROUND, render_labels
+from stylesplat.selection.labels import render_labels
 
 VIEWS = 8  # that are looked at: a view in which the detector errs is outvoted
 LONGER_SIDE = 1024  # pixels of a view; detectors shrink larger ones

@@ -14,7 +14,7 @@ from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map, write_names
 from stylesplat.io.load import OBJECT_MASK, load
 from stylesplat.masks.foreign import foreign_label_maps
-from stylesplat.selection.labels import BACKGROUND
+from stylesplat.scene.capture import BACKGROUND
 
 PREVIEW = "preview.jpg"  # beside the label maps; it tells those that `mask` wrote
 
