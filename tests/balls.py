@@ -1,6 +1,7 @@
 """A still life of Gaussian balls whose objects are known exactly."""
 
 import math
+from dataclasses import replace
 
 import torch
 
@@ -45,6 +46,13 @@ def _cameras() -> Cameras:
         sizes=torch.tensor([48, 36]).expand(8, 2).clone(),
         names=tuple(f"{i:04d}.jpg" for i in range(8)),
     )
+
+
+def enlarged(cameras: Cameras, factor: int) -> Cameras:
+    """The same views with so many times more pixels each way."""
+    Ks = cameras.Ks.clone()
+    Ks[:, :2] *= factor
+    return replace(cameras, Ks=Ks, sizes=factor * cameras.sizes)
 
 
 def _splats() -> Splats:

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,14 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.label_maps import match_label_maps, read_label_map, write_label_map
+from stylesplat.io.label_maps import (
+    NAMES,
+    match_label_maps,
+    read_label_map,
+    read_names,
+    write_label_map,
+    write_names,
+)
 from stylesplat.io.lens import Lens
 from stylesplat.io.photos import Photo
 
@@ -132,3 +140,31 @@ def test_a_corrupt_map(tmp_path: Path):
     (tmp_path / "a.png").write_text("no picture")
     with pytest.raises(StyleSplatError, match=r"Cannot read the image .*a\.png"):
         match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
+
+
+def test_names_round_trip(tmp_path: Path):
+    names = {300: "vase", 7: "花瓶", 16_777_215: 'a "quoted" = name'}
+    write_names(names, tmp_path)
+    assert read_names(tmp_path) == names
+    assert json.loads((tmp_path / NAMES).read_text()) == {str(id): n for id, n in names.items()}
+
+
+def test_no_names_no_file(tmp_path: Path):
+    write_names({}, tmp_path)
+    assert not any(tmp_path.iterdir()) and read_names(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ('{"3": "va', "not valid JSON"),
+        ('["vase"]', "expected a JSON object"),
+        ('{"vase": "3"}', "expected names by label id. Mend or delete it"),
+        ('{"-3": "vase"}', "expected names by label id"),
+        ('{"3": null}', "expected names by label id"),
+    ],
+)
+def test_names_that_are_damaged(tmp_path: Path, content: str, expected: str):
+    (tmp_path / NAMES).write_text(content)
+    with pytest.raises(StyleSplatError, match=rf"Cannot read .*names\.json: .*{expected}"):
+        read_names(tmp_path)

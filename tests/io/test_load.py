@@ -11,7 +11,7 @@ import torch
 from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.label_maps import NAMES, write_label_map, write_names
 from stylesplat.io.load import load, open_capture
 from stylesplat.io.transforms import write_transforms
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
@@ -120,6 +120,23 @@ def test_damaged_label_maps_can_be_left_out(make_capture: MakeCapture, tmp_path:
     assert load(folder, masks=False).label_maps is None
     write_label_map(torch.full((HEIGHT, WIDTH), 7), tmp_path / "mine/001.png")
     assert load(folder, masks=tmp_path / "mine").label_maps is not None
+
+
+def test_objects_are_called_what_lies_beside_their_label_maps(
+    make_capture: MakeCapture, tmp_path: Path
+):
+    folder, mine = make_capture(), tmp_path / "mine"
+    for masks, names in ((folder / "object_mask", {5: "vase"}), (mine, {700: "cup"})):
+        write_label_map(torch.full((HEIGHT, WIDTH), 5), masks / "002.png")
+        write_names(names, masks)
+    assert load(folder).object_names == {5: "vase"}
+    assert load(folder, masks=mine, downscale=2.0).object_names == {700: "cup"}
+    (mine / NAMES).unlink()
+    assert load(folder, masks=mine).object_names == {}
+    (folder / "object_mask" / NAMES).write_text("damaged")
+    assert load(folder, masks=False).object_names == {}
+    with pytest.raises(StyleSplatError, match=r"Cannot read .*names\.json"):
+        load(folder)
 
 
 def test_one_reading_at_several_sizes(make_capture: MakeCapture):

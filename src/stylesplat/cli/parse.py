@@ -51,7 +51,7 @@ def parse_named_box(text: str) -> tuple[str, str, tuple[float, float, float, flo
         >>> parse_named_box("vase=IMG_0007.jpg:10,20,110,90")
         ('vase', 'IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0))
     """
-    name, equals, place = text.rpartition("=")
+    name, equals, place = text.partition("=") if "=" in text else ("", "", text)
     view, box = parse_box(place)
     if equals and (not name or name.isdecimal()):
         raise StyleSplatError(f"Cannot call an object {name!r}. Give NAME=VIEW:x0,y0,x1,y1.")

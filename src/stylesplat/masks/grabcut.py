@@ -54,14 +54,34 @@ def evidence(photo: UInt8[Tensor, "H W 3"], nearness: Float[Tensor, "H W"]) -> E
     return Evidence(stacked.clip(0, 255).astype(np.uint8))
 
 
-def cut_box(seen: Evidence, box: Box) -> tuple[Look, Bool[Tensor, "H W"]]:
+def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
+    """Check that a box leaves enough pixels on both sides to learn colours from.
+
+    Args:
+        box: Left, top, right, bottom in pixels.
+        size: Width and height of the photo.
+        photo: Its name.
+
+    Raises:
+        StyleSplatError: If it does not.
+    """
+    inside = _inside(box, size)
+    if min(inside.sum(), (~inside).sum()) < FEW:
+        raise StyleSplatError(
+            f"The box in {photo} is too small, or leaves too little of the photo outside to "
+            "compare with. Draw it around the object, with some background left."
+        )
+
+
+def cut_box(seen: Evidence, box: Box, photo: str) -> tuple[Look, Bool[Tensor, "H W"]]:
     """What a box holds, the rest of the photo being background.
 
     Of the cuts by different channels the one is taken that agrees with the others most.
 
     Args:
         seen: Of the photo.
-        box: Left, top, right, bottom in its pixels.
+        box: Left, top, right, bottom in its pixels, as `refuse_box` lets pass.
+        photo: Its name.
 
     Returns:
         The channels of that cut, and the object's mask.
@@ -70,22 +90,14 @@ def cut_box(seen: Evidence, box: Box) -> tuple[Look, Bool[Tensor, "H W"]]:
         StyleSplatError: If the box holds nothing that differs from what is around it.
     """
     height, width, _ = seen.channels.shape
-    left, top, right, bottom = (int(box[0]), int(box[1]), round(box[2]), round(box[3]))
-    marks = np.full((height, width), cv2.GC_BGD, np.uint8)
-    marks[top:bottom, left:right] = cv2.GC_PR_FGD
-    inside = marks != cv2.GC_BGD
-    if min(inside.sum(), (~inside).sum()) < FEW:
-        raise StyleSplatError(
-            "The box is too small, or leaves too little of the photo outside to compare with. "
-            "Draw it around the object, with some background left."
-        )
+    marks = np.where(_inside(box, (width, height)), cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
     cuts = {look: _cut(seen.look(look), marks) for look in LOOKS}
     agreement = {look: sum(_iou(cuts[look], other) for other in cuts.values()) for look in LOOKS}
     best = max(LOOKS, key=lambda look: agreement[look])
     if not cuts[best].any():
         raise StyleSplatError(
-            "What the box holds looks like what is around it. Draw the box tighter, or choose "
-            "another photo."
+            f"What the box in {photo} holds looks like what is around it. Draw the box tighter, "
+            "or choose another photo."
         )
     return best, torch.from_numpy(cuts[best])
 
@@ -110,7 +122,9 @@ def refine(
     if not (likely > 0.5).any():
         return torch.from_numpy(mask)
     near = _dilated(likely > UNSURE, PLAY * diagonal)
-    near |= (novelty.numpy() > 0.5) & _dilated(near, AROUND * diagonal)
+    novel = novelty.numpy() > 0.5
+    if novel.any():
+        near |= novel & _dilated(near, AROUND * diagonal)
     window = _window(near, round(AROUND * diagonal))
     likely, near = likely[window], near[window]
     sure = ~_dilated(likely <= SURE, PLAY * diagonal)
@@ -120,6 +134,12 @@ def refine(
     enough = min(inside.sum(), (~inside).sum()) >= FEW
     mask[window] = _cut(seen.look(look)[window], marks) if enough else inside
     return torch.from_numpy(mask)
+
+
+def _inside(box: Box, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
+    inside = np.zeros(size[::-1], bool)
+    inside[int(box[1]) : round(box[3]), int(box[0]) : round(box[2])] = True
+    return inside
 
 
 def _cut(image: UInt8[np.ndarray, "H W 3"], marks: UInt8[np.ndarray, "H W"]) -> np.ndarray:

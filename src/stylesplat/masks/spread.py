@@ -1,6 +1,9 @@
 """From boxes around an object in a few photos to its masks in all, by way of a splat."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import repeat
 
 import torch
 from jaxtyping import Bool, Float
@@ -44,6 +47,28 @@ class Seen(Mapping[int, Evidence]):
         return self._kept[row]
 
 
+@dataclass(frozen=True)
+class Lifted:
+    """What the masks of some views say of each Gaussian."""
+
+    rows: frozenset[int]
+    """Of these views."""
+    votes: Float[Tensor, "N 2"]
+    """Its pixels within the masks, and outside."""
+    closest: Float[Tensor, " N"]
+    """Its pixels in the view that shows it best."""
+
+    @property
+    def share(self) -> Float[Tensor, " N"]:
+        """How sure each Gaussian belongs to the object; what no view has shown does not."""
+        return self.votes[:, 0] / (self.votes.sum(dim=1) + PRIOR)
+
+    def joined(self, other: "Lifted") -> "Lifted":
+        """What these views and others say together."""
+        closest = torch.maximum(self.closest, other.closest)
+        return Lifted(self.rows | other.rows, self.votes + other.votes, closest)
+
+
 @torch.no_grad()
 def spread(
     splats: Splats, cameras: Cameras, seen: Mapping[int, Evidence], boxes: Sequence[tuple[int, Box]]
@@ -58,7 +83,7 @@ def spread(
         splats: A scene of the views; its labels do not matter.
         cameras: One per view.
         seen: What GrabCut goes by in each view.
-        boxes: Rows of views, and boxes in their pixels.
+        boxes: Rows of views, and boxes in their pixels, as `refuse_box` lets pass.
 
     Returns:
         A mask per view; empty where the object does not show.
@@ -66,23 +91,25 @@ def spread(
     Raises:
         StyleSplatError: If a box holds nothing that differs from what is around it.
     """
-    cuts = {row: cut_box(seen[row], box) for row, box in boxes}
+    cuts = {row: cut_box(seen[row], box, cameras.names[row]) for row, box in boxes}
     look = cuts[boxes[0][0]][0]
-    seeds = {row: mask for row, (_, mask) in cuts.items()}
-    known, others = dict(seeds), _nearest_first(cameras, [*seeds])
-    bar = tqdm(total=(1 + SETTLING) * len(others), desc="spreading the mask", unit="view")
-    start = 0
-    while start < len(others):
-        batch = others[start : start + max(1, (GROWTH - 1) * len(known))]
-        known |= _refined(splats, cameras, seen, known, batch, look, bar)
-        start += len(batch)
-    for _ in range(SETTLING):
-        again = _refined(splats, cameras, seen, known, others, look, bar)
-        overlap = [_iou(known[row], mask) for row, mask in again.items()]
-        known |= again
-        if sum(overlap) >= SETTLED * len(overlap):
-            break
-    bar.close()
+    known = {row: mask for row, (_, mask) in cuts.items()}
+    others, lifted = _nearest_first(cameras, [*known]), _lifted(splats, cameras, known)
+    with tqdm(total=(1 + SETTLING) * len(others), desc="spreading the mask", unit="view") as bar:
+        start = 0
+        while start < len(others):
+            batch = others[start : start + max(1, (GROWTH - 1) * len(known))]
+            found = _refined(splats, cameras, seen, lifted, batch, look, bar=bar)
+            known |= found
+            lifted = lifted.joined(_lifted(splats, cameras, found))
+            start += len(batch)
+        for _ in range(SETTLING):
+            again = _refined(splats, cameras, seen, lifted, others, look, bar=bar)
+            overlap = [_iou(known[row], mask) for row, mask in again.items()]
+            known |= again
+            if sum(overlap) >= SETTLED * len(overlap):
+                break
+            lifted = _lifted(splats, cameras, known)
     return [known[row] for row in range(len(cameras))]
 
 
@@ -100,39 +127,48 @@ def _refined(
     splats: Splats,
     cameras: Cameras,
     seen: Mapping[int, Evidence],
-    known: Mapping[int, Mask],
+    lifted: Lifted,
     rows: Sequence[int],
     look: Look,
+    *,
     bar: tqdm,
 ) -> dict[int, Mask]:
-    share, closest = _lifted(splats, cameras, known)
-    found = {}
-    for row in rows:
-        novel = _pixels(splats, cameras[row]) > CLOSER * closest
-        carried = torch.stack([share, novel], dim=1)
-        image, _, _ = rasterize(splats, cameras[row], features=carried, sh_degree=0)
-        probability, novelty = image[0, ..., 3:].clamp(0, 1).cpu().unbind(dim=-1)
-        found[row] = refine(seen[row], probability, novelty, look)
-        bar.update()
+    """The masks in some views; GrabCut, which takes longest, in several at a time."""
+    found: dict[int, Mask] = {}
+    threads = torch.get_num_threads()
+    with ThreadPoolExecutor(threads) as pool:
+        for start in range(0, len(rows), threads):
+            group = rows[start : start + threads]
+            shown = zip(*(_shown(splats, cameras, lifted, row) for row in group), strict=True)
+            masks = pool.map(refine, [seen[row] for row in group], *shown, repeat(look))
+            found |= zip(group, masks, strict=True)
+            bar.update(len(group))
     return found
 
 
-def _lifted(
-    splats: Splats, cameras: Cameras, known: Mapping[int, Mask]
-) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
-    """How sure each Gaussian belongs to the object, and its pixels in the view that shows it best.
+def _shown(
+    splats: Splats, cameras: Cameras, lifted: Lifted, row: int
+) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """The probability of the object in a view, and what is news there; both at each pixel."""
+    novel = torch.zeros_like(lifted.closest)
+    if row not in lifted.rows:
+        novel += _pixels(splats, cameras[row]) > CLOSER * lifted.closest
+    carried = torch.stack([lifted.share, novel], dim=1)
+    image, _, _ = rasterize(splats, cameras[row], features=carried, sh_degree=0)
+    probability, novelty = image[0, ..., 3:].clamp(0, 1).cpu().unbind(dim=-1)
+    return probability, novelty
 
-    What no view has shown does not belong to it.
-    """
+
+def _lifted(splats: Splats, cameras: Cameras, masks: Mapping[int, Mask]) -> Lifted:
     votes = splats.means.new_zeros(len(splats), 2)
     closest = splats.means.new_zeros(len(splats))
-    for row, mask in known.items():
+    for row, mask in masks.items():
         wanted = splats.means.new_zeros(*mask.shape, IDENTITY_SIZE)
         wanted[..., 0], wanted[..., 1] = mask, ~mask
         pixels = contributed(splats, cameras[row], wanted)[:, :2]
         votes += pixels
         closest = torch.maximum(closest, pixels.sum(dim=1))
-    return votes[:, 0] / (votes.sum(dim=1) + PRIOR), closest
+    return Lifted(frozenset(masks), votes, closest)
 
 
 def _pixels(splats: Splats, camera: Cameras) -> Float[Tensor, " N"]:

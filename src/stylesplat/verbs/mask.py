@@ -37,10 +37,11 @@ def refuse_masks(capture_path: Path, *, overwrite: bool) -> None:
     """Check that label maps may be written, before the work that makes them.
 
     Raises:
-        StyleSplatError: If there are some already.
+        StyleSplatError: If there are some already, or a file is in their place.
     """
-    if not overwrite:
-        refuse_occupied(capture_path / OBJECT_MASK, marker=PREVIEW)
+    output = capture_path / OBJECT_MASK
+    if output.is_file() or not overwrite:
+        refuse_occupied(output, marker=PREVIEW)
 
 
 def write_masks(

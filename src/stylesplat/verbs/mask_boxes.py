@@ -8,7 +8,7 @@ from typing import Any
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.load import load
 from stylesplat.masks.foreign import overlaid
-from stylesplat.masks.grabcut import Box
+from stylesplat.masks.grabcut import Box, refuse_box
 from stylesplat.masks.spread import Seen, spread
 from stylesplat.scene.cameras import Cameras
 from stylesplat.verbs.mask import refuse_masks, write_masks
@@ -41,9 +41,14 @@ def mask_boxes(
         As `write_masks` does.
 
     Raises:
-        StyleSplatError: If a box is no part of its photo or shows nothing that stands out, or
-            there are label maps already.
+        StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
+            stands out, or there are label maps already.
     """
+    if not boxes:
+        raise StyleSplatError(
+            "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1, "
+            "or take masks of another program with --from."
+        )
     refuse_masks(capture_path, overwrite=overwrite)
     full = load(capture_path, masks=False).cameras
     capture = working_capture(capture_path, SIZE)
@@ -51,6 +56,7 @@ def mask_boxes(
         (name, full.index(view), _scaled(box, full[full.index(view)], capture.cameras))
         for name, view, box in boxes
     ]
+    _refuse_twice(placed, full.names)
     working = with_splat(capture, scene, device)
     cameras, seen = working.capture.cameras, Seen(working.splats, working.capture)
     names = dict(enumerate(dict.fromkeys(name for name, _, _ in placed), start=1))
@@ -65,6 +71,17 @@ def mask_boxes(
     return write_masks(capture_path, maps, names, overwrite=overwrite)
 
 
+def _refuse_twice(placed: Sequence[tuple[str, int, Box]], views: Sequence[str]) -> None:
+    """Raise a StyleSplatError for a second box around the same object in the same photo."""
+    places = [(name, row) for name, row, _ in placed]
+    for name, row in places:
+        if places.count((name, row)) > 1:
+            raise StyleSplatError(
+                f"There are several boxes around {name!r} in {views[row]}. Draw one around all of "
+                "it, or give them different names."
+            )
+
+
 def _scaled(box: Box, camera: Cameras, working: Cameras) -> Box:
     """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
     (width, height), (name,) = camera.size, camera.names
@@ -76,4 +93,6 @@ def _scaled(box: Box, camera: Cameras, working: Cameras) -> Box:
         )
     small = working[working.index(name)].size
     across, down = small[0] / width, small[1] / height
-    return (x0 * across, y0 * down, x1 * across, y1 * down)
+    scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
+    refuse_box(scaled, small, name)
+    return scaled

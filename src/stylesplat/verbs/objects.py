@@ -52,15 +52,16 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
 
     Args:
         scene: With identities if anything is to be named.
-        names: By label id. What no Gaussian belongs to, or cannot be a name, stays unnamed.
+        names: By label id. What no Gaussian belongs to, or cannot be a name, or is that of an
+            object before, stays unnamed.
     """
-    classifier = scene.splats.classifier
-    known = {id: name for id, name in names.items() if classifier and id in classifier.ids}
+    ids = object_ids(scene.splats) if scene.splats.classifier else ()
+    known = {id: name for id, name in names.items() if id in ids}
     picked = pick_objects(scene.splats, [*known]) if known else {}
     picks, objects = dict(scene.picks), dict(scene.objects)
     for id, mask in picked.items():
         name = known[id]
-        if not mask.any() or not can_be_called(name):
+        if not mask.any() or not can_be_called(name) or name in picks:
             say(f"Object {id} is not called {name!r}. `stylesplat select` names it.")
             continue
         picks[name] = mask

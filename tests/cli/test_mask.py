@@ -1,0 +1,154 @@
+"""`stylesplat mask` as it is typed."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS, SPLATS
+from stylesplat.cli import main
+from stylesplat.cli.parse import parse_named_box
+from stylesplat.errors import StyleSplatError
+from stylesplat.exporter import export
+from stylesplat.io.label_maps import read_label_map
+from stylesplat.io.scene_folder import read_scene
+from stylesplat.selection.labels import render_labels
+from stylesplat.verbs.select import Choice, select_object
+
+BOX = "vase=0001.jpg:6,8,23,24"
+QUICK = ("--features", "compact", "--steps", 1, "--pattern", "large", "--max-growth", 2)
+
+
+@pytest.fixture(autouse=True)
+def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stylesplat.stylization.report.LENGTH", 72.0)
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    return write_ball_capture(tmp_path / "photos", masks=False)
+
+
+@pytest.fixture
+def no_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*args: object, **kwargs: object) -> None:
+        raise AssertionError("work has begun")
+
+    monkeypatch.setattr("stylesplat.verbs.working.fit", fail)
+
+
+def test_from_a_box_to_a_painted_object(
+    photos: Path, scene: Path, style: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run("mask", photos, "--box", BOX, "--scene", scene, "--device", "cpu", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["photos"], found["names"]) == (8, {"1": "vase"})
+    mask = read_label_map(photos / "object_mask" / "0001.png") == 1
+    truth = render_labels(SPLATS, CAMERAS[1]) == 3
+    assert (mask & truth).sum() > 0.8 * (mask | truth).sum()  # measured: 0.83
+
+    export(SPLATS, tmp_path / "splat.ply")
+    imported, styled = tmp_path / "imported", tmp_path / "styled"
+    splat = tmp_path / "splat.ply"
+    assert run("import", splat, photos, "-o", imported, "--device", "cpu") == 0
+    assert [*read_scene(imported).picks] == ["vase"]
+    paint = ("stylize", imported, "--style", f"vase={style}", "-o", styled, "--device", "cpu")
+    assert run(*paint, *QUICK) == 0
+    recipe = read_scene(styled).recipe
+    assert recipe is not None and recipe["objects"][0]["name"] == "vase"
+
+
+def test_masks_with_names_that_cannot_be(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """COCO's categories are called what their author likes."""
+    annotations = {
+        "images": [{"id": 1, "file_name": "0001.jpg"}],
+        "categories": [{"id": 4, "name": "3"}, {"id": 5, "name": "a=b"}, {"id": 6, "name": "cup"}],
+        "annotations": [
+            {
+                "image_id": 1,
+                "category_id": id,
+                "segmentation": {"size": [36, 48], "counts": [a, 300, 1428 - a]},
+            }
+            for id, a in ((4, 0), (5, 400), (6, 800))
+        ],
+    }
+    path = tmp_path / "coco.json"
+    path.write_text(json.dumps(annotations))
+    assert run("mask", photos, "--from", path, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["names"] == {"4": "3", "5": "a=b", "6": "cup"}
+    export(SPLATS, tmp_path / "splat.ply")
+    imported = tmp_path / "imported"
+    assert run("import", tmp_path / "splat.ply", photos, "-o", imported, "--device", "cpu") == 0
+    said = capsys.readouterr().err
+    assert "Object 4 is not called '3'. `stylesplat select` names it." in said
+    assert "Object 5 is not called 'a=b'." in said
+    assert [*read_scene(imported).picks] == ["cup"]
+    select_object(imported, "pot", Choice(ids=(4,)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "Nothing says what to mask. Draw a box"),
+        (["--method", "grabcut"], "Nothing says what to mask"),
+        (["--method", "files"], "Say with --from where the masks are"),
+        (["--from", "{photos}", "--box", BOX], "--box means nothing with --method files"),
+        (["--from", "{photos}", "--scene", "x"], "--scene means nothing with --method files"),
+        (
+            ["--method", "grabcut", "--from", "{photos}", "--box", BOX],
+            "--from means nothing with --method grabcut",
+        ),
+        (["--from", "{photos}/none"], "There is no folder or .json file"),
+        (["--box", "vase=0001.jpg:1,2,3"], "Expected VIEW:x0,y0,x1,y1"),
+        (["--box", "vase"], "Expected VIEW:x0,y0,x1,y1"),
+        (["--box", "=0001.jpg:1,2,9,9"], "Cannot call an object ''"),
+        (["--box", "3=0001.jpg:1,2,9,9"], "Cannot call an object '3'"),
+        (["--box", "vase=lost.jpg:1,2,9,9"], "No view is called 'lost.jpg'"),
+        (["--box", "vase=0001.jpg:nan,2,9,9"], "Box nan,2,9,9 is empty"),
+        (["--box", BOX, "--scene", "{photos}"], "not a scene"),
+    ],
+    ids=lambda value: "-".join(map(str, value))[:60] if isinstance(value, list) else "",
+)
+def test_what_makes_no_sense_is_refused_in_one_line(
+    photos: Path,
+    no_training: None,
+    arguments: list[str],
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
+):
+    assert run("mask", photos, *(each.format(photos=photos) for each in arguments)) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("stylesplat: ") and expected in lines[0]
+    assert not (photos / "object_mask").exists()
+
+
+def test_masks_that_are_there_are_kept(
+    capture: Path, no_training: None, capsys: pytest.CaptureFixture[str]
+):
+    assert run("mask", capture, "--box", BOX) == 1
+    assert "--overwrite" in capsys.readouterr().err
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as stopped:
+        main(["mask", "--help"])
+    assert stopped.value.code == 0
+    said = capsys.readouterr().out
+    assert "Example: stylesplat mask garden --box" in said and "--from" in said
+
+
+def test_places_with_names():
+    box = (1.0, 2.0, 3.0, 4.5)
+    assert parse_named_box("vase=a:b.jpg:1,2,3,4.5") == ("vase", "a:b.jpg", box)
+    assert parse_named_box("a.jpg:1,2,3,4.5") == ("object", "a.jpg", box)
+    assert parse_named_box("vase=a=b.jpg:1,2,3,4.5") == ("vase", "a=b.jpg", box)
+    for name in ("", "3"):
+        with pytest.raises(StyleSplatError, match=f"Cannot call an object '{name}'"):
+            parse_named_box(f"{name}=a.jpg:1,2,3,4")
