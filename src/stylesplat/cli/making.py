@@ -95,18 +95,20 @@ class Mask:
 
     capture: Positional[Path]
     """Folder with the posed photos; the label maps go into its object_mask/."""
-    method: Literal["files", "grabcut"] | None = None
-    """files takes masks of another program, grabcut cuts out what boxes hold; by default what
-    the other options call for."""
+    method: Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"] | None = None
+    """files takes masks of another program and grabcut cuts out what boxes hold, by default what
+    the other options call for; the others find all objects with that model."""
     source: Annotated[Path | None, arg(name="from")] = None
     """What another program made: a folder with pictures of ids named like the photos (DEVA,
     Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
     box: UseAppendAction[tuple[str, ...]] = ()
     """NAME=VIEW:x0,y0,x1,y1 around an object, in photo pixels. May be repeated, for other objects
     and for other photos of the same; one photo often suffices."""
+    model: str | None = None
+    """Folder or hub name of another checkpoint of the method."""
     scene: Path | None = None
-    """A scene of these photos, which carries masks from photo to photo; by default one is trained
-    for less than a minute."""
+    """A scene of these photos, on which masks of different photos meet; by default a splat is
+    trained for about a minute."""
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
@@ -116,21 +118,22 @@ class Mask:
         """Do it."""
         from stylesplat.verbs.mask import import_masks
         from stylesplat.verbs.mask_boxes import mask_boxes
+        from stylesplat.verbs.mask_models import mask_with_model
 
         method = self.method or ("files" if self.source else "grabcut")
         if method == "files":
-            refuse_given(self, ("box", "scene"), f"--method {method}")
+            refuse_given(self, ("box", "scene", "model"), f"--method {method}")
             if self.source is None:
                 raise StyleSplatError("Say with --from where the masks are.")
             return import_masks(self.capture, self.source, overwrite=self.overwrite)
         refuse_given(self, ("source",), f"--method {method}")
-        return mask_boxes(
-            self.capture,
-            [parse_named_box(each) for each in self.box],
-            scene=self.scene,
-            device=self.device,
-            overwrite=self.overwrite,
-        )
+        common = {"scene": self.scene, "device": self.device, "overwrite": self.overwrite}
+        if method == "grabcut":
+            refuse_given(self, ("model",), f"--method {method}")
+            boxes = [parse_named_box(each) for each in self.box]
+            return mask_boxes(self.capture, boxes, **common)
+        refuse_given(self, ("box",), f"--method {method}")
+        return mask_with_model(self.capture, method, model=self.model, **common)
 
 
 @dataclass(frozen=True)

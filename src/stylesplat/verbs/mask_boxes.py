@@ -33,7 +33,7 @@ def mask_boxes(
     Args:
         capture_path: The capture's folder.
         boxes: Those of the same object have the same name.
-        scene: A scene of the capture; by default a splat is trained for less than a minute.
+        scene: A scene of the capture; by default a splat is trained for about a minute.
         device: Where to render.
         overwrite: Whether label maps that are there may be replaced.
 
@@ -46,8 +46,8 @@ def mask_boxes(
     """
     if not boxes:
         raise StyleSplatError(
-            "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1, "
-            "or take masks of another program with --from."
+            "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1; "
+            "find all objects with a model, --method sam2; or take another program's masks, --from."
         )
     refuse_masks(capture_path, overwrite=overwrite)
     full = load(capture_path, masks=False).cameras
@@ -57,7 +57,7 @@ def mask_boxes(
         for name, view, box in boxes
     ]
     _refuse_twice(placed, full.names)
-    working = with_splat(capture, scene, device)
+    working = with_splat(capture_path, capture, scene, device)
     cameras, seen = working.capture.cameras, Seen(working.splats, working.capture)
     names = dict(enumerate(dict.fromkeys(name for name, _, _ in placed), start=1))
     masks = {

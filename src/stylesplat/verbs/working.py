@@ -14,7 +14,8 @@ from stylesplat.training.loop import fit
 from stylesplat.training.progress import progress_bar
 from stylesplat.verbs.say import say
 
-QUICK = TrainConfig(max_seconds=45.0, max_gaussians=30_000, test_every=0, sh_degree=1)
+QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
+QUICK_SIZE = 480  # pixels of the longer side of its photos
 
 
 @dataclass(frozen=True)
@@ -33,24 +34,31 @@ def working_capture(path: Path, size: int) -> Capture:
     return files.at(max(1.0, float(files.cameras.sizes.max()) / size))
 
 
-def with_splat(capture: Capture, scene_path: Path | None, device: str) -> Working:
-    """A capture with a scene of it, or with a splat that is trained for less than a minute.
+def with_splat(path: Path, capture: Capture, scene_path: Path | None, device: str) -> Working:
+    """A capture with a scene of it, or with a splat that is trained for about a minute.
+
+    Args:
+        path: The capture's folder.
+        capture: What was read from it, at working size.
+        scene_path: A scene of it, if there is one.
+        device: Where to compute.
 
     Raises:
         StyleSplatError: If the scene shows other photos.
     """
     torch_device = pick_device(device)
     if scene_path is None:
-        say(f"Training a quick splat, {QUICK.max_seconds:.0f} s; --scene takes one that you have.")
+        say("Training a quick splat, for about a minute; --scene takes one that you have.")
+        small = working_capture(path, QUICK_SIZE)
         with progress_bar(QUICK, enabled=True) as report:
-            state = fit(capture, QUICK, device=torch_device, on_progress=report)
+            state = fit(small, QUICK, device=torch_device, on_progress=report)
         return Working(capture, state.splats.detach())
     scene = read_scene(scene_path)
     missing = set(capture.cameras.names) - set(scene.cameras.names)
     if missing:
         raise StyleSplatError(
             f"{scene_path} is a scene of other photos: it has no view {min(missing)}. Give a scene "
-            f"of {capture.path}, or leave out --scene."
+            f"of {path}, or leave out --scene."
         )
     seen = scene.cameras[[scene.cameras.index(name) for name in capture.cameras.names]]
     ratio = capture.cameras.sizes / seen.sizes

@@ -1,0 +1,91 @@
+"""What `mask` has found so far, on disk, so that a run that was interrupted goes on."""
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import atomic_path, read_json, write_json
+from stylesplat.io.label_maps import read_label_map, write_label_map
+from stylesplat.masks.track import State
+from stylesplat.verbs.say import say
+
+SETTINGS = "settings.json"
+STATE = "state.json"
+KNOWN = "known.png"
+
+Mask = Bool[Tensor, "H W"]
+Labels = Int[Tensor, "H W"]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A folder beside the label maps to be."""
+
+    folder: Path
+
+    def proposals(self, row: int, propose: Callable[[], Sequence[Mask]]) -> list[Mask]:
+        """The masks of a photo, from disk if they were found before."""
+        path = self.folder / f"proposals_{row}.npz"
+        if path.exists():
+            with np.load(path, allow_pickle=False) as stored:
+                masks = np.unpackbits(stored["bits"], axis=-1, count=int(stored["width"]))
+            return [*torch.from_numpy(masks.astype(bool))]
+        found = [mask.cpu() for mask in propose()]
+        if found:
+            stacked = torch.stack(found).numpy()
+            with atomic_path(path) as temporary:
+                bits = np.packbits(stacked, axis=-1)
+                np.savez_compressed(temporary, bits=bits, width=stacked.shape[-1])
+        return found
+
+    def save(self, stretches: int, maps: dict[int, Labels], state: State) -> None:
+        """Keep the label maps of a stretch, and where tracking stands after it."""
+        for row, labels in maps.items():
+            write_label_map(labels, self._labels(row))
+        if state.known is not None:
+            write_label_map(state.known, self.folder / KNOWN)
+        missed = {str(id): count for id, count in state.missed.items()}
+        stands = {"stretches": stretches, "missed": missed, "next_id": state.next_id}
+        write_json(stands, self.folder / STATE)
+
+    def stands(self) -> tuple[int, State]:
+        """How many stretches are done, and the state after them."""
+        if not (self.folder / STATE).exists():
+            return 0, State()
+        stands = read_json(self.folder / STATE)
+        missed = {int(id): count for id, count in stands["missed"].items()}
+        known = read_label_map(self.folder / KNOWN).long()
+        return stands["stretches"], State(known, missed, stands["next_id"])
+
+    def labels(self, row: int) -> Labels:
+        """The label map of a photo whose stretch is done."""
+        return read_label_map(self._labels(row)).long()
+
+    def _labels(self, row: int) -> Path:
+        return self.folder / f"labels_{row}.png"
+
+
+def open_progress(folder: Path, settings: dict[str, Any]) -> Progress:
+    """Go on where a run with these settings stopped; forget one with others.
+
+    Raises:
+        StyleSplatError: If the folder holds something else.
+    """
+    if folder.exists() and not (folder / SETTINGS).is_file():
+        raise StyleSplatError(f"{folder} is in the way of intermediate results. Move it elsewhere.")
+    if folder.exists() and read_json(folder / SETTINGS) != json.loads(json.dumps(settings)):
+        say("An earlier run had other settings or photos; beginning anew.")
+        shutil.rmtree(folder)
+    elif folder.exists():
+        say(f"Continuing from {folder}.")
+    write_json(settings, folder / SETTINGS)
+    return Progress(folder)

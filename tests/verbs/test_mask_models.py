@@ -1,0 +1,164 @@
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from torch import Tensor
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.right_ids import right_ids
+from stylesplat.io.load import load
+from stylesplat.io.scene_folder import Scene, write_scene
+from stylesplat.masks.associate import to_masks
+from stylesplat.selection.labels import render_labels
+from stylesplat.verbs import mask_models
+from stylesplat.verbs.mask_models import mask_with_model
+
+TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
+PLAIN = replace(SPLATS, identities=None, classifier=None)
+
+
+class Scripted:
+    """Knows the balls, recognises photos by their content, and writes down what it is asked."""
+
+    def __init__(self, capture: Path) -> None:
+        photos = load(capture, masks=False).photos
+        self.rows = {photos[row].numpy().tobytes(): row for row in range(len(photos))}
+        self.asked: list[int] = []
+        self.stop_after = 10**6
+
+    def row(self, photo: Tensor) -> int:
+        return self.rows[photo.numpy().tobytes()]
+
+    def propose(self, photo: Tensor) -> list[Tensor]:
+        if len(self.asked) == self.stop_after:
+            raise KeyboardInterrupt
+        self.asked.append(self.row(photo))
+        return [*to_masks(TRUTH[self.row(photo)]).values()]
+
+    def follow(
+        self, photos: Sequence[Tensor], seeds: Mapping[int, Tensor]
+    ) -> list[dict[int, Tensor]]:
+        first, *rest = (TRUTH[self.row(photo)] for photo in photos)
+        meant = {id: int(first[mask].mode().values) for id, mask in seeds.items()}
+        return [
+            dict(seeds),
+            *({id: labels == ball for id, ball in meant.items()} for labels in rest),
+        ]
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    (tmp_path / "balls").mkdir()
+    folder = write_ball_capture(tmp_path / "balls")
+    for path in (folder / "object_mask").iterdir():
+        path.unlink()
+    (folder / "object_mask").rmdir()
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    write_scene(Scene(PLAIN, CAMERAS), tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+@pytest.fixture
+def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
+    model = Scripted(capture)
+    monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
+    monkeypatch.setattr(mask_models, "load_follower", lambda *_: model)
+    return model
+
+
+def found_maps(capture: Path) -> list[Tensor]:
+    maps = load(capture).label_maps
+    assert maps is not None
+    return [labels for labels in maps if labels is not None]
+
+
+def test_objects_get_ids_that_all_photos_share(capture: Path, scene: Path, scripted: Scripted):
+    found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    assert found["ids"] == [1, 2, 3] and found["photos"] == 8
+    assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
+    assert not (capture / "object_mask.partial").exists()
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        mask_with_model(capture, "sam2", scene=scene)
+
+
+def test_without_a_follower_the_splat_carries_masks(
+    capture: Path, scene: Path, scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(mask_models, "load_follower", lambda *_: pytest.fail("sam has none"))
+    mask_with_model(capture, "sam", scene=scene, device="cpu")
+    print(right_ids(found_maps(capture), TRUTH))
+    assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.8
+
+
+def test_an_interrupted_run_goes_on(capture: Path, scene: Path, scripted: Scripted, capsys):
+    scripted.stop_after = 4  # in the second stretch: the first asks about three photos
+    with pytest.raises(KeyboardInterrupt):
+        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    assert not (capture / "object_mask").exists()
+    before, scripted.asked, scripted.stop_after = scripted.asked, [], 10**6
+    found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    assert "Continuing from" in capsys.readouterr().err
+    assert found["ids"] == [1, 2, 3]
+    assert not set(before) & set(scripted.asked), "proposals are found once"
+    assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
+
+
+def test_a_run_with_other_settings_begins_anew(
+    capture: Path, scene: Path, scripted: Scripted, capsys
+):
+    scripted.stop_after = 4
+    with pytest.raises(KeyboardInterrupt):
+        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    scripted.asked, scripted.stop_after = [], 10**6
+    mask_with_model(capture, "edgetam", scene=scene, device="cpu")
+    assert "beginning anew" in capsys.readouterr().err
+    assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked
+
+
+def test_a_folder_of_the_user_is_in_the_way(capture: Path, scene: Path, scripted: Scripted):
+    (capture / "object_mask.partial").mkdir()
+    (capture / "object_mask.partial" / "mine.txt").write_text("mine")
+    with pytest.raises(StyleSplatError, match="in the way"):
+        mask_with_model(capture, "sam2", scene=scene)
+    assert (capture / "object_mask.partial" / "mine.txt").read_text() == "mine"
+
+
+def test_nothing_found(capture: Path, scene: Path, scripted: Scripted, monkeypatch):
+    monkeypatch.setattr(scripted, "propose", lambda _: [])
+    with pytest.raises(StyleSplatError, match=r"found no object.*--box"):
+        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    assert not (capture / "object_mask").exists()
+
+
+def test_a_model_that_cannot_be_had_is_said_before_any_work(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(mask_models, "with_splat", lambda *_: pytest.fail("trained"))
+    with pytest.raises(StyleSplatError, match="none"):
+        mask_with_model(capture, "sam2", model=str(tmp_path / "none"))
+    assert not (capture / "object_mask.partial").exists()
+
+
+def test_a_real_model(capture: Path, scene: Path, tiny_model, monkeypatch: pytest.MonkeyPatch):
+    """Random weights find anything; that it fits together is what is tested."""
+    real = mask_models.load_proposer
+
+    def lenient(*arguments):
+        return replace(real(*arguments), min_iou=-1e9, min_stability=0.0, points_per_side=4)
+
+    monkeypatch.setattr(mask_models, "load_proposer", lenient)
+    try:
+        found = mask_with_model(
+            capture, "sam2", model=str(tiny_model("sam2")), scene=scene, device="cpu"
+        )
+    except StyleSplatError as error:
+        assert "found no object" in str(error)  # it came to the end
+    else:
+        assert found["photos"] == 8
