@@ -49,7 +49,7 @@ def seen() -> Seen:
 
 @pytest.mark.parametrize(
     ("id", "row", "bound"),
-    [(3, 1, 0.85), (7, 5, 0.75), (300, 3, 0.75)],  # measured: 0.86, 0.77 and 0.79
+    [(3, 1, 0.8), (7, 5, 0.7), (300, 3, 0.7)],  # measured: 0.86, 0.77 and 0.79
 )
 def test_one_box_gives_masks_in_all_views(seen: Seen, id: int, row: int, bound: float):
     truth = [labels == id for labels in LABELS]
@@ -72,7 +72,7 @@ def test_boxes_in_two_photos(seen: Seen):
     truth = [labels == 3 for labels in LABELS]
     places = [(row, box(truth[row])) for row in (0, 4)]
     found = spread(SPLATS, LARGE, seen, places)
-    assert min(iou(*each) for each in zip(found, truth, strict=True)) > 0.75  # measured: 0.76
+    assert min(iou(*each) for each in zip(found, truth, strict=True)) > 0.7  # measured: 0.76
     for row, place in places:
         assert torch.equal(found[row], cut_box(seen[row], place, "")[1]), "as it was cut"
 
