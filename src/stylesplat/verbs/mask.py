@@ -1,6 +1,6 @@
 """`mask`: give a capture its label maps."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,12 @@ from tqdm import tqdm
 from stylesplat.evaluation.preview import mask_preview
 from stylesplat.io.files import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
-from stylesplat.io.label_maps import write_label_map, write_names
+from stylesplat.io.label_maps import NAMES, write_label_map, write_names
 from stylesplat.io.load import OBJECT_MASK, load
 from stylesplat.masks.foreign import foreign_label_maps
 from stylesplat.scene.capture import BACKGROUND
 
-PREVIEW = "preview.jpg"  # beside the label maps; it tells those that `mask` wrote
+PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 
 
 def import_masks(capture_path: Path, source: Path, *, overwrite: bool = False) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def refuse_masks(capture_path: Path, *, overwrite: bool) -> None:
     """
     output = capture_path / OBJECT_MASK
     if output.is_file() or not overwrite:
-        refuse_occupied(output, marker=PREVIEW)
+        refuse_occupied(output, marker="")
 
 
 def write_masks(
@@ -67,7 +67,7 @@ def write_masks(
         StyleSplatError: If they do not fit their photos, or there are label maps already.
     """
     output, ids = capture_path / OBJECT_MASK, set[int]()
-    with claim_directory(output, overwrite=overwrite, marker=PREVIEW) as folder:
+    with claim_directory(output, overwrite=overwrite, marker="") as folder:
         for name, read in tqdm(maps.items(), desc="label maps", unit="photo"):
             labels = read()
             ids |= set(labels.unique().tolist())
@@ -77,6 +77,7 @@ def write_masks(
         write_names(called, folder)
         capture = load(capture_path, masks=folder)  # refuses those that do not fit their photos
         write_image(mask_preview(capture, called), folder / PREVIEW)
+    _remove_stale(output, set(capture.cameras.names) - maps.keys(), named=bool(called))
     return {
         "masks": output,
         "preview": output / PREVIEW,
@@ -85,3 +86,10 @@ def write_masks(
         "ids": sorted(ids),
         "names": called,
     }
+
+
+def _remove_stale(folder: Path, photos: Iterable[str], *, named: bool) -> None:
+    """Take away what an earlier run said of photos and names of which this one says nothing."""
+    stale = [(folder / name).with_suffix(".png") for name in photos]
+    for path in [*stale, *([] if named else [folder / NAMES])]:
+        path.unlink(missing_ok=True)
