@@ -152,3 +152,15 @@ def test_places_with_names():
     for name in ("", "3"):
         with pytest.raises(StyleSplatError, match=f"Cannot call an object '{name}'"):
             parse_named_box(f"{name}=a.jpg:1,2,3,4")
+
+
+def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]):
+    lines = ("--stroke", "vase=0001.jpg:10,12,20,12", "--not-stroke", "vase=0001.jpg:7,9")
+    assert run("mask", photos, "--box", BOX, *lines, "--scene", scene, "--device", "cpu") == 0
+    labels = read_label_map(photos / "object_mask" / "0001.png")
+    assert labels[12, 10:20].all() and not labels[9, 7]
+    for bad in ("vase=0001.jpg:1,2,3", "vase=1,2", "vase=0001.jpg:nan,1"):
+        assert run("mask", photos, "--box", BOX, "--stroke", bad) == 1
+        assert "Expected NAME=VIEW:x,y,x,y" in capsys.readouterr().err
+    assert run("mask", photos, "--method", "sam2", "--not-stroke", lines[-1]) == 1
+    assert "--not-stroke means nothing with --method sam2" in capsys.readouterr().err

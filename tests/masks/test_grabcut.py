@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.grabcut import Evidence, cut_box, evidence, refine, refuse_box
+from stylesplat.masks.grabcut import Evidence, Stroke, cut_box, evidence, refine, refuse_box
 
 HEIGHT, WIDTH = 60, 80
 PHOTO = "a.jpg"
@@ -144,3 +144,18 @@ def test_masks_with_too_little_to_learn_from_stay_as_they_are():
     speck = disc(40, 30, 2)
     assert torch.equal(refine(seen(painted(DISC)), speck.float(), NOWHERE, LOOK), speck)
     assert refine(seen(painted(DISC)), EVERYWHERE, NOWHERE, LOOK).all()
+
+
+def test_strokes_are_believed():
+    """A grey bar across the disc is background by its colour, and a red one outside is not."""
+    bar = disc(40, 30, 14) & (torch.arange(HEIGHT)[:, None] - 30).abs().le(4)
+    photo = seen(painted(DISC & ~bar))
+    line = ((30.0, 30.0), (50.0, 30.0))
+    _, plain = cut_box(photo, BOX, PHOTO)
+    _, whole = cut_box(photo, BOX, PHOTO, [Stroke(line, over_object=True)])
+    assert not plain[30, 30:51].any() and whole[30, 30:51].all()
+    upper = ((30.0, 22.0), (50.0, 22.0))
+    _, less = cut_box(photo, BOX, PHOTO, [Stroke(upper, over_object=False)])
+    assert plain[22, 32:49].all() and not less[22, 30:51].any()
+    _, dot = cut_box(photo, BOX, PHOTO, [Stroke(line[:1], over_object=True)])
+    assert dot[30, 30], "one point is a dot"

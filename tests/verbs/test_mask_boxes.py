@@ -15,7 +15,8 @@ from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_la
 from stylesplat.io.load import load
 from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import Scene, write_scene
-from stylesplat.masks.grabcut import Box
+from stylesplat.masks import spread as spread_module
+from stylesplat.masks.grabcut import Box, Stroke
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.labels import render_labels
 from stylesplat.training.config import TrainConfig
@@ -240,3 +241,32 @@ def test_a_box_that_fails_leaves_what_was_there(capture: Path, scene: Path):
         mask_boxes(capture, [VASE, black], scene=scene, device="cpu", overwrite=True)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert [path.name for path in capture.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize(
+    ("stroke", "expected"),
+    [
+        (("vase", "0002.jpg", ((5.0, 5.0),)), r"no box around it there.*--box vase=0002\.jpg"),
+        (("cup", VASE[1], ((5.0, 5.0),)), "no box around it there"),
+        (("vase", VASE[1], ((5.0, 5.0), (999.0, 5.0))), "point 999,5 is outside"),
+    ],
+)
+def test_strokes_that_say_nothing(capture: Path, no_work: None, stroke, expected: str):
+    name, view, points = stroke
+    with pytest.raises(StyleSplatError, match=expected):
+        mask_boxes(capture, [VASE], strokes=[(name, view, Stroke(points, over_object=True))])
+
+
+def test_strokes_reach_the_cut(capture: Path, scene: Path, monkeypatch: pytest.MonkeyPatch):
+    given = []
+
+    def cut(seen, box, photo, strokes):
+        given.append(strokes)
+        return real(seen, box, photo, strokes)
+
+    real = spread_module.cut_box
+    monkeypatch.setattr(spread_module, "cut_box", cut)
+    stroke = Stroke(((96.0, 72.0), (100.0, 72.0)), over_object=False)
+    mask_boxes(capture, [VASE, CUP], strokes=[("cup", CUP[1], stroke)], scene=scene, device="cpu")
+    assert [len(each) for each in given] == [0, 1]
+    assert not given[1][0].over_object

@@ -5,13 +5,18 @@ Libraries are imported when a verb runs, so that `--help` answers at once.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.options import Device, Json, Output, Overwrite, given, refuse_given
-from stylesplat.cli.parse import parse_named_box
+from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.errors import StyleSplatError
+
+if TYPE_CHECKING:
+    from stylesplat.masks.grabcut import Stroke
+
+DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,11 @@ class Mask:
     box: UseAppendAction[tuple[str, ...]] = ()
     """NAME=VIEW:x0,y0,x1,y1 around an object, in photo pixels. May be repeated, for other objects
     and for other photos of the same; one photo often suffices."""
+    stroke: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VIEW:x,y,x,y,... along a line over an object that has a box there, where the cut took
+    it for background. May be repeated."""
+    not_stroke: UseAppendAction[tuple[str, ...]] = ()
+    """The same over what is not the object, where the cut took too much."""
     model: str | None = None
     """Folder or hub name of another checkpoint of the method."""
     scene: Path | None = None
@@ -122,7 +132,7 @@ class Mask:
 
         method = self.method or ("files" if self.source else "grabcut")
         if method == "files":
-            refuse_given(self, ("box", "scene", "model"), f"--method {method}")
+            refuse_given(self, (*DRAWN, "scene", "model"), f"--method {method}")
             if self.source is None:
                 raise StyleSplatError("Say with --from where the masks are.")
             return import_masks(self.capture, self.source, overwrite=self.overwrite)
@@ -131,9 +141,18 @@ class Mask:
         if method == "grabcut":
             refuse_given(self, ("model",), f"--method {method}")
             boxes = [parse_named_box(each) for each in self.box]
-            return mask_boxes(self.capture, boxes, **common)
-        refuse_given(self, ("box",), f"--method {method}")
+            return mask_boxes(self.capture, boxes, strokes=self._strokes(), **common)
+        refuse_given(self, DRAWN, f"--method {method}")
         return mask_with_model(self.capture, method, model=self.model, **common)
+
+    def _strokes(self) -> list[tuple[str, str, "Stroke"]]:
+        from stylesplat.masks.grabcut import Stroke
+
+        return [
+            (name, view, Stroke(points, over_object))
+            for texts, over_object in ((self.stroke, True), (self.not_stroke, False))
+            for name, view, points in map(parse_stroke, texts)
+        ]
 
 
 @dataclass(frozen=True)

@@ -28,5 +28,5 @@ def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
     """
     for name in names:
         if getattr(command, name):
-            option = {"source": "from"}.get(name, name)
+            option = {"source": "from"}.get(name, name).replace("_", "-")
             raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")

@@ -51,11 +51,25 @@ def parse_named_box(text: str) -> tuple[str, str, tuple[float, float, float, flo
         >>> parse_named_box("vase=IMG_0007.jpg:10,20,110,90")
         ('vase', 'IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0))
     """
-    name, equals, place = text.partition("=") if "=" in text else ("", "", text)
-    view, box = parse_box(place)
-    if equals and (not name or name.isdecimal()):
-        raise StyleSplatError(f"Cannot call an object {name!r}. Give NAME=VIEW:x0,y0,x1,y1.")
-    return name or "object", view, box
+    name, place = _split_name(text)
+    return name, *parse_box(place)
+
+
+def parse_stroke(text: str) -> tuple[str, str, tuple[tuple[float, float], ...]]:
+    """An object's name, a view's, and the points of a line; the name may be left out.
+
+    Raises:
+        StyleSplatError: If the text is anything else.
+
+    Example:
+        >>> parse_stroke("vase=IMG_0007.jpg:10,20,110,90")
+        ('vase', 'IMG_0007.jpg', ((10.0, 20.0), (110.0, 90.0)))
+    """
+    name, place = _split_name(text)
+    view, numbers = _split_place(place)
+    if not view or not numbers or len(numbers) % 2 or not all(map(math.isfinite, numbers)):
+        raise StyleSplatError(f"Expected NAME=VIEW:x,y,x,y,... with photo pixels, got {text!r}.")
+    return name, view, tuple(zip(numbers[::2], numbers[1::2], strict=True))
 
 
 def parse_box3d(text: str) -> tuple[float, ...]:
@@ -115,6 +129,16 @@ def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:
             "OBJECT is a name that `select` gave, or an id."
         )
     return name, tuple(Path(part) for part in parts)
+
+
+def _split_name(text: str) -> tuple[str, str]:
+    """What an object is to be called, and the rest."""
+    if "=" not in text:
+        return "object", text
+    name, _, place = text.partition("=")
+    if not name or name.isdecimal():
+        raise StyleSplatError(f"Cannot call an object {name!r}. Give NAME=VIEW:x0,y0,x1,y1.")
+    return name, place
 
 
 def _split_place(text: str) -> tuple[str, list[float]]:

@@ -1,5 +1,6 @@
 """One photo's object, cut out by GrabCut (Rother et al. 2004): no model, no weights."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -24,8 +25,19 @@ EXTREMES = (1, 99)  # percentiles that nearness is stretched between
 # around it differs: fur before a cream wall by the last three, a mouse on its mat by the first.
 LOOKS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 
+STROKE = 3  # pixels that a stroke is wide
+
 Box = tuple[float, float, float, float]
 Look = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A line that the user draws in a photo, over the object or over what is not."""
+
+    points: tuple[tuple[float, float], ...]
+    """In the photo's pixels; one is a dot."""
+    over_object: bool
 
 
 @dataclass(frozen=True)
@@ -73,7 +85,9 @@ def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
         )
 
 
-def cut_box(seen: Evidence, box: Box, photo: str) -> tuple[Look, Bool[Tensor, "H W"]]:
+def cut_box(
+    seen: Evidence, box: Box, photo: str, strokes: Sequence[Stroke] = ()
+) -> tuple[Look, Bool[Tensor, "H W"]]:
     """What a box holds, the rest of the photo being background.
 
     Of the cuts by different channels the one is taken that agrees with the others most.
@@ -82,6 +96,7 @@ def cut_box(seen: Evidence, box: Box, photo: str) -> tuple[Look, Bool[Tensor, "H
         seen: Of the photo.
         box: Left, top, right, bottom in its pixels, as `refuse_box` lets pass.
         photo: Its name.
+        strokes: What is known to be the object, and what not.
 
     Returns:
         The channels of that cut, and the object's mask.
@@ -91,6 +106,10 @@ def cut_box(seen: Evidence, box: Box, photo: str) -> tuple[Look, Bool[Tensor, "H
     """
     height, width, _ = seen.channels.shape
     marks = np.where(_inside(box, (width, height)), cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    for stroke in strokes:
+        line = np.array([*stroke.points, stroke.points[-1]]).astype(np.int32)  # a dot has two ends
+        value = cv2.GC_FGD if stroke.over_object else cv2.GC_BGD
+        cv2.polylines(marks, [line], isClosed=False, color=value, thickness=STROKE)
     cuts = {look: _cut(seen.look(look), marks) for look in LOOKS}
     agreement = {look: sum(_iou(cuts[look], other) for other in cuts.values()) for look in LOOKS}
     best = max(LOOKS, key=lambda look: agreement[look])
@@ -148,7 +167,8 @@ def _cut(image: UInt8[np.ndarray, "H W 3"], marks: UInt8[np.ndarray, "H W"]) -> 
     image = np.ascontiguousarray(image)
     unused = (0, 0, 1, 1)  # a rectangle, which the marks stand for
     cv2.grabCut(image, marks, unused, models[0], models[1], ROUNDS, cv2.GC_INIT_WITH_MASK)
-    return _without_strays(np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD)))
+    # What is certain stays certain, and is no stray
+    return _without_strays(np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))) | (marks == cv2.GC_FGD)
 
 
 def _without_strays(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:

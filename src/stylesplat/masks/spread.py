@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from tqdm import tqdm
 
-from stylesplat.masks.grabcut import Box, Evidence, Look, cut_box, evidence, refine
+from stylesplat.masks.grabcut import Box, Evidence, Look, Stroke, cut_box, evidence, refine
 from stylesplat.rendering.contributed import contributed
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
@@ -71,7 +71,11 @@ class Lifted:
 
 @torch.no_grad()
 def spread(
-    splats: Splats, cameras: Cameras, seen: Mapping[int, Evidence], boxes: Sequence[tuple[int, Box]]
+    splats: Splats,
+    cameras: Cameras,
+    seen: Mapping[int, Evidence],
+    boxes: Sequence[tuple[int, Box]],
+    strokes: Sequence[tuple[int, Stroke]] = (),
 ) -> list[Mask]:
     """The masks of an object in every view, from boxes around it in one or a few.
 
@@ -84,6 +88,7 @@ def spread(
         cameras: One per view.
         seen: What GrabCut goes by in each view.
         boxes: Rows of views, and boxes in their pixels, as `refuse_box` lets pass.
+        strokes: Rows of views with a box, and strokes in them.
 
     Returns:
         A mask per view; empty where the object does not show.
@@ -91,7 +96,10 @@ def spread(
     Raises:
         StyleSplatError: If a box holds nothing that differs from what is around it.
     """
-    cuts = {row: cut_box(seen[row], box, cameras.names[row]) for row, box in boxes}
+    cuts = {}
+    for row, box in boxes:
+        drawn = [stroke for at, stroke in strokes if at == row]
+        cuts[row] = cut_box(seen[row], box, cameras.names[row], drawn)
     look = cuts[boxes[0][0]][0]
     known = {row: mask for row, (_, mask) in cuts.items()}
     others, lifted = _nearest_first(cameras, [*known]), _lifted(splats, cameras, known)

@@ -1,6 +1,7 @@
 """`mask --method grabcut`: label maps of objects that the user drew boxes around."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.load import load
 from stylesplat.masks.foreign import overlaid
-from stylesplat.masks.grabcut import Box, refuse_box
+from stylesplat.masks.grabcut import Box, Stroke, refuse_box
 from stylesplat.masks.spread import Seen, spread
 from stylesplat.scene.cameras import Cameras
 from stylesplat.verbs.mask import refuse_masks, write_masks
@@ -18,12 +19,15 @@ SIZE = 480  # pixels of the longer side at which objects are cut out
 
 Boxes = Sequence[tuple[str, str, Box]]
 """An object's name, a view's, and a rectangle of its pixels at full size."""
+Strokes = Sequence[tuple[str, str, Stroke]]
+"""An object's name, a view's, and a stroke in its pixels at full size."""
 
 
 def mask_boxes(
     capture_path: Path,
     boxes: Boxes,
     *,
+    strokes: Strokes = (),
     scene: Path | None = None,
     device: str = "auto",
     overwrite: bool = False,
@@ -33,6 +37,7 @@ def mask_boxes(
     Args:
         capture_path: The capture's folder.
         boxes: Those of the same object have the same name.
+        strokes: Over objects, or what is not, in photos with a box around them.
         scene: A scene of the capture; by default a splat is trained for about a minute.
         device: Where to render.
         overwrite: Whether label maps that are there may be replaced.
@@ -42,7 +47,7 @@ def mask_boxes(
 
     Raises:
         StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
-            stands out, or there are label maps already.
+            stands out, a stroke has no box, or there are label maps already.
     """
     if not boxes:
         raise StyleSplatError(
@@ -57,13 +62,19 @@ def mask_boxes(
         for name, view, box in boxes
     ]
     _refuse_twice(placed, full.names)
+    drawn = [
+        (name, row := full.index(view), _scaled_stroke(stroke, full[row], capture.cameras))
+        for name, view, stroke in strokes
+    ]
+    _refuse_alone(drawn, placed, full.names)
     working = with_splat(capture_path, capture, scene, device)
     cameras, seen = working.capture.cameras, Seen(working.splats, working.capture)
     names = dict(enumerate(dict.fromkeys(name for name, _, _ in placed), start=1))
-    masks = {
-        id: spread(working.splats, cameras, seen, [each[1:] for each in placed if each[0] == name])
-        for id, name in names.items()
-    }
+    masks = {}
+    for id, name in names.items():
+        around = [(row, box) for each, row, box in placed if each == name]
+        over = [(row, stroke) for each, row, stroke in drawn if each == name]
+        masks[id] = spread(working.splats, cameras, seen, around, over)
     maps = {
         view: partial(overlaid, [(id, found[row]) for id, found in masks.items()])
         for row, view in enumerate(cameras.names)
@@ -80,6 +91,34 @@ def _refuse_twice(placed: Sequence[tuple[str, int, Box]], views: Sequence[str]) 
                 f"There are several boxes around {name!r} in {views[row]}. Draw one around all of "
                 "it, or give them different names."
             )
+
+
+def _refuse_alone(
+    drawn: Sequence[tuple[str, int, Stroke]],
+    placed: Sequence[tuple[str, int, Box]],
+    views: Sequence[str],
+) -> None:
+    """Raise a StyleSplatError for a stroke in a photo without a box around its object."""
+    for name, row, _ in drawn:
+        if (name, row) not in [each[:2] for each in placed]:
+            raise StyleSplatError(
+                f"There is a stroke for {name!r} in {views[row]}, but no box around it there. "
+                f"Draw one as well: --box {name}={views[row]}:x0,y0,x1,y1."
+            )
+
+
+def _scaled_stroke(stroke: Stroke, camera: Cameras, working: Cameras) -> Stroke:
+    """A stroke in the pixels of the working size; raises a StyleSplatError if it is outside."""
+    (width, height), (name,) = camera.size, camera.names
+    for x, y in stroke.points:
+        if not (0 <= x < width and 0 <= y < height):
+            raise StyleSplatError(
+                f"The stroke's point {x:g},{y:g} is outside {name}, which is {width}x{height} "
+                "pixels. Give pixels of the photo at full size."
+            )
+    small = working[working.index(name)].size
+    points = tuple((x * small[0] / width, y * small[1] / height) for x, y in stroke.points)
+    return replace(stroke, points=points)
 
 
 def _scaled(box: Box, camera: Cameras, working: Cameras) -> Box:
