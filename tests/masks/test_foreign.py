@@ -177,3 +177,22 @@ def test_masks_of_another_shape_leave_nothing(tmp_path: Path):
     with pytest.raises(StyleSplatError, match="not the shape of its photo"):
         import_masks(capture, tmp_path / "masks")
     assert not (capture / "object_mask").exists()
+
+
+@pytest.mark.parametrize(
+    ("size", "counts"), [([200_000, 200_000], [4 * 10**10]), ([2, 3], [1e30]), ([1e400, 3], [6])]
+)
+def test_masks_that_would_fill_the_memory(size: list, counts: list):
+    with pytest.raises(StyleSplatError, match=r"Cannot read a mask in a\.json"):
+        decode_rle({"size": size, "counts": counts}, Path("a.json"))
+
+
+def test_tracks_without_categories(tmp_path: Path):
+    path = coco(tmp_path, track_id=5)
+    content = json.loads(path.read_text())
+    for each in content["annotations"]:
+        each["track_id"] = 5
+        each.pop("category_id", None)
+    path.write_text(json.dumps(content))
+    found = foreign_label_maps(path, NAMES)
+    assert set(found.maps["002.png"]().unique().tolist()) <= {0, 5} and not found.names

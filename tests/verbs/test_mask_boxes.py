@@ -270,3 +270,18 @@ def test_strokes_reach_the_cut(capture: Path, scene: Path, monkeypatch: pytest.M
     mask_boxes(capture, [VASE, CUP], strokes=[("cup", CUP[1], stroke)], scene=scene, device="cpu")
     assert [len(each) for each in given] == [0, 1]
     assert not given[1][0].over_object
+
+
+def test_a_scene_of_other_photos_with_the_same_names(capture: Path, tmp_path: Path, no_work: None):
+    turned = CAMERAS.viewmats.clone()
+    turned[:, 2, 3] += 2.0
+    write_scene(Scene(PLAIN, replace(CAMERAS, viewmats=turned)), tmp_path / "other")
+    with pytest.raises(StyleSplatError, match="does not show what the photos in"):
+        mask_boxes(capture, [VASE], scene=tmp_path / "other", device="cpu")
+
+
+def test_photos_that_differ_in_their_suffix_only(tmp_path: Path, no_work: None):
+    names = ("a.jpg", "a.png", *CAMERAS.names[2:])
+    photos = write_ball_capture(tmp_path / "twins", replace(CAMERAS, names=names), masks=False)
+    with pytest.raises(StyleSplatError, match="differ in their suffix only"):
+        mask_boxes(photos, [("vase", "a.png", VASE[2])])

@@ -3,6 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from torch import Tensor
 
 from ball_photos import write_ball_capture
@@ -15,6 +16,7 @@ from stylesplat.masks.associate import to_masks
 from stylesplat.selection.labels import render_labels
 from stylesplat.verbs import mask_models
 from stylesplat.verbs.mask_models import mask_with_model
+from stylesplat.verbs.mask_progress import Progress
 
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 PLAIN = replace(SPLATS, identities=None, classifier=None)
@@ -162,3 +164,41 @@ def test_a_real_model(capture: Path, scene: Path, tiny_model, monkeypatch: pytes
         assert "found no object" in str(error)  # it came to the end
     else:
         assert found["photos"] == 8
+
+
+def interrupted(capture: Path, scene: Path, scripted: Scripted) -> Path:
+    """A run that stopped in its second stretch; the folder it left."""
+    scripted.stop_after = 4
+    with pytest.raises(KeyboardInterrupt):
+        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    scripted.asked, scripted.stop_after = [], 10**6
+    return capture / "object_mask.partial"
+
+
+@pytest.mark.parametrize("name", ["state.json", "known_1.png", "proposals_0.npz", "settings.json"])
+def test_damaged_results_are_found_again(capture: Path, scene: Path, scripted: Scripted, name: str):
+    folder = interrupted(capture, scene, scripted)
+    damaged = folder / name
+    assert damaged.exists()
+    damaged.write_bytes(damaged.read_bytes()[:9])
+    if name == "proposals_0.npz":
+        (folder / "state.json").unlink()
+    found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    assert found["ids"] == [1, 2, 3]
+
+
+def test_other_photos_begin_anew(capture: Path, scene: Path, scripted: Scripted, capsys):
+    interrupted(capture, scene, scripted)
+    (capture / "images" / CAMERAS.names[0]).touch()
+    mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    assert "beginning anew" in capsys.readouterr().err and 0 in scripted.asked
+
+
+def test_photos_without_proposals_are_asked_once(tmp_path: Path):
+    progress = Progress(tmp_path)
+    assert progress.proposals(3, lambda: []) == []
+    assert progress.proposals(3, lambda: pytest.fail("asked again")) == []
+    mask = torch.rand(5, 13, generator=torch.Generator().manual_seed(0)) > 0.5
+    assert len(progress.proposals(4, lambda: [mask, ~mask])) == 2
+    again = progress.proposals(4, lambda: pytest.fail("asked again"))
+    assert torch.equal(again[0], mask) and torch.equal(again[1], ~mask)

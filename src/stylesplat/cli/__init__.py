@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"stylesplat: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("stylesplat: interrupted. `train` continues when it is run again.", file=sys.stderr)
+        print("stylesplat: interrupted. `train` and `mask` go on when run again.", file=sys.stderr)
         return INTERRUPTED
     if command.json:
         print(json.dumps(result, default=os.fspath))

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ FILES = ("*.json", "*.txt", "model*.safetensors")
 WEIGHTS = ("model.safetensors", "model.safetensors.index.json")  # whole, or in parts
 PROCESSORS = ("processor_config.json", "preprocessor_config.json")
 HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")  # OWNER/MODEL
+OLDEST = 5  # of `transformers`: SAM 2, SAM 3 and EdgeTAM came after 4
 INSTALL = "Run `pip install 'stylesplat[segment]'`."
 
 
@@ -49,6 +51,11 @@ def find_model(name: str, types: Collection[str], *, job: str) -> ModelFolder:
     """
     if find_spec("transformers") is None:
         raise StyleSplatError(f"Cannot {job} without `transformers`. {INSTALL}")
+    installed = version("transformers")
+    if int(installed.split(".")[0]) < OLDEST:
+        raise StyleSplatError(
+            f"Cannot {job} with `transformers` {installed}: it takes {OLDEST} or newer. {INSTALL}"
+        )
     folder = Path(name).expanduser()
     if not folder.exists() and HUB_NAME.fullmatch(name):
         folder = _from_hub(name, lambda config: _check_type(config, name, types, job))

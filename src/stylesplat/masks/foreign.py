@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json
 from stylesplat.io.label_maps import read_label_map
 
+MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
 MAX_ID = 65_535  # of an object; what scenes, viewers and 16-bit pictures agree on
 
 Labels = Int[Tensor, "H W"]
@@ -145,12 +146,13 @@ def _coco(source: Path, stems: Mapping[str, str]) -> Found:
     try:
         photos = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
         kinds = {kind["id"]: str(kind["name"]) for kind in content.get("categories", [])}
+        tracked = any("track_id" in each for each in content["annotations"])
         names: dict[int, str] = {}
         found: dict[str, list[tuple[int, Any]]] = {}
         for each in content["annotations"]:
             stem = photos[each["image_id"]]
-            number = int(each.get("track_id", each["category_id"]))
-            if "track_id" not in each and number in kinds:
+            number = int(each["track_id"] if tracked else each["category_id"])
+            if not tracked and number in kinds:
                 names[number] = kinds[number]
             if not 0 < number <= MAX_ID:
                 raise ValueError(f"the id {number} is not within 1 to {MAX_ID}")
@@ -182,7 +184,9 @@ def decode_rle(rle: Any, source: Path) -> Bool[Tensor, "H W"]:
         runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
         if height * width != runs.sum() or runs.min(initial=0) < 0:
             raise ValueError(f"its runs hold {runs.sum()} pixels of {height}x{width}")
-    except (KeyError, TypeError, ValueError) as error:
+        if height * width > MAX_PIXELS:
+            raise ValueError(f"{height}x{width} pixels are no photo's")
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise StyleSplatError(
             f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
         ) from error

@@ -102,7 +102,8 @@ def cut_box(
         The channels of that cut, and the object's mask.
 
     Raises:
-        StyleSplatError: If the box holds nothing that differs from what is around it.
+        StyleSplatError: If the box holds nothing that differs from what is around it, or strokes
+            cover all of one of them.
     """
     height, width, _ = seen.channels.shape
     marks = np.where(_inside(box, (width, height)), cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
@@ -110,6 +111,12 @@ def cut_box(
         line = np.array([*stroke.points, stroke.points[-1]]).astype(np.int32)  # a dot has two ends
         value = cv2.GC_FGD if stroke.over_object else cv2.GC_BGD
         cv2.polylines(marks, [line], isClosed=False, color=value, thickness=STROKE)
+    over = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))
+    if min(over.sum(), (~over).sum()) < FEW:
+        raise StyleSplatError(
+            f"The strokes in {photo} leave nothing of the object, or nothing of what is around it. "
+            "Draw less."
+        )
     cuts = {look: _cut(seen.look(look), marks) for look in LOOKS}
     agreement = {look: sum(_iou(cuts[look], other) for other in cuts.values()) for look in LOOKS}
     best = max(LOOKS, key=lambda look: agreement[look])

@@ -95,8 +95,15 @@ def tally(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[int, f
     return {id: votes[id] / count for id in ranking}
 
 
-def clear_winner(scores: Mapping[int, float], phrase: str) -> int:
+def clear_winner(
+    scores: Mapping[int, float], phrase: str, names: Mapping[int, str] | None = None
+) -> int:
     """The object that a phrase means.
+
+    Args:
+        scores: Votes by id.
+        phrase: What was looked for.
+        names: What objects are called, by id.
 
     Raises:
         StyleSplatError: If none fits, or only by chance, or the second best nearly as well as the
@@ -108,7 +115,8 @@ def clear_winner(scores: Mapping[int, float], phrase: str) -> int:
             "`stylesplat objects SCENE` and select with --id."
         )
     best, *rest = sorted(scores, key=lambda id: -scores[id])
-    candidates = ", ".join(f"{id} ({scores[id]:.2f})" for id in (best, *rest))
+    called = {id: f" {name!r}" for id, name in (names or {}).items()}
+    candidates = ", ".join(f"{id}{called.get(id, '')} ({scores[id]:.2f})" for id in (best, *rest))
     if scores[best] < CHANCE:
         raise StyleSplatError(
             f"Hardly any view shows what fits {phrase!r}. By id, with scores: {candidates}. Select "

@@ -8,11 +8,12 @@ from jaxtyping import Int
 from torch import Tensor
 from tqdm import tqdm
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.preview import mask_preview
 from stylesplat.io.files import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
-from stylesplat.io.load import OBJECT_MASK, load
+from stylesplat.io.load import OBJECT_MASK, load, open_capture
 from stylesplat.masks.foreign import foreign_label_maps
 from stylesplat.scene.capture import BACKGROUND
 
@@ -37,9 +38,16 @@ def refuse_masks(capture_path: Path, *, overwrite: bool) -> None:
     """Check that label maps may be written, before the work that makes them.
 
     Raises:
-        StyleSplatError: If there are some already, or a file is in their place.
+        StyleSplatError: If there are some already, a file is in their place, or photos differ in
+            their suffix only.
     """
     output = capture_path / OBJECT_MASK
+    names = open_capture(capture_path, masks=False).cameras.names
+    if len({Path(name).with_suffix("") for name in names}) < len(names):
+        raise StyleSplatError(
+            f"Some photos in {capture_path} differ in their suffix only, so their label maps would "
+            "have one name. Rename them."
+        )
     if output.is_file() or not overwrite:
         refuse_occupied(output, marker="")
 
@@ -51,7 +59,7 @@ def write_masks(
     *,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Write label maps into a capture with a picture of some, whole or not at all.
+    """Write label maps into a capture, with a picture of some; other files there stay.
 
     Args:
         capture_path: The capture's folder.

@@ -11,7 +11,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.load import OBJECT_MASK
+from stylesplat.io.load import OBJECT_MASK, open_capture
 from stylesplat.masks.repair import repair
 from stylesplat.masks.sam import FAMILIES, Method, load_follower, load_proposer
 from stylesplat.masks.through_splat import follow_through
@@ -63,8 +63,9 @@ def mask_with_model(
     place = pick_device(device)
     proposer = load_proposer(method, model, place)
     follower = load_follower(method, model, place) if FAMILIES[method].follower_types else None
-    names, sizes = list(capture.cameras.names), capture.cameras.sizes.tolist()
-    settings = {"method": method, "model": model, "photos": names, "sizes": sizes}
+    names, sizes = capture.cameras.names, capture.cameras.sizes.tolist()
+    settings = {"method": method, "model": model, "sizes": sizes, "photos": _photos(capture_path)}
+    settings |= {"stretches": stretches(capture.cameras)}
     progress = open_progress(capture_path / f"{OBJECT_MASK}.partial", settings)
     working = with_splat(capture_path, capture, scene, device)
 
@@ -91,6 +92,12 @@ def mask_with_model(
     result = write_masks(capture_path, found, {}, overwrite=overwrite)
     shutil.rmtree(progress.folder)
     return result
+
+
+def _photos(path: Path) -> list[tuple[str, int, int]]:
+    """What tells photos from others: path, size and time of change."""
+    files = [photo.path for photo in open_capture(path, masks=False).photos]
+    return [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
 
 
 def _tracked(capture: Capture, segmenter: Segmenter, progress: Progress) -> list[Labels]:

@@ -94,11 +94,15 @@ def select_object(
     without = _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     taken = [find_object(scene, each) for each in choice.minus]
-    taken += pick_objects(scene.splats, without, threshold=threshold).values() if without else []
+    if without:  # with their strays
+        taken += pick_objects(
+            scene.splats, without, threshold=threshold, remove_outliers=False
+        ).values()
     named, scores = _ids(scene, choice), {}
     if choice.text is not None:
         scores = _scores(scene, choice.text, model, without)
-        named += (clear_winner(scores, choice.text),)
+        called = {id: object for object, how in scene.objects.items() for id in how.get("ids", [])}
+        named += (clear_winner(scores, choice.text, called),)
     ids = tuple(id for id in dict.fromkeys(named) if id not in without)
     if ids:
         picked = select(
@@ -119,6 +123,8 @@ def select_object(
     said = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how = {"ids": list(ids), "threshold": threshold, "gaussians": int(mask.sum()), **said}
     how |= {"scores": scores} if scores else {}
+    if name in scene.picks:
+        say(f"{name!r} meant {int(scene.picks[name].sum()):,} Gaussians before.")
     update_scene(path, picks=scene.picks | {name: mask}, objects=scene.objects | {name: how})
     return {"name": name, **how, "picture": _draw(scene, path, name, mask)}
 

@@ -4,10 +4,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.fit import CLOSER, frame_fits
 from stylesplat.io.load import open_capture
-from stylesplat.io.scene_folder import read_scene
+from stylesplat.io.scene_folder import Scene, read_scene
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.frames import known_frames
 from stylesplat.scene.splats import Splats
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
@@ -16,6 +18,7 @@ from stylesplat.verbs.say import say
 
 QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
 QUICK_SIZE = 480  # pixels of the longer side of its photos
+CHECK_SIZE = 240  # and of those that a scene is compared with
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ def with_splat(path: Path, capture: Capture, scene_path: Path | None, device: st
         device: Where to compute.
 
     Raises:
-        StyleSplatError: If the scene shows other photos.
+        StyleSplatError: If the scene is of other photos, or shows something else.
     """
     torch_device = pick_device(device)
     if scene_path is None:
@@ -60,9 +63,21 @@ def with_splat(path: Path, capture: Capture, scene_path: Path | None, device: st
             f"{scene_path} is a scene of other photos: it has no view {min(missing)}. Give a scene "
             f"of {path}, or leave out --scene."
         )
+    splats = scene.splats.to(torch_device)
+    small = _seen_by(scene, working_capture(path, CHECK_SIZE))
+    fits = frame_fits(splats, small, {"scene": known_frames(small.cameras)["capture"]})
+    if fits["scene"] <= CLOSER:
+        raise StyleSplatError(
+            f"{scene_path} does not show what the photos in {path} do. Give a scene of these "
+            "photos, or leave out --scene."
+        )
+    return Working(_seen_by(scene, capture), splats)
+
+
+def _seen_by(scene: Scene, capture: Capture) -> Capture:
+    """A capture with the cameras of a scene: an import may have moved them."""
     seen = scene.cameras[[scene.cameras.index(name) for name in capture.cameras.names]]
     ratio = capture.cameras.sizes / seen.sizes
     Ks = seen.Ks.clone()
     Ks[:, :2] *= ratio[:, :, None].to(Ks)
-    cameras = replace(seen, Ks=Ks, sizes=capture.cameras.sizes)
-    return Working(replace(capture, cameras=cameras), scene.splats.to(torch_device))
+    return replace(capture, cameras=replace(seen, Ks=Ks, sizes=capture.cameras.sizes))
