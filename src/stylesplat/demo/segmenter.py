@@ -62,7 +62,7 @@ def faulty_segmenter(
                     targets[id] = []
                 elif objects and rng.random() < bad.swapped / len(rows):
                     targets[id] = [int(rng.choice([*to_masks(truth[row])] or objects))]
-            frayed = FaultConfig(bad.single.border, missing=0, merged=0, fragments=0)
+            frayed = FaultConfig(bad.single.border, missing=0.0, merged=0.0, fragments=0.0)
             (labels,) = corrupt_label_maps([truth[row]], seed=seed + 104729 + row, config=frayed)
             masks = {id: _union(labels, objects) for id, objects in targets.items()}
             found.append(

@@ -1,10 +1,10 @@
 """How well ids are kept over views, when they are not the truth's own."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
@@ -14,6 +14,7 @@ from stylesplat.scene.capture import BACKGROUND
 FOUND = 0.5  # IoU from which an object counts as found in a view
 
 Labels = Int[Tensor, "H W"]
+AnySize = Int[Tensor, "_ _"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class RightIds:
     """F1 of objects found under that id, over all views (Ristani et al. 2016)."""
 
 
-def right_ids(found: Sequence[Labels], truth: Sequence[Labels]) -> RightIds:
+def right_ids(found: Sequence[AnySize], truth: Sequence[AnySize]) -> RightIds:
     """Compare label maps whose ids differ.
 
     Every object is stood for by one id over all views, and every id stands for one object at
@@ -39,13 +40,14 @@ def right_ids(found: Sequence[Labels], truth: Sequence[Labels]) -> RightIds:
     pixels, hits = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
     objects, detections, area = 0, 0, 0
     for labels, exact in zip(found, truth, strict=True):
-        objects += len(_sizes(exact))
-        detections += len(_sizes(labels))
-        area += sum(_sizes(exact).values())
-        for pair, both in _overlaps(labels, exact).items():
-            pixels[pair] = pixels.get(pair, 0) + both
-            either = _sizes(labels)[pair[0]] + _sizes(exact)[pair[1]] - both
-            hits[pair] = hits.get(pair, 0) + (both >= FOUND * either)
+        sizes, whole = _sizes(labels), _sizes(exact)
+        objects += len(whole)
+        detections += len(sizes)
+        area += sum(whole.values())
+        for (id, object), both in _overlaps(labels, exact).items():
+            pixels[id, object] = pixels.get((id, object), 0) + both
+            either = sizes[id] + whole[object] - both
+            hits[id, object] = hits.get((id, object), 0) + (both >= FOUND * either)
     return RightIds(
         right_pixels=_best(pixels) / max(1, area),
         idf1=2 * _best(hits) / max(1, objects + detections),
@@ -60,14 +62,11 @@ def _sizes(labels: Labels) -> dict[int, int]:
 
 
 def _overlaps(labels: Labels, exact: Labels) -> dict[tuple[int, int], int]:
-    pairs, counts = torch.stack([labels.flatten(), exact.flatten()]).unique(
-        dim=1, return_counts=True
-    )
-    return {
-        (a, b): count
-        for (a, b), count in zip(pairs.T.tolist(), counts.tolist(), strict=True)
-        if BACKGROUND not in (a, b)
-    }
+    ids, row = labels.unique(return_inverse=True)
+    objects, column = exact.unique(return_inverse=True)
+    pixels = (row * len(objects) + column).flatten().bincount(minlength=len(ids) * len(objects))
+    table = zip(itertools.product(ids.tolist(), objects.tolist()), pixels.tolist(), strict=True)
+    return {pair: count for pair, count in table if count and BACKGROUND not in pair}
 
 
 def _best(counts: dict[tuple[int, int], int]) -> int:

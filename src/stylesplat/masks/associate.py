@@ -80,7 +80,9 @@ def associate(
             mask = found[matches[id]] & ~_union(others, like=mask)
         result[id] = mask
     fresh = [mask for j, mask in enumerate(found) if j not in matches.values()]
-    for mask in _free_of_better([*result.values(), *fresh])[len(result) :]:
+    # Nor is what is left of a known object, where less of it was found, another
+    taken = [*known.values(), *result.values()]
+    for mask in _free_of_better(fresh, taken=_union(taken, like=fresh[0]) if fresh else None):
         result[next_id] = mask
         next_id += 1
     return result, {*matches, *(id for id in result if id not in known)}
@@ -99,9 +101,12 @@ def to_masks(labels: Int[Tensor, "H W"]) -> dict[int, Mask]:
     return {id: labels == id for id in labels.unique().tolist() if id != BACKGROUND}
 
 
-def _free_of_better(masks: Sequence[Mask]) -> list[Mask]:
-    """Each mask less what those before it cover; left out if that is most of it, or it is tiny."""
-    taken, kept = None, []
+def _free_of_better(masks: Sequence[Mask], taken: Mask | None = None) -> list[Mask]:
+    """Each mask less what is taken, and taken by those before it.
+
+    It is left out if that is most of it, or it is tiny.
+    """
+    kept = []
     for mask in masks:
         free = mask if taken is None else mask & ~taken
         area, left = int(mask.sum()), int(free.sum())

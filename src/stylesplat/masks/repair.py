@@ -4,29 +4,35 @@ A tracker takes one object for another, loses it, or finds it anew under another
 Gaussians of a splat all views meet, and outvote what single ones got wrong.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array, vstack
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from tqdm import tqdm
 
-from stylesplat.rendering.votes import label_votes, render_shares
+from stylesplat.masks.grouping import (
+    SMALL,
+    at_work,
+    group_parts,
+    mapped,
+    parts_of,
+    pixels_of,
+    resized,
+)
+from stylesplat.rendering.votes import render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
 
 ROUNDS = 3  # of votes of Gaussians for parts of label maps, and back
-SAME = 0.3  # IoU of two groups of parts, in what both sides see, from which they are one
-SIGHT = 0.2  # of the smaller part, that both views must see before their IoU says anything
 TWO = 0.25  # of a part of a label map, that must be another object for it to be cut
-LOST = 0.3  # of what an object covers in a view, below which the label map has missed it
+WHOLE = 0.5  # of what shows of an object, that is cut out of a part however large that is
+LOST = 0.7  # of what an object covers in a view, below which the label map has missed some of it
+NOTHING = 0.5  # how much a pixel of background counts: not to find an object is the usual mistake
 PRIOR = 0.02  # pixels of background that every Gaussian has seen
-SMALL = 5e-4  # of a photo: what is smaller in every one is no object
-FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 
 Labels = Int[Tensor, "H W"]
 
@@ -39,7 +45,7 @@ def repair(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Lab
     had: an id that went over to another object is cut, ids of one object become one. Then every
     part takes the group that the Gaussians vote for, as all other views see them; parts that show
     two objects are cut, objects that a view has missed are filled in. Borders stay where they
-    were drawn.
+    were drawn. What only one view shows is no object.
 
     Args:
         splats: A scene of the views; its labels do not matter.
@@ -49,152 +55,109 @@ def repair(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Lab
     Returns:
         New label maps; ids count from 1, larger objects first.
     """
-    maps = _grouped(splats, cameras, maps)
+    repaired = group_parts(splats, cameras, maps)
     for _ in range(ROUNDS):
-        before, maps = maps, _settled(splats, cameras, maps)
-        if all(map(torch.equal, before, maps)):
+        if not _settle(splats, cameras, repaired):
             break
-    return _renumbered(maps)
+    return _renumbered(repaired)
 
 
-def _grouped(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Labels]:
-    """Label maps whose ids are groups of parts that show the same Gaussians."""
-    numbered, rows, seen, view_of = [], [], [], []
-    for row, labels in enumerate(tqdm(maps, desc="what parts show", unit="photo")):
-        parts = _numbered(labels, first=len(view_of) + 1)
-        ids, votes = label_votes(splats, cameras, [(row, parts)])
-        pixels = votes.cpu().numpy()
-        root = np.sqrt(pixels.sum(axis=1))
-        own = pixels[:, [k for k, id in enumerate(ids) if id != BACKGROUND]]
-        rows.append(csr_array((np.where(own > FAINT, own, 0) / np.maximum(root, 1e-6)[:, None]).T))
-        seen.append(root)
-        view_of += [row] * own.shape[1]
-        numbered.append(parts)
-    if not view_of:
-        return list(maps)
-    group = _clusters(*_overlaps(csr_array(vstack(rows)), np.stack(seen), np.array(view_of)))
-    ids = {BACKGROUND: BACKGROUND} | {part: int(k) + 1 for part, k in enumerate(group, start=1)}
-    return [_mapped(parts, ids) for parts in numbered]
+def _settle(splats: Splats, cameras: Cameras, maps: list[Labels]) -> bool:
+    """Give every part of the label maps, in place, the id that all other views vote for.
 
-
-def _numbered(labels: Labels, first: int) -> Labels:
-    """Every connected part of a label map under a number of its own; tiny ones are dropped."""
-    numbers = torch.zeros_like(labels)
-    for id in labels.unique().tolist():
-        for part in _parts(labels == id) if id != BACKGROUND else ():
-            if part.sum() >= SMALL * part.numel():
-                numbers[part] = first
-                first += 1
-    return numbers
-
-
-def _overlaps(
-    parts: csr_array, seen: Float[np.ndarray, "V N"], view_of: Int[np.ndarray, " P"]
-) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, "P P"]]:
-    """Intersection and union of every two parts, in what both their views see.
-
-    Both are 0 where that is too little to say anything.
-
-    Args:
-        parts: What a part shows of every Gaussian: pixels, over the root of `seen` squared.
-        seen: Root of the pixels that a view shows of every Gaussian.
-        view_of: The view of every part.
+    Returns:
+        Whether that changed anything.
     """
-    both = (parts @ parts.T).toarray()
-    visible = np.asarray(parts @ seen.T)[:, view_of]  # [P, P]: of the row's, in the column's view
-    whole = visible.diagonal()
-    enough = np.minimum(visible, visible.T) >= SIGHT * np.minimum(whole[:, None], whole)
-    either = visible + visible.T - both
-    return np.where(enough, both, 0), np.where(enough, either, 0)
+    bar = tqdm(maps, desc="votes for ids", unit="photo")
+    votes = [pixels_of(splats, cameras[row], labels) for row, labels in enumerate(bar)]
+    ids = torch.tensor(sorted({id for some, _ in votes for id in some}))
+    columns = [torch.searchsorted(ids, torch.tensor(some)).numpy() for some, _ in votes]
+    total, views = np.zeros((len(splats), len(ids)), np.float32), np.zeros(len(ids), int)
+    for some, (_, own) in zip(columns, votes, strict=True):
+        total[:, some] += own.toarray()
+        views[some] += 1
+    total[:, views == 1] = 0  # what one view alone shows must not spread to others
+    changed = False
+    for row, (_, own) in enumerate(tqdm(votes, desc="checking ids in 3D", unit="photo")):
+        others = total.copy()
+        others[:, columns[row]] -= own.toarray()
+        shown, certainty = _shown(splats, cameras[row], others.clip(min=0), own.sum(axis=1) > 0)
+        settled = _voted(maps[row], ids[shown].to(maps[row]), certainty)
+        changed |= not torch.equal(settled, maps[row])
+        maps[row] = settled
+    return changed
 
 
-def _clusters(
-    both: Float[np.ndarray, "P P"], either: Float[np.ndarray, "P P"]
-) -> Int[np.ndarray, " P"]:
-    """Groups of parts: the two with the greatest IoU united, until none have enough."""
-    both, either = both.copy(), either.copy()
-    np.fill_diagonal(both, 0)
-    group = np.arange(len(both))
-    while True:
-        iou = both / np.maximum(either, 1e-9)
-        one, other = divmod(int(iou.argmax()), len(iou))
-        if iou[one, other] < SAME:
-            return np.unique(group, return_inverse=True)[1]
-        for table in (both, either):
-            table[one] += table[other]
-            table[:, one] += table[:, other]
-            table[other] = table[:, other] = 0
-        both[one, one] = 0
-        group[group == other] = one
-
-
-def _settled(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Labels]:
-    """Every part of a label map takes the id that all other views vote for."""
-    ids, votes = label_votes(splats, cameras, enumerate(maps))
-    known = torch.tensor(ids)
-    settled = []
-    for row, labels in enumerate(tqdm(maps, desc="checking ids in 3D", unit="photo")):
-        own_ids, own = label_votes(splats, cameras, [(row, labels)])
-        others = votes.clone()
-        others[:, [ids.index(id) for id in own_ids]] -= own
-        others = others.clamp(min=0)
-        others[:, ids.index(BACKGROUND)] += PRIOR
-        shares = others / others.sum(dim=1, keepdim=True)
-        shown = render_shares(splats, cameras[row], shares).cpu()
-        certainty, column = shown.max(dim=-1)
-        settled.append(_voted(labels, known[column], certainty))
-    return settled
+def _shown(
+    splats: Splats,
+    camera: Cameras,
+    votes: Float[np.ndarray, "N K"],
+    visible: Bool[np.ndarray, " N"],
+) -> tuple[Int[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """The column that most Gaussians in a pixel vote for, background first, and their share."""
+    votes[:, 0] = NOTHING * votes[:, 0] + PRIOR
+    shares = votes / votes.sum(axis=1, keepdims=True)
+    firsts = np.unique(shares[visible].argmax(axis=1))  # others win nowhere: less to render
+    columns = np.union1d([0], firsts)
+    asked = torch.from_numpy(shares[:, columns]).to(splats.means)
+    certainty, best = render_shares(splats, at_work(camera), asked).cpu().max(dim=-1)
+    width, height = camera.size
+    shown = resized(torch.from_numpy(columns)[best], (height, width))
+    return shown, resized(certainty, (height, width))
 
 
 def _voted(labels: Labels, shown: Labels, certainty: Float[Tensor, "H W"]) -> Labels:
     """A label map whose parts take the labels that show there, and the objects that it lacks."""
-    voted = labels.clone()
-    for id in labels.unique().tolist():
-        if id == BACKGROUND:
-            continue
-        for part in _parts(labels == id):
-            here, counts = shown[part].unique(return_counts=True)
-            objects = here != BACKGROUND
-            here, counts = here[objects], counts[objects]
-            if 2 * int(counts.sum()) < int(part.sum()):
-                continue  # the views know no better
-            large = here[counts >= TWO * counts.sum()]
-            if len(large) > 1:
-                cut = part & torch.isin(shown, large)
-                voted[cut] = shown[cut]
-            else:
-                voted[part] = here[counts.argmax()]
-    for id in shown.unique().tolist():
+    voted, pixels = labels.clone(), labels.numel()
+    areas = _areas(shown)
+    for _, box, part in parts_of(labels):
+        counts = _areas(shown[box][part])
+        counts.pop(BACKGROUND, None)
+        total = sum(counts.values())
+        if 2 * total < part.sum():
+            continue  # the views know no better
+        large = [
+            id
+            for id, count in counts.items()
+            if count >= TWO * total or count >= max(WHOLE * areas[id], SMALL * pixels)
+        ]
+        if len(large) > 1:
+            voted[box][part] = _nearest(
+                shown[box], part & torch.isin(shown[box], torch.tensor(large))
+            )[part]
+        else:
+            voted[box][part] = max(counts, key=lambda id: counts[id])
+    for id in areas:
         there = (shown == id) & (certainty > 0.5)
-        missing = there & (voted == BACKGROUND)
-        enough = there.sum() >= SMALL * there.numel()
-        if id != BACKGROUND and enough and (voted == id).sum() < LOST * there.sum():
-            voted[missing] = id
+        known = (there & (voted == id)).sum()
+        if id != BACKGROUND and there.sum() >= SMALL * pixels and known < LOST * there.sum():
+            voted[there & (voted == BACKGROUND)] = id
     return voted
 
 
-def _parts(mask: Bool[Tensor, "H W"]) -> Iterator[Bool[Tensor, "H W"]]:
-    """The connected parts of a mask."""
-    count, parts = cv2.connectedComponents(mask.numpy().astype(np.uint8))
-    for part in range(1, count):
-        yield torch.from_numpy(parts == part)
+def _areas(labels: Int[Tensor, "..."]) -> dict[int, int]:
+    ids, counts = labels.unique(return_counts=True)
+    return dict(zip(ids.tolist(), counts.tolist(), strict=True))
 
 
-def _renumbered(maps: list[Labels]) -> list[Labels]:
-    """Ids from 1, by size; what is tiny wherever it shows becomes background."""
-    sizes, largest = dict[int, int](), dict[int, float]()
+def _nearest(labels: Labels, known: Bool[Tensor, "H W"]) -> Labels:
+    """Where labels are not known, those of the nearest pixel where they are."""
+    nearest = distance_transform_edt(~known.numpy(), return_distances=False, return_indices=True)
+    assert nearest is not None  # so typed for calls that fill an array
+    y, x = torch.from_numpy(nearest).long()
+    return labels[y, x]
+
+
+def _renumbered(maps: Sequence[Labels]) -> list[Labels]:
+    """Ids from 1, by size; what is tiny wherever it shows, but for one view, is background."""
+    sizes, shares = dict[int, int](), dict[int, list[float]]()
     for labels in maps:
-        for id, count in zip(
-            *(each.tolist() for each in labels.unique(return_counts=True)), strict=True
-        ):
+        for id, count in _areas(labels).items():
             sizes[id] = sizes.get(id, 0) + count
-            largest[id] = max(largest.get(id, 0.0), count / labels.numel())
-    objects = [id for id in sizes if id != BACKGROUND and largest[id] >= SMALL]
+            shares.setdefault(id, []).append(count / labels.numel())
+    views = min(2, len(maps))
+    seen = {id: sum(share >= SMALL for share in each) for id, each in shares.items()}
+    objects = [id for id in sizes if id != BACKGROUND and seen[id] >= views]
     order = sorted(objects, key=lambda id: -sizes[id])
     new = dict.fromkeys(sizes, BACKGROUND) | {id: n for n, id in enumerate(order, start=1)}
-    return [_mapped(labels, new) for labels in maps]
-
-
-def _mapped(labels: Labels, ids: Mapping[int, int]) -> Labels:
-    found, where = labels.unique(return_inverse=True)
-    return torch.tensor([ids[id] for id in found.tolist()])[where]
+    return [mapped(labels, new) for labels in maps]

@@ -13,6 +13,7 @@ from stylesplat.scene.cameras import Cameras
 
 STRETCH = 5  # photos from one key photo, where objects are looked for, to the next
 WINDOW = 3  # photos that vote on what a key photo shows: itself and those after it
+FAR = 10.0  # for photos of another size to come last: the cameras' mean distance is 1
 PATIENCE = 3  # key photos in a row in which an object may be missed before it is given up
 
 Mask = Bool[Tensor, "H W"]
@@ -36,7 +37,7 @@ class State:
     """What is known between two stretches of photos."""
 
     known: Labels | None = None
-    """Objects that were followed into the next key photo."""
+    """Objects that were followed into the next key photo; no use if that is of another size."""
     missed: dict[int, int] = field(default_factory=dict)
     """In how many key photos in a row an object was not found again."""
     next_id: int = 1
@@ -57,19 +58,26 @@ def stretches(cameras: Cameras) -> list[list[int]]:
         if not same_size or len(part) == STRETCH + 1:
             parts.append(part)
             part = [row]
-    last = [part] if len(part) > 1 or not parts or parts[-1][-1] != part[0] else []
-    return [*parts, *last]
+    parts.append(part)
+    # A key photo alone, which the stretch before has labelled, is no stretch
+    return [part for k, part in enumerate(parts) if k == 0 or part != parts[k - 1][-1:]]
 
 
 def camera_path(cameras: Cameras) -> list[int]:
     """Rows in an order in which neighbours see much the same.
 
-    That of the files, as in a video, unless going to the nearest camera each time is shorter.
+    That of the files, as in a video, unless going to the nearest camera each time is shorter. To
+    a photo of another size it is far.
     """
     positions = cameras.positions.cpu().numpy()
     forward = cameras.viewmats[:, 2, :3].cpu().numpy()
     size = max(float(cdist(positions, positions.mean(axis=0)[None]).mean()), 1e-9)
-    steps = torch.from_numpy(cdist(positions, positions) / size + cdist(forward, forward))
+    sizes = cameras.sizes.numpy()
+    steps = torch.from_numpy(
+        cdist(positions, positions) / size
+        + cdist(forward, forward)
+        + (cdist(sizes, sizes) > 0) * FAR
+    )
     as_named = [*range(len(cameras))]
     greedy, left = [0], set(as_named[1:])
     while left:
@@ -96,13 +104,14 @@ def track(
         The label maps by row, and the state for the stretch that begins with the last row.
     """
     views = list(_hypotheses(rows[:WINDOW], segmenter))
-    known = {} if state.known is None else to_masks(state.known)
+    size = segmenter.size(rows[0])
+    same_size = state.known is not None and state.known.shape == size
+    known = to_masks(state.known) if state.known is not None and same_size else {}
     masks, seen = associate(known, confirmed(views), state.next_id)
     next_id = max([state.next_id - 1, *masks]) + 1
     missed = {id: 0 if id in seen else state.missed.get(id, 0) + 1 for id in masks}
     masks = {id: mask for id, mask in masks.items() if missed[id] < PATIENCE}
     followed = segmenter.follow(rows, masks) if masks else [{} for _ in rows]
-    size = segmenter.size(rows[0])
     maps = {row: to_labels(each, size) for row, each in zip(rows, followed, strict=True)}
     return maps, State(maps[rows[-1]], {id: missed[id] for id in masks}, next_id)
 
