@@ -52,6 +52,8 @@ def test_right_ids_stay_and_count_from_one_by_size():
         pytest.param(changed([1], red=BLUE), 0.98, id="one view merged"),
         pytest.param(changed([0, 3, 6], red=GREEN, blue=GREEN), 0.97, id="all one in three views"),
         pytest.param(changed([2, 6], red=0), 0.95, id="dropped in two views"),
+        # To be overlooked says less than to be found
+        pytest.param(changed([1, 2, 4, 5, 7], red=0), 0.95, id="dropped in five views"),
         pytest.param(changed([4], red=0, green=0, blue=0), 0.93, id="nothing found in a view"),
         pytest.param(changed(range(3), red=91, green=92, blue=93), 0.99, id="anew under other ids"),
         pytest.param(
@@ -141,6 +143,19 @@ def test_photos_larger_than_votes_are_counted_at():
     found = repair(PLAIN, cameras, maps)
     assert right_ids(maps, truth).right_pixels < 0.8 < 0.97 < right_ids(found, truth).right_pixels
     assert found[0].shape == truth[0].shape
+
+
+@pytest.mark.parametrize("row", range(8))
+def test_no_view_has_a_say_in_its_own_labels(row: int):
+    factor = 8  # so many more pixels along x and y than the other views have
+    Ks, sizes = CAMERAS.Ks.clone(), CAMERAS.sizes.clone()
+    Ks[row, :2] *= factor
+    sizes[row] *= factor
+    maps, truth = changed([row], red=GREEN, blue=GREEN), [*TRUTH]
+    for labels in (maps, truth):
+        labels[row] = resized(labels[row], (36 * factor, 48 * factor))
+    found = repair(PLAIN, replace(CAMERAS, Ks=Ks, sizes=sizes), maps)
+    assert right_ids(maps, truth).right_pixels < 0.65 < 0.9 < right_ids(found, truth).right_pixels
 
 
 def test_a_map_of_another_size_and_back():

@@ -13,7 +13,7 @@ from stylesplat.masks.associate import to_labels, to_masks
 from stylesplat.masks.track import Segmenter
 
 Mask = Bool[Tensor, "H W"]
-Labels = Int[Tensor, "H W"]
+OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Mistakes:
 
 
 def faulty_segmenter(
-    truth: Sequence[Labels], *, seed: int = 0, mistakes: Mistakes | None = None
+    truth: Sequence[OwnLabels], *, seed: int = 0, mistakes: Mistakes | None = None
 ) -> Segmenter:
     """A segmenter that knows the truth and spoils it.
 
@@ -81,7 +81,7 @@ def _halves(mask: Mask) -> list[Mask]:
     return [half for half in (left, mask & ~left) if half.any()]
 
 
-def _meant(mask: Mask, exact: Labels) -> list[int]:
+def _meant(mask: Mask, exact: Int[Tensor, "H W"]) -> list[int]:
     """The objects that most of the mask shows, or that it holds most of."""
     overlap = {
         id: (int((mask & each).sum()), int(each.sum())) for id, each in to_masks(exact).items()
@@ -91,5 +91,5 @@ def _meant(mask: Mask, exact: Labels) -> list[int]:
     ]
 
 
-def _union(labels: Labels, objects: Sequence[int]) -> Mask:
+def _union(labels: Int[Tensor, "H W"], objects: Sequence[int]) -> Mask:
     return torch.isin(labels, torch.tensor(objects, dtype=labels.dtype))

@@ -14,7 +14,7 @@ from stylesplat.scene.capture import BACKGROUND
 FOUND = 0.5  # IoU from which an object counts as found in a view
 
 Labels = Int[Tensor, "H W"]
-AnySize = Int[Tensor, "_ _"]
+OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class RightIds:
     """F1 of objects found under that id, over all views (Ristani et al. 2016)."""
 
 
-def right_ids(found: Sequence[AnySize], truth: Sequence[AnySize]) -> RightIds:
+def right_ids(found: Sequence[OwnLabels], truth: Sequence[OwnLabels]) -> RightIds:
     """Compare label maps whose ids differ.
 
     Every object is stood for by one id over all views, and every id stands for one object at

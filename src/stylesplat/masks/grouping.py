@@ -25,10 +25,11 @@ PHOTOS = 3  # in which groups of parts must have had the same id, for that to be
 FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 
 Labels = Int[Tensor, "H W"]
+OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
 Box = tuple[slice, slice]
 
 
-def group_parts(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Labels]:
+def group_parts(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) -> list[OwnLabels]:
     """Label maps whose ids are groups of connected parts that show the same Gaussians.
 
     Args:

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from stylesplat.masks.grouping import (
     SMALL,
+    OwnLabels,
     at_work,
     group_parts,
     mapped,
@@ -22,7 +23,7 @@ from stylesplat.masks.grouping import (
     pixels_of,
     resized,
 )
-from stylesplat.rendering.votes import render_shares
+from stylesplat.rendering.votes import PRIOR, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
@@ -32,13 +33,12 @@ TWO = 0.25  # of a part of a label map, that must be another object for it to be
 WHOLE = 0.5  # of what shows of an object, that is cut out of a part however large that is
 LOST = 0.7  # of what an object covers in a view, below which the label map has missed some of it
 NOTHING = 0.5  # how much a pixel of background counts: not to find an object is the usual mistake
-PRIOR = 0.02  # pixels of background that every Gaussian has seen
 
 Labels = Int[Tensor, "H W"]
 
 
 @torch.no_grad()
-def repair(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Labels]:
+def repair(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) -> list[OwnLabels]:
     """Make the ids of label maps agree over all views.
 
     Connected parts of label maps are grouped by the Gaussians that they show, whatever ids they
@@ -62,7 +62,7 @@ def repair(splats: Splats, cameras: Cameras, maps: Sequence[Labels]) -> list[Lab
     return _renumbered(repaired)
 
 
-def _settle(splats: Splats, cameras: Cameras, maps: list[Labels]) -> bool:
+def _settle(splats: Splats, cameras: Cameras, maps: list[OwnLabels]) -> bool:
     """Give every part of the label maps, in place, the id that all other views vote for.
 
     Returns:
@@ -148,7 +148,7 @@ def _nearest(labels: Labels, known: Bool[Tensor, "H W"]) -> Labels:
     return labels[y, x]
 
 
-def _renumbered(maps: Sequence[Labels]) -> list[Labels]:
+def _renumbered(maps: Sequence[OwnLabels]) -> list[OwnLabels]:
     """Ids from 1, by size; what is tiny wherever it shows, but for one view, is background."""
     sizes, shares = dict[int, int](), dict[int, list[float]]()
     for labels in maps:

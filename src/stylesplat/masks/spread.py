@@ -13,6 +13,7 @@ from tqdm import tqdm
 from stylesplat.masks.grabcut import Box, Evidence, Look, Stroke, cut_box, evidence, refine
 from stylesplat.rendering.contributed import contributed
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.votes import PRIOR
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
@@ -20,7 +21,6 @@ from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 GROWTH = 2  # times as many views after each round of spreading
 SETTLING = 2  # rounds over all views at most
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
-PRIOR = 0.02  # pixels of background that every Gaussian has seen
 CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is news
 FAINT = 0.05  # coverage of a pixel below which its depth means nothing
 

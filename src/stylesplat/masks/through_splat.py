@@ -7,12 +7,11 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.masks.associate import to_labels, to_masks
-from stylesplat.rendering.votes import label_votes, render_shares
+from stylesplat.rendering.votes import PRIOR, label_votes, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
 
-PRIOR = 0.02  # pixels of background that every Gaussian has seen
 SURE = 0.3  # of a pixel, that an object must make up to be taken for what shows there
 
 Mask = Bool[Tensor, "H W"]

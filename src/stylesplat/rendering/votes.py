@@ -14,6 +14,7 @@ from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 
 AT_ONCE = IDENTITY_SIZE  # columns in one pass, whatever they are: kernels are compiled for these
 NOBODY = -1  # no label
+PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
 
 
 @torch.no_grad()

@@ -10,12 +10,11 @@ from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend
-from stylesplat.rendering.votes import label_votes
+from stylesplat.rendering.votes import PRIOR, label_votes
 from stylesplat.scene.capture import BACKGROUND, Capture
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
-PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
 REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
 MANY = 2048  # classes beyond which they stay where chance put them
 

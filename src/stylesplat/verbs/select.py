@@ -93,16 +93,10 @@ def select_object(
     scene = read_scene(path)
     without = _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
-    taken = [find_object(scene, each) for each in choice.minus]
-    if without:  # with their strays
-        taken += pick_objects(
-            scene.splats, without, threshold=threshold, remove_outliers=False
-        ).values()
     named, scores = _ids(scene, choice), {}
     if choice.text is not None:
         scores = _scores(scene, choice.text, model, without)
-        called = {id: object for object, how in scene.objects.items() for id in how.get("ids", [])}
-        named += (clear_winner(scores, choice.text, called),)
+        named += (_winner(scene, scores, choice.text),)
     ids = tuple(id for id in dict.fromkeys(named) if id not in without)
     if ids:
         picked = select(
@@ -115,7 +109,7 @@ def select_object(
             "--sphere or --plus; --not-point only takes away."
         )
     mask = torch.stack(masks).any(dim=0)
-    for each in taken:
+    for each in _taken_away(scene, choice, without, threshold):
         mask &= ~each
     if not mask.any():
         raise StyleSplatError(f"Nothing is left of {name!r}. Take away less.")
@@ -127,6 +121,24 @@ def select_object(
         say(f"{name!r} meant {int(scene.picks[name].sum()):,} Gaussians before.")
     update_scene(path, picks=scene.picks | {name: mask}, objects=scene.objects | {name: how})
     return {"name": name, **how, "picture": _draw(scene, path, name, mask)}
+
+
+def _taken_away(
+    scene: Scene, choice: Choice, without: Sequence[int], threshold: float
+) -> Iterator[Bool[Tensor, " N"]]:
+    """Gaussians that are not meant, with their strays."""
+    for name in choice.minus:
+        yield find_object(scene, name)
+    if without:
+        splats = scene.splats
+        yield from pick_objects(
+            splats, without, threshold=threshold, remove_outliers=False
+        ).values()
+
+
+def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:
+    called = {id: name for name, how in scene.objects.items() for id in how.get("ids", [])}
+    return clear_winner(scores, text, called)
 
 
 def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
