@@ -15,11 +15,10 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.selection.margins import solid
-from stylesplat.stylization.views import coverage, evenly
+from stylesplat.stylization.views import SURVEY_SIZE, coverage, evenly
 
 VIEWS = 3  # of an object
 SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
-SURVEY_SIZE = 160  # pixels along the longer side of these renders
 MOST = 0.5  # of what the fullest image has of an object, from which others are searched too
 SAMPLE = 1000  # points of an object that are projected into every image
 
@@ -93,7 +92,7 @@ def visibility(shown: Bool[Tensor, "h w"]) -> float:
 
 def small(camera: Cameras) -> Cameras:
     """The same camera, for a render in which objects are only looked for."""
-    return camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
+    return camera.at_most(SURVEY_SIZE)
 
 
 def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:

@@ -14,7 +14,6 @@ from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.best_views import (
-    SURVEY_SIZE,
     VIEWS,
     find_views,
     small,
@@ -28,7 +27,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, object_ids, render_labels
 from stylesplat.selection.margins import solid
 from stylesplat.selection.pick import pick_objects
-from stylesplat.stylization.views import evenly
+from stylesplat.stylization.views import SURVEY_SIZE, evenly
 
 CELL = 256  # pixels along a cut-out
 GAP = 8  # pixels between the cut-outs of one object

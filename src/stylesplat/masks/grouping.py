@@ -68,7 +68,7 @@ def pixels_of(splats: Splats, camera: Cameras, labels: Labels) -> tuple[tuple[in
 
 def at_work(camera: Cameras) -> Cameras:
     """A camera of a size that is enough to tell what it shows."""
-    return camera.downscale(max(1.0, max(camera.size) / SIDE))
+    return camera.at_most(SIDE)
 
 
 def resized(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[Tensor, "h w"]:

@@ -99,6 +99,14 @@ class Cameras:
         Ks[:, :2] *= ratio[:, :, None].to(Ks)
         return replace(self, Ks=Ks, sizes=sizes.to(self.sizes.dtype))
 
+    def shrink_to(self, length: int) -> float:
+        """The factor by which to downscale, so that no side has more than so many pixels."""
+        return max(1.0, float(self.sizes.max()) / length)
+
+    def at_most(self, length: int) -> "Cameras":
+        """The same cameras, for images whose sides have at most so many pixels."""
+        return self.downscale(self.shrink_to(length))
+
     def to(self, device: torch.device | str) -> "Cameras":
         """The same cameras on another device; `sizes` stay on the CPU."""
         return replace(self, viewmats=self.viewmats.to(device), Ks=self.Ks.to(device))

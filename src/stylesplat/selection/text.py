@@ -55,8 +55,7 @@ def rank_objects(
 
     def looked_at() -> Iterator[tuple[Int[Tensor, "H W"], Detections]]:
         for row in tqdm(spread_rows(cameras, VIEWS), "look for it", unit="view"):
-            camera = cameras[row]
-            camera = camera.downscale(max(1.0, max(camera.size) / LONGER_SIDE))
+            camera = cameras[row].at_most(LONGER_SIDE)
             labels = render_labels(splats, camera, backend=backend).cpu()
             yield labels, detector.detect(_picture(splats, camera, backend), phrase)
 

@@ -99,7 +99,7 @@ def warped_difference(a: Look, b: Look) -> Float[Tensor, "P 6"]:
 def _look(
     base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"], backend: Backend
 ) -> Look:
-    small = camera.downscale(max(1.0, max(camera.size) / LONGER_SIDE)).to(base.device)
+    small = camera.at_most(LONGER_SIDE).to(base.device)
     row = small.viewmats[0, 2].to(base.means)
     mine = picked.to(base.means)
     features = torch.stack([mine, mine * (base.means @ row[:3] + row[3])], dim=1)

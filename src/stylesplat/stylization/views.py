@@ -89,7 +89,7 @@ def find_boxes(
     boxes = []
     for index in tqdm(range(len(cameras)), desc="looking for the object", leave=False):
         camera = cameras[index]
-        small = camera.downscale(max(1.0, max(camera.size) / SURVEY_SIZE))
+        small = camera.at_most(SURVEY_SIZE)
         covered = coverage(splats, small, picked, backend=backend) > COVERED
         if covered.any():
             ratio = camera.sizes[0] / small.sizes[0]

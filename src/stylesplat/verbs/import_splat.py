@@ -17,7 +17,6 @@ from stylesplat.io.load import open_capture
 from stylesplat.io.scene_folder import SCENE, Scene, write_scene
 from stylesplat.io.splat_files import read_splats
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames, seen_from
 from stylesplat.scene.ring import ring_cameras
@@ -83,9 +82,9 @@ def import_splat(
     else:
         splats = splats.to(pick_device(device))
         files = open_capture(capture_path, masks=masks)
-        _check_fit(splats, path, files.at(_shrink(files.cameras, CHECK_SIZE)), frame)
+        _check_fit(splats, path, files.at(files.cameras.shrink_to(CHECK_SIZE)), frame)
         cameras = seen_from(files.cameras, known_frames(files.cameras)[frame])
-        shrink = _shrink(cameras, WORKING_SIZE)
+        shrink = cameras.shrink_to(WORKING_SIZE)
         capture = replace(files.at(shrink), cameras=cameras.downscale(shrink))
         splats, found = _with_labels(splats, capture)
         metrics |= found
@@ -148,10 +147,6 @@ def _check_fit(splats: Splats, path: Path, small: Capture, frame: FrameName) -> 
     raise StyleSplatError(
         f"{fault}. Give the capture that it was made from, or leave out the capture."
     )
-
-
-def _shrink(cameras: Cameras, size: int) -> float:
-    return max(1.0, float(cameras.sizes.max()) / size)
 
 
 def _direction(up: Up) -> torch.Tensor:

@@ -34,7 +34,7 @@ class Working:
 def working_capture(path: Path, size: int) -> Capture:
     """A capture whose photos are at most so many pixels long, its label maps left out."""
     files = open_capture(path, masks=False)
-    return files.at(max(1.0, float(files.cameras.sizes.max()) / size))
+    return files.at(files.cameras.shrink_to(size))
 
 
 def with_splat(path: Path, capture: Capture, scene_path: Path | None, device: str) -> Working:
