@@ -23,7 +23,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import load_vgg
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.train import train_scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -31,21 +31,22 @@ from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.evaluation.style import measure_style
 from stylesplat.io.scene_folder import Scene, read_scene
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import select
-from stylesplat.stylization.config import COARSE, SIZES, Network, StyleConfig
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
-from stylesplat.stylization.loop import open_studio
 from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.paint_objects import open_studio
 from stylesplat.stylization.repaint import StyleJob, object_views, repaint, see_object
-from stylesplat.stylization.report import measure_style
+from stylesplat.stylization.style_config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import resize, style_features
-from stylesplat.stylization.views import ObjectView, evenly
 from stylesplat.verbs.recipe import StyledObject
 from stylesplat.verbs.stylize import stylize_scene, working_views
 

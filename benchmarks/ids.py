@@ -15,18 +15,19 @@ from dataclasses import replace
 
 import torch
 from bench import OUT, calibration_ms, machine, table
+from faulty_segmenter import Mistakes, faulty_segmenter
 from jaxtyping import Int
+from right_ids import right_ids
 from torch import Tensor
 
 import stylesplat as ss
-from stylesplat.demo.capture import demo_capture
+from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.faults import FaultConfig
-from stylesplat.demo.segmenter import Mistakes, faulty_segmenter
-from stylesplat.evaluation.right_ids import right_ids
-from stylesplat.masks.associate import to_labels
-from stylesplat.masks.repair import repair
-from stylesplat.masks.track import Segmenter, State, stretches, track
-from stylesplat.scene.capture import BACKGROUND, Capture
+from stylesplat.masks.ids.repair import repair
+from stylesplat.masks.models.associate import to_labels
+from stylesplat.masks.models.track import Segmenter, State, stretches, track
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import BACKGROUND
 from stylesplat.training.loop import fit
 from stylesplat.verbs.working import QUICK
 

@@ -19,17 +19,17 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 import stylesplat as ss
+from stylesplat.evaluation.measure import changes
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import select
-from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.loop import StyleJob, stylize_objects
-from stylesplat.stylization.measure import changes
 from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.paint_objects import StyleJob, stylize_objects
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import style_features
 from stylesplat.verbs.stylize import working_views
 

@@ -27,13 +27,13 @@ from bench import (
 )
 
 import stylesplat as ss
-from stylesplat.demo.capture import demo_capture
-from stylesplat.evaluation.metrics import evaluate_views
+from stylesplat.demo.demo_capture import demo_capture
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.scene_folder import read_scene
-from stylesplat.io.splat_ply import write_splat_ply
+from stylesplat.io.splats.splat_ply import write_splat_ply
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.lifting import lift
-from stylesplat.training.views import split_views
+from stylesplat.training.lifting import lift
+from stylesplat.training.training_views import split_views
 from stylesplat.verbs.import_splat import import_splat
 
 GAUSSIANS, MANY = 50_000, 1_000_000

@@ -15,17 +15,18 @@ import torch
 import tyro
 from bench import OUT, STYLES, style_network, trained_scene
 
-from stylesplat.evaluation.pictures import to_uint8
+from stylesplat.drawing.pictures import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import select
-from stylesplat.stylization.config import PRESETS
-from stylesplat.stylization.loop import stylize
-from stylesplat.stylization.pictures import read_style
-from stylesplat.stylization.views import Box, crop, find_boxes
+from stylesplat.stylization.object_views import Box, find_boxes
+from stylesplat.stylization.paint_objects import stylize
+from stylesplat.stylization.style_config import PRESETS
+from stylesplat.stylization.style_images import read_style
 from stylesplat.verbs.stylize import working_views
 
 PAINTINGS = ("van_gogh_starry_night_1024", "kandinsky_composition_vii_1071")

@@ -19,9 +19,9 @@ import torch
 from bench import DATA, calibration_ms, capture, machine, table
 
 import stylesplat as ss
-from stylesplat.masks.grabcut import Box
+from stylesplat.masks.boxes.grabcut import Box
 from stylesplat.scene.capture import Capture
-from stylesplat.stylization.views import evenly
+from stylesplat.scene.sampling import evenly
 from stylesplat.verbs.mask_boxes import mask_boxes
 
 MARGIN = 0.01  # of a photo's width, between an object and its box

@@ -14,11 +14,12 @@ import tyro
 from bench import OUT, machine, table
 
 import stylesplat as ss
-from stylesplat.demo.capture import demo_capture
-from stylesplat.evaluation.metrics import LabelPairs, evaluate_views, object_iou
+from stylesplat.demo.demo_capture import demo_capture
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.files import read_json
+from stylesplat.metrics.iou import LabelPairs, object_iou
 from stylesplat.scene.capture import Capture
-from stylesplat.training.views import split_views
+from stylesplat.training.training_views import split_views
 
 
 @dataclass(frozen=True)

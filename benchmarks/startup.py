@@ -23,7 +23,7 @@ import stylesplat as ss
 from stylesplat.demo.still_life import dome_cameras
 from stylesplat.rendering.kernels.compiling import announce_compilation
 from stylesplat.scene.capture import Capture
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.loop import fit
 imported = time.perf_counter()
 announce_compilation()

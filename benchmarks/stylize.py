@@ -33,25 +33,26 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
+from stylesplat.evaluation.measure import object_nnfm
+from stylesplat.evaluation.style import LENGTH
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering import cpu
-from stylesplat.rendering.contributions import contributions
 from stylesplat.rendering.kernels import blend, blend_backward
+from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import select
-from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.loop import stylize_live, stylize_objects
 from stylesplat.stylization.matching import StyleIndex, nearest
-from stylesplat.stylization.measure import object_nnfm
 from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
+from stylesplat.stylization.paint_objects import stylize_live, stylize_objects
 from stylesplat.stylization.repaint import Studio, StyleJob, repaint
-from stylesplat.stylization.report import LENGTH
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import style_features
-from stylesplat.stylization.views import cut_views, evenly, find_boxes, typical_length
 from stylesplat.verbs.stylize import working_views
 
 FOX, SHIELD = 1, 2  # label ids
@@ -157,7 +158,7 @@ def shortcuts(bench: Bench) -> str:
         name: str, dtype: torch.dtype, room: float, *, compressed: bool
     ) -> tuple[str, float, float]:
         cameras = bench.training
-        studio = Studio(bench.splats, cameras, cameras, bench.network, dtype, room, "auto")
+        studio = Studio(bench.splats, cameras, cameras, bench.network, dtype, room)
         search = StyleIndex.nearest if compressed else exhaustive
         with patch.object(StyleIndex, "nearest", search):
             start = time.perf_counter()

@@ -6,11 +6,11 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS
+from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.transforms import write_transforms
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.selection.labels import render_labels
+from stylesplat.selection.identities import render_labels
 
 
 def write_ball_capture(folder: Path, cameras: Cameras = CAMERAS, *, masks: bool = True) -> Path:

@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Any
 from stylesplat.runtime import tune_runtime
 
 if TYPE_CHECKING:
+    from stylesplat.drawing.browser import view
     from stylesplat.errors import StyleSplatError
-    from stylesplat.exporter import export
-    from stylesplat.io.load import load
+    from stylesplat.verbs.export import export
+    from stylesplat.io.captures.capture_folder import load
     from stylesplat.masks.attach import mask
     from stylesplat.rendering.rasterize import rasterize as render
     from stylesplat.scene.cameras import Cameras
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.splats import Splats
     from stylesplat.selection.pick import select
-    from stylesplat.stylization.loop import stylize
+    from stylesplat.stylization.paint_objects import stylize
     from stylesplat.training.loop import train
-    from stylesplat.viewer.view import view
 
 __all__ = [
     "Cameras",
@@ -54,7 +54,7 @@ _HOMES = {
     "Capture": "scene.capture",
     "Splats": "scene.splats",
     "StyleSplatError": "errors",
-    "export": "exporter",
+    "export": "verbs.export",
     "load": "io.load",
     "mask": "masks.attach",
     "render": "rendering.rasterize",

@@ -10,10 +10,10 @@ from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_named_box
 from stylesplat.errors import StyleSplatError
-from stylesplat.exporter import export
+from stylesplat.verbs.export import export
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import read_scene
-from stylesplat.selection.labels import render_labels
+from stylesplat.selection.identities import render_labels
 from stylesplat.verbs.select import Choice, select_object
 
 BOX = "vase=0001.jpg:6,8,23,24"
@@ -22,7 +22,7 @@ QUICK = ("--features", "compact", "--steps", 1, "--pattern", "large", "--max-gro
 
 @pytest.fixture(autouse=True)
 def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stylesplat.stylization.report.LENGTH", 72.0)
+    monkeypatch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
 
 
 def run(*arguments: object) -> int:

@@ -9,11 +9,11 @@ from PIL import Image
 
 from balls import CAMERAS
 from stylesplat.cli import main
+from stylesplat.drawing.grid import CAPTION, HEAD
+from stylesplat.drawing.object_sheet import CELL, MARGIN
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.grid import CAPTION, HEAD
-from stylesplat.evaluation.sheet import CELL, MARGIN
-from stylesplat.io.photos import read_image
-from stylesplat.stylization.config import PRESETS
+from stylesplat.io.captures.photos import read_image
+from stylesplat.stylization.style_config import PRESETS
 from stylesplat.verbs import sheet as verb
 from stylesplat.verbs.settings import parse_variation
 from stylesplat.verbs.sheet import plan_sheet

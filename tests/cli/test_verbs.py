@@ -12,10 +12,10 @@ from PIL import Image
 from balls import CAMERAS, SPLATS
 from color_detector import ColorDetector
 from stylesplat.cli import main
+from stylesplat.io.captures.photos import read_image
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import read_scene
-from stylesplat.io.splat_ply import read_splat_ply
+from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.selection.pick import select
 from tiny_captures import HEIGHT, WIDTH, write_capture
 
@@ -25,7 +25,7 @@ SPLIT = ("sh0", "shN", "scales", "opacities")  # what a Gaussian that is split a
 
 @pytest.fixture(autouse=True)
 def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stylesplat.stylization.report.LENGTH", 72.0)
+    monkeypatch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
 
 
 def run(*arguments: object) -> int:
@@ -68,7 +68,7 @@ def test_train_continues_from_its_checkpoint(
 
     out, real = tmp_path / "scene", train.fit
 
-    def interrupted(*args, on_progress, **kwargs):
+    def interrupted(*args, **kwargs):
         def stop(state, loss, psnr):
             if state.step == 5:
                 import signal
@@ -101,7 +101,7 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
     assert by_id["ids"] == [3] and by_id["gaussians"] == 80
     assert read_image(by_id["picture"]).shape[1] > 3 * 480, "three views of it"
     labels = read_scene(scene)
-    from stylesplat.selection.labels import render_labels
+    from stylesplat.selection.identities import render_labels
 
     y, x = (render_labels(labels.splats, CAMERAS[2]) == 7).nonzero().median(dim=0).values.tolist()
     place = f"{CAMERAS.names[2]}:{x},{y}"

@@ -8,8 +8,8 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.load import load
 from stylesplat.masks.attach import mask
 from stylesplat.scene.capture import Capture
 

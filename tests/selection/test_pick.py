@@ -7,7 +7,7 @@ from balls import CAMERAS, CLASSIFIER, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import class_probabilities, object_ids, render_labels
+from stylesplat.selection.identities import class_probabilities, object_ids, render_labels
 from stylesplat.selection.pick import resolve_ids, select
 
 

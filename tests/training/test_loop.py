@@ -12,11 +12,11 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.training import loop
-from stylesplat.training.config import TrainConfig
 from stylesplat.training.initialize import first_splats, label_ids, scene_extent, seen_together
 from stylesplat.training.loop import fit, train
 from stylesplat.training.schedule import gaussian_count, photo_downscale, sh_degree
-from stylesplat.training.views import split_views
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import split_views
 
 CONFIG = TrainConfig(steps=60, max_gaussians=400, refine_every=20)
 
@@ -64,7 +64,7 @@ def test_held_out_views_get_better(capture: Capture):
     start = first_splats(
         capture, sh_degree=3, max_gaussians=400, generator=torch.Generator().manual_seed(0)
     )
-    trained = train(capture, replace(CONFIG, steps=200), device="cpu", progress=False)
+    trained = train(capture, replace(CONFIG, steps=200), device="cpu")
     _, held_out = split_views(capture, CONFIG.test_every)
     for row in held_out:
         assert error(trained, capture, row) < 0.5 * error(start, capture, row)
@@ -72,7 +72,7 @@ def test_held_out_views_get_better(capture: Capture):
 
 
 def test_identities_learn_the_labels(capture: Capture):
-    trained = train(capture, CONFIG, device="cpu", progress=False, steps=600)
+    trained = train(capture, CONFIG, device="cpu", steps=600)
     assert trained.classifier is not None and trained.classifier.ids == (0, 3, 7)
     image = rasterize(trained, capture.cameras[0], features=trained.identities)[0][0, ..., 3:]
     classes = trained.classifier.logits(image).argmax(-1)
@@ -84,9 +84,7 @@ def test_identities_learn_the_labels(capture: Capture):
 
 
 def test_same_seed_same_splats(capture: Capture):
-    one, other, third = (
-        train(capture, CONFIG, device="cpu", progress=False, seed=seed) for seed in (1, 1, 2)
-    )
+    one, other, third = (train(capture, CONFIG, device="cpu", seed=seed) for seed in (1, 1, 2))
     for name, tensor in one.tensors().items():
         assert torch.equal(tensor, other.tensors()[name]), name
     assert not torch.equal(one.means, third.means)
@@ -125,7 +123,7 @@ def test_max_seconds_ends_the_run(capture: Capture):
 
 def test_works_without_label_maps_and_points(capture: Capture):
     bare = replace(capture, label_maps=None, points=None, point_colors=None)
-    trained = train(bare, CONFIG, device="cpu", progress=False, steps=5, max_gaussians=30_000)
+    trained = train(bare, CONFIG, device="cpu", steps=5, max_gaussians=30_000)
     assert trained.identities is None and trained.classifier is None
     assert len(trained) > 1000
 
@@ -133,7 +131,7 @@ def test_works_without_label_maps_and_points(capture: Capture):
 def test_photos_without_a_label_map_train_colour_only(capture: Capture):
     assert capture.label_maps is not None
     some = replace(capture, label_maps=[capture.label_maps[0], *[None] * (len(capture) - 1)])
-    assert train(some, CONFIG, device="cpu", progress=False, steps=10).identities is not None
+    assert train(some, CONFIG, device="cpu", steps=10).identities is not None
 
 
 def test_cameras_that_share_no_view_are_refused():

@@ -7,8 +7,8 @@ import torch
 from ball_photos import write_ball_capture
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.exporter import export
-from stylesplat.io import load as load_module
+from stylesplat.verbs.export import export
+from stylesplat.io.captures import capture_folder as load_module
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.scene.frames import known_frames
 from stylesplat.selection.pick import select
@@ -65,11 +65,11 @@ def test_a_capture_is_read_once(
     assert reads == [capture]
 
 
-def test_without_photos(splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_without_photos(splat: Path, tmp_path: Path, said: list[str]):
     out = tmp_path / "scene"
     metrics = import_splat(splat, out, up="z", device="cpu")
     assert metrics.keys() == {"gaussians", "seconds"}
-    assert "36 views around the content" in capsys.readouterr().err
+    assert "36 views around the content" in "\n".join(said)
     scene = read_scene(out)
     assert len(scene.cameras) == 36
     select_object(out, "red", Choice(box3d=(-1.1, -0.4, 0.02, -0.3, 0.4, 0.7)))

@@ -11,16 +11,16 @@ import torch
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
+from stylesplat.io.captures.photos import read_image
 from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map
-from stylesplat.io.load import load
-from stylesplat.io.photos import read_image
 from stylesplat.io.scene_folder import Scene, write_scene
-from stylesplat.masks import spread as spread_module
-from stylesplat.masks.grabcut import Box, Stroke
+from stylesplat.masks.boxes import spread as spread_module
+from stylesplat.masks.boxes.grabcut import Box, Stroke
 from stylesplat.scene.capture import Capture
-from stylesplat.selection.labels import render_labels
-from stylesplat.training.config import TrainConfig
+from stylesplat.selection.identities import render_labels
 from stylesplat.training.state import State
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs import mask_boxes as verb
 from stylesplat.verbs import working
 from stylesplat.verbs.mask import PREVIEW, import_masks
@@ -123,7 +123,7 @@ def test_boxes_of_one_object_in_two_photos(capture: Path, scene: Path):
 
 
 def test_a_splat_is_trained_where_there_is_none(
-    capture: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capture: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
     real, configs = working.fit, []
 
@@ -134,7 +134,7 @@ def test_a_splat_is_trained_where_there_is_none(
     monkeypatch.setattr(working, "fit", short)
     found = mask_boxes(capture, [VASE], device="cpu")
     assert configs == [working.QUICK]
-    assert "Training a quick splat" in capsys.readouterr().err
+    assert "Training a quick splat" in "\n".join(said)
     assert found["ids"] == [1]
     assert agreement(capture, 1, 3)[1] > 0.7, "too short for more than the photo with the box"
 

@@ -4,16 +4,16 @@ from pathlib import Path
 
 import pytest
 import torch
+from right_ids import right_ids
 from torch import Tensor
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.right_ids import right_ids
-from stylesplat.io.load import load
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import Scene, write_scene
-from stylesplat.masks.associate import to_masks
-from stylesplat.selection.labels import render_labels
+from stylesplat.masks.models.associate import to_masks
+from stylesplat.selection.identities import render_labels
 from stylesplat.verbs import mask_models
 from stylesplat.verbs.mask_models import mask_with_model
 from stylesplat.verbs.mask_progress import Progress
@@ -99,28 +99,30 @@ def test_without_a_follower_the_splat_carries_masks(
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.8
 
 
-def test_an_interrupted_run_goes_on(capture: Path, scene: Path, scripted: Scripted, capsys):
+def test_an_interrupted_run_goes_on(
+    capture: Path, scene: Path, scripted: Scripted, said: list[str]
+):
     scripted.stop_after = 4  # in the second stretch: the first asks about three photos
     with pytest.raises(KeyboardInterrupt):
         mask_with_model(capture, "sam2", scene=scene, device="cpu")
     assert not (capture / "object_mask").exists()
     before, scripted.asked, scripted.stop_after = scripted.asked, [], 10**6
     found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
-    assert "Continuing from" in capsys.readouterr().err
+    assert "Continuing from" in "\n".join(said)
     assert found["ids"] == [1, 2, 3]
     assert not set(before) & set(scripted.asked), "proposals are found once"
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
 
 
 def test_a_run_with_other_settings_begins_anew(
-    capture: Path, scene: Path, scripted: Scripted, capsys
+    capture: Path, scene: Path, scripted: Scripted, said: list[str]
 ):
     scripted.stop_after = 4
     with pytest.raises(KeyboardInterrupt):
         mask_with_model(capture, "sam2", scene=scene, device="cpu")
     scripted.asked, scripted.stop_after = [], 10**6
     mask_with_model(capture, "edgetam", scene=scene, device="cpu")
-    assert "beginning anew" in capsys.readouterr().err
+    assert "beginning anew" in "\n".join(said)
     assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked
 
 
@@ -187,11 +189,11 @@ def test_damaged_results_are_found_again(capture: Path, scene: Path, scripted: S
     assert found["ids"] == [1, 2, 3]
 
 
-def test_other_photos_begin_anew(capture: Path, scene: Path, scripted: Scripted, capsys):
+def test_other_photos_begin_anew(capture: Path, scene: Path, scripted: Scripted, said: list[str]):
     interrupted(capture, scene, scripted)
     (capture / "images" / CAMERAS.names[0]).touch()
     mask_with_model(capture, "sam2", scene=scene, device="cpu")
-    assert "beginning anew" in capsys.readouterr().err and 0 in scripted.asked
+    assert "beginning anew" in "\n".join(said) and 0 in scripted.asked
 
 
 def test_photos_without_proposals_are_asked_once(tmp_path: Path):

@@ -9,11 +9,11 @@ import torch
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from stylesplat.exporter import export
+from stylesplat.verbs.export import export
 from stylesplat.io.label_maps import write_names
 from stylesplat.io.scene_folder import Scene, read_scene
 from stylesplat.selection.pick import select
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.import_splat import import_splat
 from stylesplat.verbs.objects import can_be_called, find_object, list_objects, with_names
 from stylesplat.verbs.train import train_scene
@@ -46,17 +46,15 @@ def check_names(folder: Path, said: str) -> None:
     assert "Object 300 is not called '3'. `stylesplat select` names it." in said
 
 
-def test_an_imported_splat(
-    capture: Path, splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_an_imported_splat(capture: Path, splat: Path, tmp_path: Path, said: list[str]):
     import_splat(splat, tmp_path / "scene", capture_path=capture, device="cpu")
-    check_names(tmp_path / "scene", capsys.readouterr().err)
+    check_names(tmp_path / "scene", "\n".join(said))
 
 
-def test_a_trained_scene(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_trained_scene(capture: Path, tmp_path: Path, said: list[str]):
     config = TrainConfig(steps=100, max_gaussians=1000)
     train_scene(capture, tmp_path / "scene", config=config, segment="lift", device="cpu")
-    check_names(tmp_path / "scene", capsys.readouterr().err)
+    check_names(tmp_path / "scene", "\n".join(said))
 
 
 def test_a_scene_without_objects_needs_no_names():
@@ -65,16 +63,16 @@ def test_a_scene_without_objects_needs_no_names():
     assert named.picks == {} and named.objects == {}
 
 
-def test_names_of_nothing_are_left_out(capsys: pytest.CaptureFixture[str]):
+def test_names_of_nothing_are_left_out(said: list[str]):
     named = with_names(Scene(SPLATS, CAMERAS), {0: "background", 3: "vase", 99: "lost"})
     assert [*named.picks] == ["vase"]
-    assert capsys.readouterr().err == "", "no photo shows what no label map has"
+    assert said == [], "no photo shows what no label map has"
 
 
-def test_a_name_of_two_objects_is_that_of_the_first(capsys: pytest.CaptureFixture[str]):
+def test_a_name_of_two_objects_is_that_of_the_first(said: list[str]):
     named = with_names(Scene(SPLATS, CAMERAS), {3: "cup", 7: "cup"})
     assert named.objects["cup"]["ids"] == [3]
-    assert "Object 7 is not called 'cup'" in capsys.readouterr().err
+    assert "Object 7 is not called 'cup'" in "\n".join(said)
 
 
 def test_names_that_can_be_and_cannot():

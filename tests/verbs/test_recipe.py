@@ -10,7 +10,7 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import write_json
-from stylesplat.stylization.config import PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
 from stylesplat.verbs.recipe import TOP_KEYS, Recipe, read_recipe
 
 DEFAULTS = StyleConfig(steps=7, seed=5)

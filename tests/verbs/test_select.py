@@ -7,9 +7,9 @@ import torch
 from balls import BALLS, CAMERAS, SPLATS
 from color_detector import ColorDetector
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.photos import read_image
+from stylesplat.io.captures.photos import read_image
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
-from stylesplat.selection.labels import render_labels
+from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import select
 from stylesplat.verbs import select as verb
 from stylesplat.verbs.objects import list_objects
@@ -122,7 +122,7 @@ def test_no_two_names_share_a_picture(scene: Path):
     assert read_scene(scene).picks.keys() == set(names)
 
 
-def test_what_shows_in_no_view_has_no_picture(scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_what_shows_in_no_view_has_no_picture(scene: Path, said: list[str]):
     shown = select_object(scene, "red", Choice(ids=(3,)))
     below = SPLATS.means.clone()
     below[200:280] = torch.tensor([0.0, 0.0, 60.0])  # the red ball, above all cameras
@@ -133,7 +133,7 @@ def test_what_shows_in_no_view_has_no_picture(scene: Path, capsys: pytest.Captur
     found = select_object(scene / "other", "red", Choice(ids=(3,)))
     assert found["picture"] is None and found["gaussians"] == 80
     assert not old.exists(), "the picture of an earlier choice would be wrong"
-    assert "red shows in none of the views" in capsys.readouterr().err
+    assert "red shows in none of the views" in "\n".join(said)
 
 
 def test_nothing_said(scene: Path):

@@ -11,10 +11,10 @@ from PIL import Image
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation import style as report
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization import report
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.adjust import adjust_scene, undo_scene
 from stylesplat.verbs.recipe import StyledObject, read_recipe
 from stylesplat.verbs.stylize import stylize_scene

@@ -9,7 +9,9 @@ from typing import Any
 import tyro
 
 from stylesplat.cli import looking, making, selecting, styling
+from stylesplat.cli.bars import Bars
 from stylesplat.errors import StyleSplatError
+from stylesplat.progress import observed
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
 
@@ -47,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     announce_compilation()
     try:
-        result = command.run()
+        with observed(Bars()):
+            result = command.run()
     except StyleSplatError as error:
         print(f"stylesplat: {error}", file=sys.stderr)
         return 1

@@ -112,7 +112,7 @@ class Export:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.exporter import export
+        from stylesplat.verbs.export import export
         from stylesplat.io.scene_folder import read_scene
 
         splats = read_scene(self.scene).splats
@@ -135,8 +135,8 @@ class View:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.drawing.browser import view
         from stylesplat.io.scene_folder import read_scene
-        from stylesplat.viewer.view import view
 
         scene = read_scene(self.scene)
         view(scene.splats, cameras=scene.cameras, port=self.port)

@@ -14,7 +14,7 @@ from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
-    from stylesplat.masks.grabcut import Stroke
+    from stylesplat.masks.boxes.grabcut import Stroke
 
 DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
 
@@ -75,7 +75,7 @@ class Train:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.training.config import PRESETS
+        from stylesplat.training.train_config import PRESETS
         from stylesplat.verbs.train import train_scene
 
         names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed")
@@ -146,7 +146,7 @@ class Mask:
         return mask_with_model(self.capture, method, model=self.model, **common)
 
     def _strokes(self) -> list[tuple[str, str, "Stroke"]]:
-        from stylesplat.masks.grabcut import Stroke
+        from stylesplat.masks.boxes.grabcut import Stroke
 
         return [
             (name, view, Stroke(points, over_object))

@@ -11,7 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.options import Device, Json, OptionalOutput, Output, Overwrite, given
 from stylesplat.cli.parse import parse_style
-from stylesplat.stylization.config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stylesplat.demo.capture import demo_capture
+from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.report import Figure, Section, write_report
-from stylesplat.evaluation.pictures import label_colors
-from stylesplat.exporter import export
+from stylesplat.drawing.pictures import label_colors
+from stylesplat.verbs.export import export
 from stylesplat.io.files import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import SCENE, read_scene
-from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
-from stylesplat.training.config import PRESETS as TRAIN_PRESETS
+from stylesplat.stylization.style_config import PRESETS as STYLE_PRESETS
+from stylesplat.training.train_config import PRESETS as TRAIN_PRESETS
 from stylesplat.verbs.objects import list_objects
 from stylesplat.verbs.recipe import StyledObject
 from stylesplat.verbs.render import render_scene

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Int, Shaped
+from jaxtyping import Int
 from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
 from stylesplat.io.files import atomic_path, read_json, write_json
-from stylesplat.io.lazy import Lazy
-from stylesplat.io.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
+from stylesplat.scene.labels import MAX_ID, resize_labels
+from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
-MAX_ID = 2**24 - 1
 NAMES = "names.json"  # beside the label maps: what objects are called, by id
 
 
@@ -116,10 +116,11 @@ class _LabelMap:
     distorted: bool
 
     def read(self) -> Int[Tensor, "H W"]:
-        ids = read_label_map(self.path).numpy()
+        ids = read_label_map(self.path)
         if self.distorted:
-            ids = self.photo.lens.undistort(_resize(ids, self.photo.lens.size), nearest=True)
-        return torch.from_numpy(_resize(ids, self.photo.size))
+            whole = resize_labels(ids, self.photo.lens.size[::-1]).numpy()
+            ids = torch.from_numpy(self.photo.lens.undistort(whole, nearest=True))
+        return resize_labels(ids, self.photo.size[::-1])
 
 
 def _fit(path: Path, photo: Photo) -> _LabelMap:
@@ -147,13 +148,3 @@ def _ids(image: Image.Image) -> Int[np.ndarray, "H W"]:
         raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
     pixels = np.array(image).astype(np.int32)
     return pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE
-
-
-def _resize(ids: Shaped[np.ndarray, "h w"], size: tuple[int, int]) -> Shaped[np.ndarray, "H W"]:
-    """Nearest neighbour between pixel centres, which OpenCV's is not."""
-    height, width = ids.shape
-    if (width, height) == size:
-        return ids
-    columns = ((np.arange(size[0]) + 0.5) * width / size[0]).astype(int)
-    rows = ((np.arange(size[1]) + 0.5) * height / size[1]).astype(int)
-    return ids[rows[:, None], columns]

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, claim_directory, read_json, write_json
-from stylesplat.io.splat_ply import pad_bands, read_splat_ply, write_splat_ply
+from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, write_splat_ply
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 

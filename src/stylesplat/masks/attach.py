@@ -4,14 +4,14 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import torch
 from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.lazy import Lazy
-from stylesplat.io.load import OBJECT_MASK, load
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, load
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.lazy import Lazy
 
 
 def mask(capture: Capture, *, folder: Path | str | None = None) -> Capture:
@@ -44,13 +44,6 @@ def mask(capture: Capture, *, folder: Path | str | None = None) -> Capture:
     def read(row: int) -> Int[Tensor, "H W"] | None:
         assert source.label_maps is not None
         labels = source.label_maps[source.cameras.index(capture.cameras.names[row])]
-        return labels if labels is None else _resize(labels, *capture.cameras[row].size)
+        return labels if labels is None else resize_labels(labels, capture.cameras[row].size[::-1])
 
     return replace(capture, label_maps=Lazy([partial(read, row) for row in range(len(capture))]))
-
-
-def _resize(labels: Int[Tensor, "h w"], width: int, height: int) -> Int[Tensor, "H W"]:
-    """Nearest neighbour between pixel centres."""
-    pixels = labels[None, None].double()  # exact for 24-bit ids
-    resized = torch.nn.functional.interpolate(pixels, (height, width), mode="nearest-exact")
-    return resized[0, 0].to(labels.dtype)

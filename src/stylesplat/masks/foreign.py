@@ -8,17 +8,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json
 from stylesplat.io.label_maps import read_label_map
+from stylesplat.scene.labels import MAX_ID, Labels
 
 MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
-MAX_ID = 65_535  # of an object; what scenes, viewers and 16-bit pictures agree on
-
-Labels = Int[Tensor, "H W"]
 
 
 @dataclass(frozen=True)
@@ -112,13 +110,7 @@ def _is_binary(path: Path) -> bool:
 
 
 def _checked(path: Path) -> Labels:
-    labels = read_label_map(path)
-    if labels.numel() and int(labels.max()) > MAX_ID:
-        raise StyleSplatError(
-            f"{path} has the label id {int(labels.max())}; ids go up to {MAX_ID}. Save ids as 8- "
-            "or 16-bit grey pictures, not as colours."
-        )
-    return labels
+    return read_label_map(path)
 
 
 def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:

@@ -21,7 +21,7 @@ from stylesplat.rendering.kernels import (
     blend_backward,
     project,
     project_backward,
-    sh,
+    sh_colors,
     tiles,
 )
 from stylesplat.rendering.reference import Info
@@ -43,7 +43,7 @@ class _SphericalHarmonics(Function):
     def forward(ctx, bases, dirs, sh0, shN):
         inputs = _plain(dirs, sh0, shN)
         out = torch.empty_like(inputs[0])
-        sh.colors(bases, *_arrays(*inputs, out))
+        sh_colors.colors(bases, *_arrays(*inputs, out))
         ctx.bases = bases
         ctx.save_for_backward(*inputs, out)
         return out
@@ -54,7 +54,7 @@ class _SphericalHarmonics(Function):
         *inputs, out = ctx.saved_tensors
         gradients = [torch.empty_like(t) for t in inputs]
         arrays = _arrays(*inputs, out, *_plain(v_out), *gradients)
-        sh.colors_backward(ctx.bases, *arrays, get_num_threads())
+        sh_colors.colors_backward(ctx.bases, *arrays, get_num_threads())
         return None, *gradients
 
 

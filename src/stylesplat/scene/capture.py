@@ -10,8 +10,6 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 
-BACKGROUND = 0  # the label id that means 'no object'
-
 
 @dataclass(frozen=True)
 class Capture:

@@ -14,6 +14,7 @@ from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.poses import focus_point
+from stylesplat.scene.projection import shown
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 OPACITY = 0.1  # of every first Gaussian (official)
@@ -83,10 +84,8 @@ def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> F
     reach = float((positions - focus).norm(dim=-1).median())
     points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
     views = torch.zeros(len(points))
-    for viewmat, K, size in zip(cameras.viewmats, cameras.Ks, cameras.sizes, strict=True):
-        points_c = points @ viewmat[:3, :3].T.float() + viewmat[:3, 3].float()
-        pixels = (points_c @ K.T.float())[:, :2] / points_c[:, 2:]
-        views += ((points_c[:, 2:] > 0) & (pixels > 0) & (pixels < size)).all(dim=-1)
+    for row in range(len(cameras)):
+        views += shown(points, cameras[row])
     seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
     if len(seen) < 100:
         raise StyleSplatError(

@@ -17,14 +17,13 @@ from stylesplat.rendering.reference import Info
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.training import mcmc, schedule
+from stylesplat.training import growth, schedule
 from stylesplat.training.adam import adam_step
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.announce import announced
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.interrupt import deferred_interrupt
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
-from stylesplat.training.objects import growth_preference, limit_sizes
-from stylesplat.training.progress import progress_bar
+from stylesplat.training.object_sizes import growth_preference, limit_sizes
 from stylesplat.training.state import (
     CLASSIFIER,
     State,
@@ -32,7 +31,8 @@ from stylesplat.training.state import (
     load_checkpoint,
     save_checkpoint,
 )
-from stylesplat.training.views import Views, split_views, training_views
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import Views, split_views, training_views
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -117,9 +117,10 @@ def fit(
     )
     _warm_up(run, state)
     saved = time.monotonic()
-    with deferred_interrupt() as interrupted:
+    with deferred_interrupt() as interrupted, announced(config, state) as report:
         while run.progress(state) < 1 and not interrupted():
             state, loss, psnr = _step(run, state)
+            report(state, loss, psnr)
             if on_progress is not None:
                 on_progress(state, loss, psnr)
             due = interrupted() or time.monotonic() - saved > CHECKPOINT_SECONDS
@@ -136,7 +137,6 @@ def train(
     config: TrainConfig | None = None,
     *,
     device: torch.device | str = "auto",
-    progress: bool = True,
     **settings: float | int | bool | None,
 ) -> Splats:
     """Train a splat from posed photos: Gaussians, and identities if there are label maps.
@@ -147,7 +147,6 @@ def train(
         capture: Posed photos, from `load`.
         config: How to train; the default preset if not given.
         device: `auto` takes an NVIDIA GPU where there is one.
-        progress: Whether to show a progress bar.
         settings: Fields of `TrainConfig` to change, such as `steps=2000`.
 
     Raises:
@@ -159,8 +158,7 @@ def train(
     """
     config = replace(config or TrainConfig(), **settings)
     device = pick_device(device)
-    with progress_bar(config, enabled=progress) as report:
-        return fit(capture, config, device=device, on_progress=report).splats.detach()
+    return fit(capture, config, device=device).splats.detach()
 
 
 def _begin(
@@ -202,14 +200,14 @@ def _step(run: Run, state: State) -> tuple[State, float, float]:
     rates |= {"means": config.means_rate * unit, "shN": config.bands_rate}
     seen = (info["radii"][0] > 0).all(dim=-1)
     adam_step(state.params, state.moments, rates, state.step + 1, seen)
-    mcmc.add_noise(state.params, unit, run.generator)
+    growth.add_noise(state.params, unit, run.generator)
     params, moments = state.params, state.moments
     refining = state.step % config.refine_every == config.refine_every - 1
     if refining and config.object_pixels is not None:
         limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
     if refining and progress < REFINE_END:
         count = schedule.gaussian_count(progress, state.first_count, config)
-        params, moments = mcmc.refine(
+        params, moments = growth.refine(
             *(params, moments, state.names, count, run.generator),
             preference=growth_preference(state.splats, config.object_growth),
         )
@@ -238,7 +236,7 @@ def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
     )
     image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
     loss, error = photometric_loss(image, photo)
-    loss = loss + mcmc.regularizer(state.params)
+    loss = loss + growth.regularizer(state.params)
     if classes is not None:
         loss = loss + _identity_losses(run, state, rendered, classes)
     loss.backward()

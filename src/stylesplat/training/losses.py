@@ -6,9 +6,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
+from stylesplat.metrics.ssim import ssim
 from stylesplat.scene.splats import Classifier
 from stylesplat.training import photometric_cpu
-from stylesplat.training.ssim import ssim
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val

@@ -10,7 +10,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.train_config import TrainConfig
 
 CLASSIFIER = ("weight", "bias")
 

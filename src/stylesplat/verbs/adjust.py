@@ -14,7 +14,7 @@ from stylesplat.io.files import refuse_occupied
 from stylesplat.io.scene_folder import SCENE, Scene, read_scene, update_colors, write_scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import blend_colors
-from stylesplat.stylization.config import check_intensity
+from stylesplat.stylization.style_config import check_intensity
 from stylesplat.verbs.objects import find_object
 
 

@@ -7,22 +7,22 @@ from typing import Any
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.metrics import evaluate_views
-from stylesplat.io.load import load
+from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.evaluation.style import measure_changes, measure_look, measure_style, showing
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import RECIPE, Scene, read_scene, update_scene
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.frames import known_frames, seen_from
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig
-from stylesplat.stylization.loop import moved, open_studio
-from stylesplat.stylization.report import measure_changes, measure_look, measure_style, showing
-from stylesplat.stylization.views import evenly
+from stylesplat.stylization.paint_objects import moved, open_studio
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
 from stylesplat.verbs.adjust import unstyled
 from stylesplat.verbs.import_splat import MEASURED
 from stylesplat.verbs.objects import find_object
 from stylesplat.verbs.recipe import read_recipe
-from stylesplat.verbs.say import say
 from stylesplat.verbs.stylize import flat_metrics, load_network, style_jobs, working_views
 
 

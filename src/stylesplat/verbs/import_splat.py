@@ -11,20 +11,20 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.fit import CLOSER, frame_fits
-from stylesplat.evaluation.metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.files import refuse_occupied
-from stylesplat.io.load import open_capture
 from stylesplat.io.scene_folder import SCENE, Scene, write_scene
-from stylesplat.io.splat_files import read_splats
+from stylesplat.io.splats.splat_files import read_splats
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames, seen_from
 from stylesplat.scene.ring import ring_cameras
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.lifting import lift
-from stylesplat.stylization.views import evenly
+from stylesplat.training.lifting import lift
 from stylesplat.verbs.objects import with_names
-from stylesplat.verbs.say import say
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]

@@ -6,16 +6,16 @@ from typing import Any
 
 from jaxtyping import Int
 from torch import Tensor
-from tqdm import tqdm
 
+from stylesplat.drawing.preview import mask_preview
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.preview import mask_preview
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, load, open_capture
 from stylesplat.io.files import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
-from stylesplat.io.load import OBJECT_MASK, load, open_capture
 from stylesplat.masks.foreign import foreign_label_maps
-from stylesplat.scene.capture import BACKGROUND
+from stylesplat.progress import track
+from stylesplat.scene.labels import BACKGROUND
 
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 
@@ -76,7 +76,7 @@ def write_masks(
     """
     output, ids = capture_path / OBJECT_MASK, set[int]()
     with claim_directory(output, overwrite=overwrite, marker="") as folder:
-        for name, read in tqdm(maps.items(), desc="label maps", unit="photo"):
+        for name, read in track(maps.items(), "label maps", unit="photo"):
             labels = read()
             ids |= set(labels.unique().tolist())
             write_label_map(labels, (folder / name).with_suffix(".png"))

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.load import load
+from stylesplat.io.captures.capture_folder import load
+from stylesplat.masks.boxes.grabcut import Box, Stroke, refuse_box
+from stylesplat.masks.boxes.spread import Seen, spread
 from stylesplat.masks.foreign import overlaid
-from stylesplat.masks.grabcut import Box, Stroke, refuse_box
-from stylesplat.masks.spread import Seen, spread
 from stylesplat.scene.cameras import Cameras
 from stylesplat.verbs.mask import refuse_masks, write_masks
 from stylesplat.verbs.working import with_splat, working_capture

@@ -8,14 +8,14 @@ from typing import Any
 
 from jaxtyping import Bool, Int
 from torch import Tensor
-from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.load import OBJECT_MASK, open_capture
-from stylesplat.masks.repair import repair
-from stylesplat.masks.sam import FAMILIES, Method, load_follower, load_proposer
-from stylesplat.masks.through_splat import follow_through
-from stylesplat.masks.track import Segmenter, stretches, track
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
+from stylesplat.masks.ids.repair import repair
+from stylesplat.masks.models.sam import FAMILIES, Method, load_follower, load_proposer
+from stylesplat.masks.models.through_splat import follow_through
+from stylesplat.masks.models.track import Segmenter, stretches, track
+from stylesplat.progress import task
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.verbs.mask import refuse_masks, write_masks
@@ -104,9 +104,9 @@ def _tracked(capture: Capture, segmenter: Segmenter, progress: Progress) -> list
     """The label maps of all photos, from where an earlier run stopped."""
     parts = stretches(capture.cameras)
     done, state = progress.stands()
-    with tqdm(total=len(parts), initial=done, desc="finding objects", unit="stretch") as bar:
+    with task("finding objects", len(parts), unit="stretch", done=done) as bar:
         for number, rows in enumerate(parts[done:], start=done + 1):
             maps, state = track(rows, state, segmenter)
             progress.save(number, maps, state)
-            bar.update()
+            bar.advance()
     return [progress.labels(row) for row in range(len(capture))]

@@ -17,8 +17,8 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, read_json, write_json
 from stylesplat.io.label_maps import read_label_map, write_label_map
-from stylesplat.masks.track import State
-from stylesplat.verbs.say import say
+from stylesplat.masks.models.track import State
+from stylesplat.progress import say
 
 SETTINGS = "settings.json"
 STATE = "state.json"

@@ -8,13 +8,13 @@ from typing import Any
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.drawing.object_sheet import object_sheet
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.sheet import object_sheet
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import Scene, read_scene
-from stylesplat.selection.labels import object_ids
+from stylesplat.progress import say
+from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD, pick_objects, select
-from stylesplat.verbs.say import say
 
 SHEET = "objects.png"
 # Selections with these are not the whole object

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.config import PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
 from stylesplat.verbs.settings import SETTINGS, fitted, parse_yaml, within
 
 TOP_KEYS = {  # besides settings, with their types

@@ -1,20 +1,17 @@
 """`render`: pictures or a video of a scene."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from torch import Tensor
-from tqdm import tqdm
-
+from stylesplat.drawing.orbit import orbit_cameras
+from stylesplat.drawing.pictures import label_colors, render_pictures
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.orbit import orbit_cameras
-from stylesplat.evaluation.pictures import label_colors, render_pictures
 from stylesplat.io.files import claim_directory
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.scene_folder import Scene, read_scene
 from stylesplat.io.video import write_video
+from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 
@@ -49,11 +46,11 @@ def render_scene(
         if output.exists() and not overwrite:
             raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")
         colors = label_colors if what == "labels" else lambda frame: frame
-        write_video((colors(frame) for frame in _shown(pictures, len(cameras))), output)
+        write_video((colors(frame) for frame in track(pictures, "rendering")), output)
     else:
         write = write_label_map if what == "labels" else write_image
         with claim_directory(output, overwrite=overwrite, marker="") as folder:
-            frames = _shown(pictures, len(cameras))
+            frames = track(pictures, "rendering")
             for name, frame in zip(cameras.names, frames, strict=True):
                 write(frame, folder / f"{Path(name).stem}.png")
     return {"output": output, "views": len(cameras)}
@@ -76,8 +73,3 @@ def scene_views(scene: Scene, which: Which) -> Cameras:
     if not rows:
         raise StyleSplatError(f"The scene has no {which} views. Choose --views all or orbit.")
     return scene.cameras[rows]
-
-
-def _shown(pictures: Iterator[Tensor], count: int) -> tqdm:
-    """The same pictures, with a progress bar."""
-    return tqdm(pictures, desc="rendering", total=count, unit="view")

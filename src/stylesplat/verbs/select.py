@@ -9,21 +9,21 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.drawing.selection_picture import selection_picture
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.selection_picture import selection_picture
 from stylesplat.io.files import file_stem
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import Scene, read_scene, update_scene
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.detector import load_detector
-from stylesplat.selection.labels import object_ids
+from stylesplat.selection.identities import object_ids
 from stylesplat.selection.margins import grow, shrink
 from stylesplat.selection.pick import THRESHOLD, Box, Point, pick_objects, resolve_ids, select
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 from stylesplat.selection.text import clear_winner, rank_objects
 from stylesplat.verbs.objects import can_be_called, find_object
-from stylesplat.verbs.say import say
 
 PICTURES = "selections"  # the folder inside a scene
 

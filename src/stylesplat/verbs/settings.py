@@ -14,7 +14,7 @@ import yaml
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.style_config import StyleConfig
 
 TEXT, MERGE, FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("str", "merge", "float"))
 WORDS = {

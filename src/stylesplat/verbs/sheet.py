@@ -9,23 +9,23 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
-from tqdm import tqdm
 
+from stylesplat.drawing.grid import Row, draw_grid
+from stylesplat.drawing.object_sheet import close_up
+from stylesplat.drawing.pictures import to_uint8
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.grid import Row, draw_grid
-from stylesplat.evaluation.pictures import to_uint8
-from stylesplat.evaluation.sheet import close_up
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import Scene, read_scene
+from stylesplat.progress import Task, task
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import blend_colors
-from stylesplat.stylization.config import DEFAULT_NETWORK, PRESETS, Network, StyleConfig
-from stylesplat.stylization.loop import REPORT_EVERY, check_jobs, moved, open_studio
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.paint_objects import REPORT_EVERY, check_jobs, moved, open_studio
 from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.verbs.objects import find_object
 from stylesplat.verbs.stylize import load_network, working_views
 
@@ -216,23 +216,23 @@ def _painted(
     """The picture of each cell, by row and column."""
     pictures = {}
     total = sum(len(places) for _, places in runs)
-    with tqdm(desc=runs[0][0].name, total=total, unit="cell") as bar:
+    with task(runs[0][0].name, total, unit="cell") as bar:
         for job, places in runs:
             state = _repainted(studio, job, bar)
             mask = job.picked[state.parents]
             for place in places:
                 splats = blend_colors(state.base, state.splats, mask, place.intensity)
                 pictures[place.row, place.column] = _picture(splats, camera)
-                bar.update()
+                bar.advance()
     return pictures
 
 
-def _repainted(studio: Studio, job: StyleJob, bar: tqdm) -> Repainted:
+def _repainted(studio: Studio, job: StyleJob, bar: Task) -> Repainted:
     """The last state of a repainting."""
     state = None
     for state in repaint(studio, job):
         if state.step % REPORT_EVERY == 0:
-            bar.set_postfix_str(f"step {state.step} of {state.steps}")
+            bar.note(f"step {state.step} of {state.steps}")
     assert state is not None  # there is at least one step
     return state
 

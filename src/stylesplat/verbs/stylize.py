@@ -13,12 +13,12 @@ from stylesplat.io.scene_folder import SCENE, Scene, Unsplit, read_scene, write_
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import DEFAULT_NETWORK, Network
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.loop import MAX_MEMORY, Styled, stylize_objects
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.paint_objects import MAX_MEMORY, Styled, stylize_objects
 from stylesplat.stylization.repaint import StyleJob
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_images import read_style
 from stylesplat.verbs.objects import find_object
 from stylesplat.verbs.recipe import StyledObject, write_recipe
 from stylesplat.verbs.render import scene_views

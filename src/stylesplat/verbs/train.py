@@ -8,21 +8,20 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.files import refuse_occupied
-from stylesplat.io.load import open_capture
 from stylesplat.io.scene_folder import SCENE, Scene, write_scene
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.lifting import lift
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
-from stylesplat.training.progress import progress_bar
 from stylesplat.training.state import State
-from stylesplat.training.views import split_views
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import split_views
 from stylesplat.verbs.objects import with_names
-from stylesplat.verbs.say import say
 
 Segment = Literal["joint", "lift"]
 
@@ -68,8 +67,7 @@ def train_scene(
     elif checkpoint.exists():
         say(f"Continuing from {checkpoint}.")
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
-    with progress_bar(config, enabled=True) as report:
-        state = fit(learned, config, device=torch_device, checkpoint=checkpoint, on_progress=report)
+    state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
     rows, held_out = split_views(capture, config.test_every)
     splats, seconds = state.splats.detach(), state.seconds
     if segment == "lift" and capture.label_maps is not None:

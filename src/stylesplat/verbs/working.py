@@ -5,16 +5,15 @@ from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.fit import CLOSER, frame_fits
-from stylesplat.io.load import open_capture
+from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.scene_folder import Scene, read_scene
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
 from stylesplat.scene.splats import Splats
-from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
-from stylesplat.training.progress import progress_bar
-from stylesplat.verbs.say import say
+from stylesplat.training.train_config import TrainConfig
 
 QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
 QUICK_SIZE = 480  # pixels of the longer side of its photos
@@ -53,8 +52,7 @@ def with_splat(path: Path, capture: Capture, scene_path: Path | None, device: st
     if scene_path is None:
         say("Training a quick splat, for about a minute; --scene takes one that you have.")
         small = working_capture(path, QUICK_SIZE)
-        with progress_bar(QUICK, enabled=True) as report:
-            state = fit(small, QUICK, device=torch_device, on_progress=report)
+        state = fit(small, QUICK, device=torch_device)
         return Working(capture, state.splats.detach())
     scene = read_scene(scene_path)
     missing = set(capture.cameras.names) - set(scene.cameras.names)

@@ -1,0 +1,145 @@
+"""From a folder to a capture."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap import find_sparse, read_colmap
+from stylesplat.io.captures.photos import Photo, fit_photo
+from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
+from stylesplat.io.label_maps import match_label_maps, read_names
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.lazy import Lazy
+
+OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
+ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
+
+
+@dataclass(frozen=True)
+class CaptureFiles:
+    """A capture on disk whose headers are read, to be taken at one size or several."""
+
+    path: Path
+    """Its folder."""
+    cameras: Cameras
+    """One per photo, at full size."""
+    photos: list[Photo]
+    """At full size."""
+    masks: Path | None
+    """The folder of label maps."""
+    points: Float[Tensor, "M 3"] | None
+    """Sparse points in the world."""
+    point_colors: UInt8[Tensor, "M 3"] | None
+    """Colours of `points`."""
+
+    def at(self, downscale: float) -> Capture:
+        """The capture with photos, label maps and cameras so many times smaller.
+
+        Raises:
+            StyleSplatError: If the factor is less than 1, or a label map is damaged or does not
+                fit its photo.
+        """
+        if not 1 <= downscale < math.inf:
+            raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
+        cameras = self.cameras.downscale(downscale)
+        sizes = cameras.sizes.tolist()
+        photos = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
+        return Capture(
+            cameras=cameras,
+            photos=Lazy([photo.read for photo in photos]),
+            label_maps=match_label_maps(self.masks, cameras.names, photos) if self.masks else None,
+            points=self.points,
+            point_colors=self.point_colors,
+            path=self.path,
+            object_names=read_names(self.masks) if self.masks else {},
+        )
+
+
+Masks = Path | str | Literal[False] | None
+
+
+def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
+    """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
+
+    Only the headers of the photos are read; the photos themselves are on access, and then
+    undistorted. The world stays as it is in the files.
+
+    Args:
+        path: The capture's folder.
+        downscale: How many times smaller photos, label maps and cameras shall be.
+        masks: The folder of label maps; by default the capture's `object_mask/` if it has one.
+            False leaves label maps out, unread.
+
+    Raises:
+        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
+            does not fit the others.
+    """
+    return open_capture(path, masks=masks).at(downscale)
+
+
+def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
+    """Read the headers of a capture, for whoever needs it at more than one size; see `load`.
+
+    Raises:
+        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
+            does not fit the others.
+    """
+    folder = Path(path)
+    posed = _read_poses(folder)
+    _check_poses(posed, folder)
+    photos = [fit_photo(*each) for each in zip(posed.paths, posed.lenses, strict=True)]
+    pinholes = [photo.lens.pinhole() for photo in photos]
+    cameras = Cameras(
+        viewmats=posed.viewmats.float(),
+        Ks=torch.stack([pinhole.K for pinhole in pinholes]),
+        sizes=torch.tensor([pinhole.size for pinhole in pinholes]),
+        names=posed.names,
+    )
+    if masks is None and (folder / OBJECT_MASK).is_dir():
+        masks = folder / OBJECT_MASK
+    return CaptureFiles(
+        path=folder,
+        cameras=cameras,
+        photos=photos,
+        masks=Path(masks) if masks else None,
+        points=posed.points,
+        point_colors=posed.point_colors,
+    )
+
+
+def _read_poses(folder: Path) -> PosedFiles:
+    if not folder.is_dir():
+        raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
+    sparse = find_sparse(folder)
+    if sparse:
+        return read_colmap(folder, sparse)
+    if (folder / TRANSFORMS).is_file():
+        return read_transforms(folder)
+    raise StyleSplatError(
+        f"{folder} is not a capture: it has neither sparse/0/cameras.bin (or .txt) nor "
+        f"{TRANSFORMS}. Pose the photos with COLMAP first."
+    )
+
+
+def _check_poses(posed: PosedFiles, folder: Path) -> None:
+    bad = [name for name, m in zip(posed.names, posed.viewmats, strict=True) if not _is_rigid(m)]
+    if bad:
+        raise StyleSplatError(
+            f"{len(bad)} of the {len(posed.names)} poses in {folder} are NaN or no rotation and "
+            f"shift, the first that of {bad[0]}. Pose the photos again."
+        )
+
+
+def _is_rigid(viewmat: Float[Tensor, "4 4"]) -> bool:
+    rotation = viewmat[:3, :3]
+    error = (rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max()
+    finite = bool(viewmat.isfinite().all())
+    return finite and bool(error < ROTATION_TOLERANCE) and bool(torch.det(rotation) > 0)
