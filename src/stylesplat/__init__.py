@@ -20,9 +20,7 @@ from stylesplat.runtime import tune_runtime
 if TYPE_CHECKING:
     from stylesplat.drawing.browser import view
     from stylesplat.errors import StyleSplatError
-    from stylesplat.verbs.export import export
     from stylesplat.io.captures.capture_folder import load
-    from stylesplat.masks.attach import mask
     from stylesplat.rendering.rasterize import rasterize as render
     from stylesplat.scene.cameras import Cameras
     from stylesplat.scene.capture import Capture
@@ -30,6 +28,8 @@ if TYPE_CHECKING:
     from stylesplat.selection.pick import select
     from stylesplat.stylization.paint_objects import stylize
     from stylesplat.training.loop import train
+    from stylesplat.verbs.export import export
+    from stylesplat.verbs.mask import mask
 
 __all__ = [
     "Cameras",
@@ -56,7 +56,7 @@ _HOMES = {
     "StyleSplatError": "errors",
     "export": "verbs.export",
     "load": "io.load",
-    "mask": "masks.attach",
+    "mask": "verbs.mask",
     "render": "rendering.rasterize",
     "select": "selection.pick",
     "stylize": "stylization.loop",

@@ -8,7 +8,7 @@ from typing import Any
 
 import tyro
 
-from stylesplat.cli import looking, making, selecting, styling
+from stylesplat.cli import looking, making, mask, selecting, styling
 from stylesplat.cli.bars import Bars
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import observed
@@ -17,7 +17,7 @@ INTERRUPTED = 130  # what shells report after Ctrl-C
 
 VERBS = {
     "demo": making.Demo,
-    "mask": making.Mask,
+    "mask": mask.Mask,
     "train": making.Train,
     "import": making.Import,
     "objects": looking.Objects,

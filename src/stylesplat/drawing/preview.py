@@ -12,7 +12,8 @@ from torch import Tensor
 from stylesplat.drawing.object_sheet import INK, MARGIN, PAPER, TITLE_SIZE
 from stylesplat.drawing.pictures import label_colors
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND, resize_labels
+from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
+from stylesplat.scene.lazy import glance
 from stylesplat.scene.sampling import evenly
 
 PHOTOS = 8
@@ -30,14 +31,14 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
         names: By id; other objects are called by their id.
     """
     maps = capture.label_maps or []
-    rows = [row for row in range(len(capture)) if maps[row] is not None]
+    rows = [row for row in range(len(capture)) if glance(maps, row) is not None]
     cells, ids = [], set[int]()
     for row in evenly(rows, PHOTOS):
-        labels = maps[row]
+        labels = glance(maps, row)
         assert labels is not None
-        ids |= set(labels.unique().tolist())
-        cells.append(_tinted(capture.photos[row], labels))
-    called = {id: names.get(id, str(id)) for id in sorted(ids - {BACKGROUND})}
+        ids |= ids_of(labels)
+        cells.append(_tinted(glance(capture.photos, row), labels))
+    called = {id: names.get(id, str(id)) for id in sorted(ids)}
     return torch.from_numpy(np.array(_page(cells, called)))
 
 

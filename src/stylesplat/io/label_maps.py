@@ -1,7 +1,6 @@
 """Label maps: pictures whose pixels are the ids of objects, 0 where there is none."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
 from stylesplat.io.files import atomic_path, read_json, write_json
-from stylesplat.scene.labels import MAX_ID, resize_labels
+from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
 from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
@@ -102,37 +101,42 @@ def match_label_maps(
             f"Name them like {_key(Path(names[0]))}.png."
         )
     return Lazy(
-        [
-            _fit(path, photo).read if path else _none
-            for path, photo in zip(paths, photos, strict=True)
-        ]
+        [_fit(path, photo) if path else _none for path, photo in zip(paths, photos, strict=True)]
     )
 
 
-@dataclass(frozen=True)
-class _LabelMap:
-    path: Path
-    photo: Photo
-    distorted: bool
+def fit_labels(labels: OwnLabels, photo: Photo, what: Path | str) -> OwnLabels:
+    """A label map as the pinhole camera of its photo sees it, at the photo's size.
 
-    def read(self) -> Int[Tensor, "H W"]:
-        ids = read_label_map(self.path)
-        if self.distorted:
-            whole = resize_labels(ids, self.photo.lens.size[::-1]).numpy()
-            ids = torch.from_numpy(self.photo.lens.undistort(whole, nearest=True))
-        return resize_labels(ids, self.photo.size[::-1])
+    Args:
+        labels: Drawn on the photo as it was taken, or as it is undistorted.
+        photo: The photo.
+        what: What to call the label map where it does not fit.
+
+    Raises:
+        StyleSplatError: If the label map is not of the photo's shape.
+    """
+    height, width = labels.shape
+    if _is_distorted((width, height), photo, what):
+        whole = resize_labels(labels.int(), photo.lens.size[::-1]).numpy()
+        labels = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
+    return resize_labels(labels, photo.size[::-1])
 
 
-def _fit(path: Path, photo: Photo) -> _LabelMap:
-    size, _ = photo_sizes(path)
+def _fit(path: Path, photo: Photo) -> Callable[[], OwnLabels]:
+    _is_distorted(photo_sizes(path)[0], photo, path)  # refuses what does not fit
+    return lambda: fit_labels(read_label_map(path), photo, path)
+
+
+def _is_distorted(size: tuple[int, int], photo: Photo, what: Path | str) -> bool:
     if size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
-        return _LabelMap(path, photo, distorted=False)
+        return False
     if not same_shape(size, photo.lens.size):
         raise StyleSplatError(
-            f"The label map {path} is {size[0]}x{size[1]}, which is not the shape of its photo "
+            f"The label map {what} is {size[0]}x{size[1]}, which is not the shape of its photo "
             f"({photo.lens.width}x{photo.lens.height}). Make it from that photo."
         )
-    return _LabelMap(path, photo, distorted=True)
+    return True
 
 
 def _none() -> None:

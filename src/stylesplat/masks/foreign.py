@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json
 from stylesplat.io.label_maps import read_label_map
+from stylesplat.masks.photo_names import match_photos, photo_key
 from stylesplat.scene.labels import MAX_ID, Labels
 
 MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
@@ -42,54 +43,57 @@ def foreign_label_maps(source: Path, names: Sequence[str]) -> Found:
     Raises:
         StyleSplatError: If there is nothing of these photos, or the masks contradict each other.
     """
-    stems = {Path(name).stem: name for name in names}
-    if len(stems) < len(names):
-        raise StyleSplatError(
-            "Some photos differ in their folders or suffixes only, so masks cannot be told apart. "
-            "Put label maps into object_mask/ by hand, in the photos' folders."
-        )
     if source.suffix.lower() == ".json":
-        found = _coco(source, stems)
+        found = _coco(source, names)
     elif source.is_dir():
-        found = _by_object(source, stems) or _by_photo(source, stems)
+        found = _by_object(source, names) or _by_photo(source, names)
     else:
         raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
     if not found.maps:
         raise StyleSplatError(
             f"No mask in {source} belongs to a photo of this capture. Name them like the photos: "
-            f"{next(iter(stems))}.png."
+            f"{photo_key(names[0])}.png."
         )
     return found
 
 
-def _by_photo(source: Path, stems: Mapping[str, str]) -> Found:
+def _by_photo(source: Path, names: Sequence[str]) -> Found:
     """Pictures of ids, wherever they lie."""
-    found: dict[str, Path] = {}
-    for path in sorted(source.rglob("*.png")):
-        name = stems.get(path.stem)
-        if name in found:
-            raise StyleSplatError(
-                f"Both {found[name]} and {path} are named like {name}. Give the folder of one kind."
-            )
-        if name is not None:
-            found[name] = path
-    return Found({name: partial(_checked, path) for name, path in found.items()})
+    files = _pictures(source)
+    matches = match_photos(files, names)
+    return Found({photo: partial(read_label_map, files[key]) for key, photo in matches.items()})
 
 
-def _by_object(source: Path, stems: Mapping[str, str]) -> Found | None:
+def _by_object(source: Path, names: Sequence[str]) -> Found | None:
     """A sub-folder for each object, the masks in it named like the photos."""
     folders = sorted(path for path in source.iterdir() if path.is_dir())
-    masks = {f: {p.stem: p for p in sorted(f.glob("*.png")) if p.stem in stems} for f in folders}
+    tops = {PurePosixPath(name).parts[0] for name in names if "/" in name}
+    if any(folder.name in tops for folder in folders):
+        return None  # the folders of the photos
+    masks = {folder: _named_like(names, folder) for folder in folders}
     objects = {folder: files for folder, files in masks.items() if files}
     if not objects or not all(map(_is_binary, _some(objects))):
         return None
     called = _numbers([folder.name for folder in objects])
     found: dict[str, list[tuple[int, Path]]] = {}
     for number, files in zip(called, objects.values(), strict=True):
-        for stem, path in files.items():
-            found.setdefault(stems[stem], []).append((number, path))
-    names = {number: name for number, name in called.items() if not name.isdecimal()}
-    return Found({name: partial(_stacked, layers) for name, layers in found.items()}, names)
+        for photo, path in files.items():
+            found.setdefault(photo, []).append((number, path))
+    titles = {number: name for number, name in called.items() if not name.isdecimal()}
+    return Found({photo: partial(_stacked, layers) for photo, layers in found.items()}, titles)
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    """The pictures in a folder and below, by their path in it, without suffix."""
+    paths = sorted(folder.rglob("*.png"))
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
+
+
+def _named_like(names: Sequence[str], folder: Path) -> dict[str, Path]:
+    """The pictures in a folder by photo: those with a photo's path or, without folder, name."""
+    paths = {photo_key(name) for name in names}
+    own = {key: p for key, p in _pictures(folder).items() if key in paths or "/" not in key}
+    return {photo: own[key] for key, photo in match_photos(own, names).items()}
 
 
 def _some(objects: Mapping[Path, Mapping[str, Path]]) -> Iterator[Path]:
@@ -107,10 +111,6 @@ def _numbers(folders: Sequence[str]) -> dict[int, str]:
 
 def _is_binary(path: Path) -> bool:
     return len(read_label_map(path).unique()) <= 2
-
-
-def _checked(path: Path) -> Labels:
-    return read_label_map(path)
 
 
 def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
@@ -132,31 +132,31 @@ def overlaid(masks: Sequence[tuple[int, Bool[Tensor, "H W"]]]) -> Labels:
     return labels
 
 
-def _coco(source: Path, stems: Mapping[str, str]) -> Found:
+def _coco(source: Path, names: Sequence[str]) -> Found:
     """Annotations with RLE masks; an object is a track, or else a category."""
     content = read_json(source)
     try:
-        photos = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
+        files = {image["id"]: photo_key(image["file_name"]) for image in content["images"]}
         kinds = {kind["id"]: str(kind["name"]) for kind in content.get("categories", [])}
         tracked = any("track_id" in each for each in content["annotations"])
-        names: dict[int, str] = {}
+        titles: dict[int, str] = {}
         found: dict[str, list[tuple[int, Any]]] = {}
         for each in content["annotations"]:
-            stem = photos[each["image_id"]]
+            file = files[each["image_id"]]
             number = int(each["track_id"] if tracked else each["category_id"])
             if not tracked and number in kinds:
-                names[number] = kinds[number]
+                titles[number] = kinds[number]
             if not 0 < number <= MAX_ID:
                 raise ValueError(f"the id {number} is not within 1 to {MAX_ID}")
-            if stem in stems:
-                found.setdefault(stems[stem], []).append((number, each["segmentation"]))
+            found.setdefault(file, []).append((number, each["segmentation"]))
     except (KeyError, TypeError, ValueError) as error:
         raise StyleSplatError(
             f"Cannot read {source} as COCO annotations: {error!r}. Export them with images, "
             "annotations and RLE masks."
         ) from error
-    maps = {name: partial(_decoded, layers, source) for name, layers in found.items()}
-    return Found(maps, names)
+    matches = match_photos(found, names)
+    maps = {photo: partial(_decoded, found[file], source) for file, photo in matches.items()}
+    return Found(maps, titles)
 
 
 def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:

@@ -14,6 +14,11 @@ Labels = Int[Tensor, "H W"]
 OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
 
 
+def ids_of(labels: OwnLabels) -> set[int]:
+    """The ids of the objects in a label map; sooner than `unique`, which sorts all pixels."""
+    return {*labels.flatten().bincount().nonzero()[:, 0].tolist()} - {BACKGROUND}
+
+
 def resize_labels(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[Tensor, "h w"]:
     """A map of another height and width: the nearest pixels, between pixel centres."""
     if tuple(labels.shape) == tuple(size):

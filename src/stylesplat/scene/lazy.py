@@ -31,9 +31,19 @@ class Lazy(Sequence[T]):
         index = range(len(self))[index]
         if index in self._kept:
             return self._kept[index]
-        item = self._makers[index]()
+        item = self.unkept(index)
         size = item.nbytes if item is not None else 0
         if size <= self._room:
             self._kept[index] = item
             self._room -= size
         return item
+
+    def unkept(self, index: int) -> T:
+        """An item that is not kept if it is made for this."""
+        index = range(len(self))[index]
+        return self._kept[index] if index in self._kept else self._makers[index]()
+
+
+def glance(items: Sequence[T], row: int) -> T:
+    """One of some items; where they are made on access, it is not kept."""
+    return items.unkept(row) if isinstance(items, Lazy) else items[row]

@@ -36,9 +36,10 @@ Look = tuple[int, int, int]
 class Stroke:
     """A line that the user draws in a photo, over the object or over what is not."""
 
-    points: tuple[tuple[float, float], ...]
+    points: tuple[tuple[float | int, float | int], ...]
     """In the photo's pixels; one is a dot."""
     over_object: bool
+    """Or over what is not."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from PIL import Image
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.masks.attach import mask
 from stylesplat.scene.capture import Capture
+from stylesplat.verbs.mask import mask
 
 WIDTH, HEIGHT = 12, 8
 
@@ -55,7 +55,7 @@ def write_maps(folder: Path, ids: dict[str, int]) -> None:
 def test_attaches_the_maps_of_the_capture(folder: Path):
     capture = load(folder)
     write_maps(folder / "object_mask", {"0": 1, "2": 70000})
-    masked = mask(capture)
+    masked = mask(capture, source=folder / "object_mask")
     assert torch.equal(attached(masked, 0), labels(1).int())
     assert masked.label_maps is not None and masked.label_maps[1] is None
     assert torch.equal(attached(masked, 2), labels(70000).int())
@@ -65,7 +65,7 @@ def test_attaches_the_maps_of_the_capture(folder: Path):
 def test_another_folder_wins(folder: Path, tmp_path: Path):
     write_maps(folder / "object_mask", {"0": 1})
     write_maps(tmp_path / "mine", {"0": 5})
-    masked = mask(load(folder), folder=tmp_path / "mine")
+    masked = mask(load(folder), source=tmp_path / "mine")
     assert torch.equal(attached(masked, 0), labels(5).int())
 
 
@@ -73,7 +73,7 @@ def test_another_folder_wins(folder: Path, tmp_path: Path):
 def test_maps_have_the_size_of_the_photos(folder: Path, downscale: float):
     capture = load(folder, downscale=downscale)
     write_maps(folder / "object_mask", {"0": 3})
-    masked = mask(capture)
+    masked = mask(capture, source=folder / "object_mask")
     assert torch.equal(attached(masked, 0), attached(load(folder, downscale=downscale), 0))
 
 
@@ -83,20 +83,25 @@ def test_rows_are_matched_by_name(folder: Path):
     last = replace(
         capture, cameras=capture.cameras[[2]], photos=[capture.photos[2]], label_maps=None
     )
-    masked = mask(last)
+    masked = mask(last, source=folder / "object_mask")
     assert torch.equal(attached(masked, 0), labels(2).int())
 
 
-def test_no_label_maps(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"no label maps.*segmentation tool.*object_mask"):
+def test_nothing_to_go_by(folder: Path):
+    with pytest.raises(StyleSplatError, match=r"Nothing says what to mask.*another program"):
         mask(load(folder))
 
 
 def test_a_folder_that_is_not_there(folder: Path):
     with pytest.raises(StyleSplatError, match="no folder"):
-        mask(load(folder), folder=folder / "nowhere")
+        mask(load(folder), source=folder / "nowhere")
 
 
 def test_a_capture_from_nowhere(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"not read from a folder.*stylesplat\.load"):
-        mask(replace(load(folder), path=None))
+    write_maps(folder / "object_mask", {"0": 1})
+    nowhere = replace(load(folder, downscale=2.0), path=None)
+    masked = mask(nowhere, source=folder / "object_mask")
+    assert torch.equal(attached(masked, 0), labels(1).int()[::2, ::2])
+    write_label_map(labels(1)[:, :5], folder / "object_mask" / "0.png")
+    with pytest.raises(StyleSplatError, match=r"label map of 0\.png is 5x8.*shape of its photo"):
+        attached(mask(nowhere, source=folder / "object_mask"), 0)
