@@ -9,11 +9,10 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_named_box
-from stylesplat.errors import StyleSplatError
-from stylesplat.verbs.export import export
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.selection.identities import render_labels
+from stylesplat.verbs.export import export
 from stylesplat.verbs.select import Choice, select_object
 
 BOX = "vase=0001.jpg:6,8,23,24"
@@ -110,6 +109,7 @@ def test_masks_with_names_that_cannot_be(
         (["--box", "vase"], "Expected VIEW:x0,y0,x1,y1"),
         (["--box", "=0001.jpg:1,2,9,9"], "Cannot call an object ''"),
         (["--box", "3=0001.jpg:1,2,9,9"], "Cannot call an object '3'"),
+        (["--box", "a/b=0001.jpg:1,2,9,9"], "Cannot call an object 'a/b': names must not contain"),
         (["--box", "vase=lost.jpg:1,2,9,9"], "No view is called 'lost.jpg'"),
         (["--box", "vase=0001.jpg:nan,2,9,9"], "Box nan,2,9,9 is empty"),
         (["--box", BOX, "--scene", "{photos}"], "not a scene"),
@@ -149,9 +149,6 @@ def test_places_with_names():
     assert parse_named_box("vase=a:b.jpg:1,2,3,4.5") == ("vase", "a:b.jpg", box)
     assert parse_named_box("a.jpg:1,2,3,4.5") == ("object", "a.jpg", box)
     assert parse_named_box("vase=a=b.jpg:1,2,3,4.5") == ("vase", "a=b.jpg", box)
-    for name in ("", "3"):
-        with pytest.raises(StyleSplatError, match=f"Cannot call an object '{name}'"):
-            parse_named_box(f"{name}=a.jpg:1,2,3,4")
 
 
 def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]):

@@ -7,11 +7,14 @@ import pytest
 import torch
 from PIL import Image
 
+from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
-from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.captures.label_folder import write_label_maps
+from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.scene.capture import Capture
 from stylesplat.verbs.mask import mask
+from tiny_captures import save_noise, write_capture
 
 WIDTH, HEIGHT = 12, 8
 
@@ -103,5 +106,74 @@ def test_a_capture_from_nowhere(folder: Path):
     masked = mask(nowhere, source=folder / "object_mask")
     assert torch.equal(attached(masked, 0), labels(1).int()[::2, ::2])
     write_label_map(labels(1)[:, :5], folder / "object_mask" / "0.png")
-    with pytest.raises(StyleSplatError, match=r"label map of 0\.png is 5x8.*shape of its photo"):
-        attached(mask(nowhere, source=folder / "object_mask"), 0)
+    with pytest.raises(StyleSplatError, match=r"label map .*0\.png is 5x8.*shape of its photo"):
+        mask(nowhere, source=folder / "object_mask")
+
+
+def save_binary(mask: torch.Tensor, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(255 * mask.numpy().astype(np.uint8)).save(path)
+
+
+def test_a_capture_gets_its_label_maps(tmp_path: Path):
+    capture = write_capture(tmp_path / "capture")
+    mask = torch.zeros(48, 64, dtype=torch.bool)
+    mask[5:20, 9:30] = True
+    save_binary(mask, tmp_path / "masks" / "cup" / "001.png")
+    save_binary(mask, tmp_path / "masks" / "cup" / "003.png")
+    found = Mask(capture, source=tmp_path / "masks").run()
+    assert (found["photos"], found["of"], found["ids"]) == (2, 3, [1])
+    assert torch.equal(read_label_map(capture / "object_mask" / "003.png") == 1, mask)
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        Mask(capture, source=tmp_path / "masks").run()
+    (capture / "object_mask/001.png").write_bytes(b"damaged")
+    again = Mask(capture, source=tmp_path / "masks", overwrite=True).run()
+    assert again["ids"] == found["ids"]
+    load(capture)  # they are whole again
+
+
+def test_masks_of_another_shape_leave_nothing(tmp_path: Path):
+    capture = write_capture(tmp_path / "capture")
+    save_binary(torch.ones(6, 8, dtype=torch.bool), tmp_path / "masks" / "cup" / "001.png")
+    save_binary(torch.ones(40, 9, dtype=torch.bool), tmp_path / "masks" / "cup" / "002.png")
+    with pytest.raises(StyleSplatError, match="not the shape of its photo"):
+        Mask(capture, source=tmp_path / "masks").run()
+    assert not (capture / "object_mask").exists()
+
+
+OPENCV = ("OPENCV", (60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.001, 0.002))
+
+
+def test_masks_of_photos_as_they_were_taken_are_undistorted_once(tmp_path: Path):
+    """Those drawn on the photo by another program; what is written fits the undistorted photo."""
+    capture = write_capture(tmp_path / "capture", *OPENCV)
+    stripes = torch.arange(64).expand(48, 64) // 8 % 2 == 0
+    save_binary(stripes, tmp_path / "masks" / "bars" / "001.png")
+    in_memory = mask(load(capture), source=tmp_path / "masks")
+    Mask(capture, source=tmp_path / "masks").run()
+    made, read = attached(in_memory, 0), attached(load(capture), 0)
+    assert made.shape == load(capture).photos[0].shape[:2]
+    assert torch.equal(made, read)
+    assert made.bool().float().mean() > 0.3
+    # Also from a capture that is taken at another size
+    half = mask(load(capture, downscale=2.0), source=tmp_path / "masks")
+    write_label_maps(half, tmp_path / "again")
+    again = attached(load(capture, masks=tmp_path / "again"), 0)
+    assert (again != made).float().mean() < 0.15, "borders of stripes of eight pixels"
+
+
+def test_label_maps_of_photos_in_folders(tmp_path: Path):
+    """Of two cameras that number their photos alike."""
+    frames, poses = [], np.eye(4).tolist()
+    for row, name in enumerate(("cam0/0001.png", "cam1/0001.png", "cam1/0002.png")):
+        save_noise(tmp_path / "images" / name, (WIDTH, HEIGHT), seed=row)
+        write_label_map(labels(row + 1), tmp_path / "ids" / name)
+        frames.append({"file_path": f"images/{name}", "transform_matrix": poses})
+    lens = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.0, "cy": 4.0, "w": WIDTH, "h": HEIGHT}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    found = Mask(tmp_path, source=tmp_path / "ids").run()
+    assert (found["photos"], found["ids"]) == (3, [1, 2, 3])
+    assert (tmp_path / "object_mask" / "cam1" / "0001.png").is_file()
+    masked = load(tmp_path)
+    for row in range(3):
+        assert torch.equal(attached(masked, row), labels(row + 1).int())

@@ -61,14 +61,15 @@ class Mask:
         method = self.method or ("files" if self.source else "grabcut")
         of_others = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
         refuse_given(self, of_others.get(method, (*DRAWN, "source")), f"--method {method}")
+        boxes, strokes = self._boxes(), self._strokes()
         output = self.capture / OBJECT_MASK
         progress = None if method in of_others else output.with_suffix(".partial")
         capture = load(self.capture, masks=False)
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         masked = mask(
             capture,
-            boxes=self._boxes(),
-            strokes=self._strokes(),
+            boxes=boxes,
+            strokes=strokes,
             source=self.source,
             method=method,
             model=self.model,

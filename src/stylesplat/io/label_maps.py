@@ -1,6 +1,8 @@
 """Label maps: pictures whose pixels are the ids of objects, 0 where there is none."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +54,27 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         Image.fromarray(pixels).save(temporary, format="PNG")
 
 
+@dataclass(frozen=True)
+class DrawnLabels:
+    """A label map as somebody drew it on a photo, which is read when it is asked for."""
+
+    size: tuple[int, int]
+    """Width and height."""
+    read: Callable[[], OwnLabels]
+    """What reads it."""
+    what: str
+    """What to call it where it does not fit."""
+
+    @classmethod
+    def on_disk(cls, path: Path) -> "DrawnLabels":
+        """That of a file, of which only the header is read.
+
+        Raises:
+            StyleSplatError: If there is no such file or it is no picture.
+        """
+        return cls(photo_sizes(path)[0], partial(read_label_map, path), str(path))
+
+
 def read_names(folder: Path) -> dict[int, str]:
     """What the objects of a folder of label maps are called, by id; empty if nothing says it.
 
@@ -101,42 +124,34 @@ def match_label_maps(
             f"Name them like {_key(Path(names[0]))}.png."
         )
     return Lazy(
-        [_fit(path, photo) if path else _none for path, photo in zip(paths, photos, strict=True)]
+        [
+            fit_labels(DrawnLabels.on_disk(path), photo) if path else _none
+            for path, photo in zip(paths, photos, strict=True)
+        ]
     )
 
 
-def fit_labels(labels: OwnLabels, photo: Photo, what: Path | str) -> OwnLabels:
-    """A label map as the pinhole camera of its photo sees it, at the photo's size.
-
-    Args:
-        labels: Drawn on the photo as it was taken, or as it is undistorted.
-        photo: The photo.
-        what: What to call the label map where it does not fit.
+def fit_labels(drawn: DrawnLabels, photo: Photo) -> Callable[[], OwnLabels]:
+    """What reads a label map as the pinhole camera of its photo sees it, at the photo's size.
 
     Raises:
         StyleSplatError: If the label map is not of the photo's shape.
     """
-    height, width = labels.shape
-    if _is_distorted((width, height), photo, what):
-        whole = resize_labels(labels.int(), photo.lens.size[::-1]).numpy()
-        labels = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
-    return resize_labels(labels, photo.size[::-1])
-
-
-def _fit(path: Path, photo: Photo) -> Callable[[], OwnLabels]:
-    _is_distorted(photo_sizes(path)[0], photo, path)  # refuses what does not fit
-    return lambda: fit_labels(read_label_map(path), photo, path)
-
-
-def _is_distorted(size: tuple[int, int], photo: Photo, what: Path | str) -> bool:
-    if size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
-        return False
-    if not same_shape(size, photo.lens.size):
+    width, height = drawn.size
+    if drawn.size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
+        return lambda: resize_labels(drawn.read(), photo.size[::-1])
+    if not same_shape(drawn.size, photo.lens.size):
         raise StyleSplatError(
-            f"The label map {what} is {size[0]}x{size[1]}, which is not the shape of its photo "
+            f"The label map {drawn.what} is {width}x{height}, which is not the shape of its photo "
             f"({photo.lens.width}x{photo.lens.height}). Make it from that photo."
         )
-    return True
+    return partial(_undistorted, drawn, photo)
+
+
+def _undistorted(drawn: DrawnLabels, photo: Photo) -> OwnLabels:
+    whole = resize_labels(drawn.read().int(), photo.lens.size[::-1]).numpy()
+    seen = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
+    return resize_labels(seen, photo.size[::-1])
 
 
 def _none() -> None:

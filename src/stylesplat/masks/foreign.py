@@ -1,7 +1,7 @@
 """Masks of other programs, as label maps: pictures of ids, binary masks by object, COCO's RLE."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -13,19 +13,20 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json
-from stylesplat.io.label_maps import read_label_map
+from stylesplat.io.label_maps import DrawnLabels, read_label_map
 from stylesplat.masks.photo_names import match_photos, photo_key
 from stylesplat.scene.labels import MAX_ID, Labels
 
 MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
+BAD_RLE = (KeyError, TypeError, ValueError, OverflowError)  # what damaged run lengths raise
 
 
 @dataclass(frozen=True)
 class Found:
     """Masks of photos among another program's output."""
 
-    maps: dict[str, Callable[[], Labels]]
-    """By photo a function that reads its label map; photos without one are left out."""
+    maps: dict[str, DrawnLabels]
+    """By photo its label map, read on access; photos without one are left out."""
     names: dict[int, str] = field(default_factory=dict)
     """What objects are called, by id, where that is known."""
 
@@ -61,7 +62,7 @@ def _by_photo(source: Path, names: Sequence[str]) -> Found:
     """Pictures of ids, wherever they lie."""
     files = _pictures(source)
     matches = match_photos(files, names)
-    return Found({photo: partial(read_label_map, files[key]) for key, photo in matches.items()})
+    return Found({photo: DrawnLabels.on_disk(files[key]) for key, photo in matches.items()})
 
 
 def _by_object(source: Path, names: Sequence[str]) -> Found | None:
@@ -80,7 +81,7 @@ def _by_object(source: Path, names: Sequence[str]) -> Found | None:
         for photo, path in files.items():
             found.setdefault(photo, []).append((number, path))
     titles = {number: name for number, name in called.items() if not name.isdecimal()}
-    return Found({photo: partial(_stacked, layers) for photo, layers in found.items()}, titles)
+    return Found({photo: _stack(layers) for photo, layers in found.items()}, titles)
 
 
 def _pictures(folder: Path) -> dict[str, Path]:
@@ -111,6 +112,11 @@ def _numbers(folders: Sequence[str]) -> dict[int, str]:
 
 def _is_binary(path: Path) -> bool:
     return len(read_label_map(path).unique()) <= 2
+
+
+def _stack(layers: Sequence[tuple[int, Path]]) -> DrawnLabels:
+    first = DrawnLabels.on_disk(layers[0][1])
+    return replace(first, read=partial(_stacked, layers))
 
 
 def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
@@ -155,7 +161,14 @@ def _coco(source: Path, names: Sequence[str]) -> Found:
             "annotations and RLE masks."
         ) from error
     matches = match_photos(found, names)
-    maps = {photo: partial(_decoded, found[file], source) for file, photo in matches.items()}
+    maps = {
+        photo: DrawnLabels(
+            size=_rle_size(found[file][0][1], source)[::-1],
+            read=partial(_decoded, found[file], source),
+            what=f"of {file} in {source}",
+        )
+        for file, photo in matches.items()
+    }
     return Found(maps, titles)
 
 
@@ -170,20 +183,33 @@ def decode_rle(rle: Any, source: Path) -> Bool[Tensor, "H W"]:
     Raises:
         StyleSplatError: If they do not fill the mask.
     """
+    height, width = _rle_size(rle, source)
     try:
-        height, width = (int(side) for side in rle["size"])
         counts = rle["counts"]
         runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
         if height * width != runs.sum() or runs.min(initial=0) < 0:
             raise ValueError(f"its runs hold {runs.sum()} pixels of {height}x{width}")
         if height * width > MAX_PIXELS:
             raise ValueError(f"{height}x{width} pixels are no photo's")
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise StyleSplatError(
-            f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
-        ) from error
+    except BAD_RLE as error:
+        raise _unreadable_rle(source, error) from error
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
+
+
+def _rle_size(rle: Any, source: Path) -> tuple[int, int]:
+    """Height and width."""
+    try:
+        height, width = (int(side) for side in rle["size"])
+    except BAD_RLE as error:
+        raise _unreadable_rle(source, error) from error
+    return height, width
+
+
+def _unreadable_rle(source: Path, error: Exception) -> StyleSplatError:
+    return StyleSplatError(
+        f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
+    )
 
 
 def _unpack(text: str) -> list[int]:

@@ -4,11 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.labels import OwnLabels
 
 
 @dataclass(frozen=True)
@@ -17,9 +18,9 @@ class Capture:
 
     cameras: Cameras
     """One per photo, of the photo's size."""
-    photos: Sequence[UInt8[Tensor, "H W 3"]]
+    photos: Sequence[UInt8[Tensor, "_ _ 3"]]
     """Undistorted photos, sRGB."""
-    label_maps: Sequence[Int[Tensor, "H W"] | None] | None = None
+    label_maps: Sequence[OwnLabels | None] | None = None
     """Per photo the label id of each pixel, 0 = background; None where a photo has none."""
     points: Float[Tensor, "M 3"] | None = None
     """Sparse points in the world, to start training from."""

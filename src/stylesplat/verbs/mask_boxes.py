@@ -17,7 +17,7 @@ from stylesplat.verbs.working import with_maps, with_splat
 
 SIZE = 480  # pixels of the longer side at which objects are cut out
 
-SeenBox = tuple[str, tuple[float | int, float | int, float | int, float | int]]
+SeenBox = tuple[str, Box]
 """A view's name, and left, top, right, bottom in its pixels."""
 SeenStroke = tuple[str, Stroke]
 """A view's name, and a line in its pixels."""

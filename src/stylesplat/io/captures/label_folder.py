@@ -1,8 +1,7 @@
 """Label maps into a capture, and from it into its folder."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
@@ -10,32 +9,33 @@ from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import claim_directory, refuse_occupied
-from stylesplat.io.label_maps import NAMES, fit_labels, write_label_map, write_names
+from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label_map, write_names
 from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import OwnLabels, ids_of, resize_labels
+from stylesplat.scene.labels import ids_of, resize_labels
 from stylesplat.scene.lazy import Lazy, glance
 
 
 def with_drawn_maps(
-    capture: Capture, maps: Mapping[str, Callable[[], OwnLabels]], names: Mapping[int, str]
+    capture: Capture, maps: Mapping[str, DrawnLabels], names: Mapping[int, str]
 ) -> Capture:
     """A capture with label maps that were drawn on its photos as they were taken, at any size.
 
     Args:
         capture: The photos.
-        maps: By photo what reads its label map; others have none. Those that do not fit their
-            photos are refused when they are asked for.
+        maps: By photo its label map; others have none.
         names: What objects are called, by id.
+
+    Raises:
+        StyleSplatError: If a label map is not of its photo's shape.
     """
     photos = _photos_of(capture)
-
-    def fitted(name: str) -> OwnLabels | None:
-        return fit_labels(maps[name](), photos[name], f"of {name}") if name in maps else None
-
-    made = Lazy([partial(fitted, name) for name in capture.cameras.names])
-    return replace(capture, label_maps=made, object_names=dict(names))
+    makers = [
+        fit_labels(maps[name], photos[name]) if name in maps else _none
+        for name in capture.cameras.names
+    ]
+    return replace(capture, label_maps=Lazy(makers), object_names=dict(names))
 
 
 def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> None:
@@ -95,6 +95,10 @@ def write_label_maps(
         write_names(called, claimed)
     _remove_stale(folder, {*capture.cameras.names} - found.keys(), named=bool(called))
     return found
+
+
+def _none() -> None:
+    return None
 
 
 def _named(capture: Capture, found: Iterable[set[int]]) -> list[int]:

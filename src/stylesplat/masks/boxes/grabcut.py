@@ -28,7 +28,7 @@ LOOKS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 
 STROKE = 3  # pixels that a stroke is wide
 
-Box = tuple[float, float, float, float]
+Box = tuple[float | int, float | int, float | int, float | int]
 Look = tuple[int, int, int]
 
 
