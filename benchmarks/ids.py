@@ -25,7 +25,7 @@ from stylesplat.masks.ids.repair import repair
 from stylesplat.masks.models.associate import to_labels
 from stylesplat.masks.models.track import Segmenter, State, stretches, track
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND, Labels, OwnLabels
+from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.training.loop import fit
 from stylesplat.verbs.working import QUICK
 

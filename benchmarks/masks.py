@@ -2,9 +2,10 @@
 
     .venv/bin/python benchmarks/masks.py
 
-Through the verb `mask`, without any model: a quick splat of 3,000 steps, photos of 480 pixels. The box is that of the object in one photo's label map, with a margin of 1 % of the
-photo's width. Targets: a mean IoU of 0.90 in six other photos, evenly spread, for the fox as well
-as for the bottle on the desk.
+Through the verb `mask`, without any model: a quick splat of 3,000 steps, photos of 480 pixels. The
+box is that of the object in one photo's label map, with a margin of 1 % of the photo's width.
+Targets: a mean IoU of 0.90 in six other photos, evenly spread, for the fox as well as for the
+bottle on the desk.
 """
 
 import time

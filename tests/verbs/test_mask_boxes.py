@@ -152,8 +152,8 @@ def test_boxes_of_one_object_in_two_photos(balls: Capture):
 
 def test_boxes_are_in_pixels_of_the_capture(photos: Path):
     """Of one that was loaded at half the photos' size, in whole numbers."""
-    view, place = VASE
-    halved = (view, tuple(round(side / 2) for side in place))
+    view, (left, top, right, bottom) = VASE
+    halved = (view, (round(left / 2), round(top / 2), round(right / 2), round(bottom / 2)))
     masked = mask(load(photos, downscale=2.0), boxes={"vase": halved}, scene=BALLS, device="cpu")
     assert masked.label_maps is not None and masked.cameras.size == HALF.size
     assert min(agreement(masked, 1, 3)) > 0.8

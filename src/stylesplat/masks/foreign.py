@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json
 from stylesplat.io.label_maps import DrawnLabels, read_label_map
 from stylesplat.masks.photo_names import match_photos, photo_key
-from stylesplat.scene.labels import MAX_ID, Labels
+from stylesplat.scene.labels import MAX_ID, Labels, Mask
 
 MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
 BAD_RLE = (KeyError, TypeError, ValueError, OverflowError)  # what damaged run lengths raise
@@ -125,7 +123,7 @@ def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
     return overlaid(masks)
 
 
-def overlaid(masks: Sequence[tuple[int, Bool[Tensor, "H W"]]]) -> Labels:
+def overlaid(masks: Sequence[tuple[int, Mask]]) -> Labels:
     """A label map of masks by id; where they overlap the smaller one shows."""
     labels = torch.zeros(masks[0][1].shape, dtype=torch.int64)
     for number, mask in sorted(masks, key=lambda each: -int(each[1].sum())):
@@ -163,7 +161,7 @@ def _coco(source: Path, names: Sequence[str]) -> Found:
     matches = match_photos(found, names)
     maps = {
         photo: DrawnLabels(
-            size=_rle_size(found[file][0][1], source)[::-1],
+            size=_rle_size(found[file][0][1], source),
             read=partial(_decoded, found[file], source),
             what=f"of {file} in {source}",
         )
@@ -177,13 +175,13 @@ def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:
     return overlaid(masks)
 
 
-def decode_rle(rle: Any, source: Path) -> Bool[Tensor, "H W"]:
+def decode_rle(rle: Any, source: Path) -> Mask:
     """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros.
 
     Raises:
         StyleSplatError: If they do not fill the mask.
     """
-    height, width = _rle_size(rle, source)
+    width, height = _rle_size(rle, source)
     try:
         counts = rle["counts"]
         runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
@@ -198,12 +196,12 @@ def decode_rle(rle: Any, source: Path) -> Bool[Tensor, "H W"]:
 
 
 def _rle_size(rle: Any, source: Path) -> tuple[int, int]:
-    """Height and width."""
+    """Width and height."""
     try:
         height, width = (int(side) for side in rle["size"])
     except BAD_RLE as error:
         raise _unreadable_rle(source, error) from error
-    return height, width
+    return width, height
 
 
 def _unreadable_rle(source: Path, error: Exception) -> StyleSplatError:

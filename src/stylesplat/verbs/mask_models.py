@@ -57,7 +57,7 @@ def mask_with_model(
         kept = open_progress(progress or Path(temporary) / "progress", settings)
         working = with_splat(small, scene, device)
         segmenter = _segmenter(working, proposer, follower, kept)
-        tracked = _tracked(working.capture, segmenter, kept)
+        tracked = _tracked(small, segmenter, kept)
     maps = repair(working.splats, working.capture.cameras, tracked)
     if not any(labels.any() for labels in maps):
         raise StyleSplatError(

@@ -59,7 +59,7 @@ def test_right_ids_stay_and_count_from_one_by_size():
         pytest.param(changed(range(3), red=91, green=92, blue=93), 0.99, id="anew under other ids"),
         pytest.param(
             [mapped(m, {0: 0} | {id: 9 * row + id for id in BALLS}) for row, m in enumerate(TRUTH)],
-            *(0.99,),
+            0.99,
             id="other ids in each view",
         ),
     ],

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.metrics.iou import mask_iou
+from stylesplat.scene.labels import Mask
 
 ROUNDS = 5
 SEED = 0  # of OpenCV's clustering
@@ -89,7 +90,7 @@ def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
 
 def cut_box(
     seen: Evidence, box: Box, photo: str, strokes: Sequence[Stroke] = ()
-) -> tuple[Look, Bool[Tensor, "H W"]]:
+) -> tuple[Look, Mask]:
     """What a box holds, the rest of the photo being background.
 
     Of the cuts by different channels the one is taken that agrees with the others most.
@@ -138,7 +139,7 @@ def refine(
     probability: Float[Tensor, "H W"],
     novelty: Float[Tensor, "H W"],
     look: Look,
-) -> Bool[Tensor, "H W"]:
+) -> Mask:
     """The mask of an object of which a probability is known, its contour moved to an edge.
 
     Args:

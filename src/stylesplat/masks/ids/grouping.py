@@ -24,7 +24,7 @@ SMALL = 5e-4  # of a photo: a part that is smaller is dropped
 PHOTOS = 3  # in which groups of parts must have had the same id, for that to be no accident
 FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 
-Box = tuple[slice, slice]
+Window = tuple[slice, slice]
 
 
 def group_parts(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) -> list[OwnLabels]:
@@ -69,7 +69,7 @@ def at_work(camera: Cameras) -> Cameras:
     return camera.at_most(SIDE)
 
 
-def parts_of(labels: Labels) -> Iterator[tuple[int, Box, Bool[Tensor, "h w"]]]:
+def parts_of(labels: Labels) -> Iterator[tuple[int, Window, Bool[Tensor, "h w"]]]:
     """The connected parts of a label map: the id, a box around it, and the part inside."""
     ids, dense = labels.unique(return_inverse=True)
     for id, box in zip(ids.tolist(), find_objects(dense.numpy() + 1), strict=True):

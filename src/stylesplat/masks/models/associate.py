@@ -7,12 +7,12 @@ hypothesis; neighbouring photos confirm it; what is confirmed takes on the ids t
 from collections.abc import Mapping, Sequence
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from stylesplat.metrics.iou import pairwise_iou
-from stylesplat.scene.labels import BACKGROUND, Mask
+from stylesplat.scene.labels import BACKGROUND, Labels, Mask
 
 SAME = 0.5  # IoU of two masks of one object in one photo
 FREE = 0.5  # of a mask, that no better one may cover already
@@ -87,7 +87,7 @@ def associate(
     return result, {*matches, *(id for id in result if id not in known)}
 
 
-def to_labels(masks: Mapping[int, Mask], size: Sequence[int]) -> Int[Tensor, "H W"]:
+def to_labels(masks: Mapping[int, Mask], size: Sequence[int]) -> Labels:
     """A label map of masks that do not overlap."""
     labels = torch.full(tuple(size), BACKGROUND, dtype=torch.int64)
     for id, mask in masks.items():
@@ -95,7 +95,7 @@ def to_labels(masks: Mapping[int, Mask], size: Sequence[int]) -> Int[Tensor, "H 
     return labels
 
 
-def to_masks(labels: Int[Tensor, "H W"]) -> dict[int, Mask]:
+def to_masks(labels: Labels) -> dict[int, Mask]:
     """The masks of a label map by id, background left out."""
     return {id: labels == id for id in labels.unique().tolist() if id != BACKGROUND}
 

@@ -6,10 +6,11 @@ from functools import partial
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.scene.labels import Mask
 from stylesplat.scene.lazy import Lazy
 
 
@@ -24,8 +25,8 @@ class MemoryFollower:
 
     @torch.no_grad()
     def follow(
-        self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Bool[Tensor, "H W"]]
-    ) -> list[dict[int, Bool[Tensor, "H W"]]]:
+        self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Mask]
+    ) -> list[dict[int, Mask]]:
         """Find the objects of the first photo in all of them.
 
         Args:
@@ -53,9 +54,7 @@ class MemoryFollower:
         device = next(iter(seeds.values())).device
         return [{id: mask.to(device) for id, mask in masks.items()} for masks in found]
 
-    def _session(
-        self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Bool[Tensor, "H W"]]
-    ) -> Any:
+    def _session(self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Mask]) -> Any:
         """What the model knows of these photos, to begin with: the seeds."""
         session = self.processor.init_video_session(
             inference_device=self.model.device, dtype=self.model.dtype
@@ -79,7 +78,7 @@ class MemoryFollower:
 
 def _part(
     logits: Float[Tensor, "M h w"], presence: Float[Tensor, " M"], size: Sequence[int]
-) -> dict[int, Bool[Tensor, "H W"]]:
+) -> dict[int, Mask]:
     """The masks of the objects that are there, by row, each pixel to one of them at most.
 
     They are enlarged one by one, since there may be a hundred.

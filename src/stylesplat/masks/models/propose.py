@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torchvision.ops import masks_to_boxes, nms
 
+from stylesplat.scene.labels import Mask
+
 # Of masks at the photo's size that are in memory together: 64 MB as float32, be it 16 small
 # masks or one of a large photo. 64 points at once with 3 masks each would be 3 GB for 4 MP.
 PIXELS_AT_ONCE = 2**24
@@ -39,7 +41,7 @@ class GridProposer:
     """Asked in one pass: the decoder of SAM 2 takes 35 MB for each."""
 
     @torch.no_grad()
-    def propose(self, photo: UInt8[Tensor, "H W 3"]) -> list[Bool[Tensor, "H W"]]:
+    def propose(self, photo: UInt8[Tensor, "H W 3"]) -> list[Mask]:
         """Masks of what may be objects or parts of them.
 
         Returns:

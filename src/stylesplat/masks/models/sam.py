@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.models.follow import MemoryFollower
 from stylesplat.masks.models.propose import GridProposer
 from stylesplat.models.hub import find_model, load_model, load_processor
+from stylesplat.scene.labels import Mask
 
 Method = Literal["sam", "sam2", "edgetam", "sam3"]
 
@@ -20,7 +21,7 @@ Method = Literal["sam", "sam2", "edgetam", "sam3"]
 class Proposer(Protocol):
     """Finds objects in one photo."""
 
-    def propose(self, photo: UInt8[Tensor, "H W 3"]) -> list[Bool[Tensor, "H W"]]:
+    def propose(self, photo: UInt8[Tensor, "H W 3"]) -> list[Mask]:
         """Masks of what may be objects or parts of them, best first; they may overlap."""
         ...
 
@@ -30,8 +31,8 @@ class Follower(Protocol):
     """Finds objects of one photo again in others."""
 
     def follow(
-        self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Bool[Tensor, "H W"]]
-    ) -> list[dict[int, Bool[Tensor, "H W"]]]:
+        self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Mask]
+    ) -> list[dict[int, Mask]]:
         """The masks by object of every photo, given those of the first."""
         ...
 
