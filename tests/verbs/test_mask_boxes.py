@@ -1,6 +1,5 @@
 """`mask` with boxes on the balls, with their scene given so that nothing is trained."""
 
-import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,66 +9,38 @@ import pytest
 import torch
 from jaxtyping import config
 
+from ball_boxes import (
+    BALLS,
+    CUP,
+    HALF,
+    LARGE,
+    PLAIN,
+    VASE,
+    agreement,
+    box,
+    fail_at_work,
+    work_at_half_size,
+)
 from ball_photos import write_ball_capture
-from balls import CAMERAS, SPLATS, enlarged
-from stylesplat.cli.mask import PREVIEW, Mask
+from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
-from stylesplat.io.captures.photos import read_image
-from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map
-from stylesplat.io.scene_folder import Scene as SceneOnDisk
-from stylesplat.io.scene_folder import write_scene
 from stylesplat.masks.boxes import spread as spread_module
 from stylesplat.masks.boxes.grabcut import Box, Stroke
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.identities import render_labels
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.verbs import mask_boxes as verb
 from stylesplat.verbs import working
 from stylesplat.verbs.mask import mask
 
-LARGE = enlarged(CAMERAS, 4)  # the photos; worked on at half of that
-PLAIN = replace(SPLATS, identities=None, classifier=None)
 SHORT = TrainConfig(steps=60, max_gaussians=1000, test_every=0)  # by steps: any machine agrees
-
-
-def box(id: int, row: int) -> Box:
-    """Around a ball in the pixels of a photo, some pixels apart."""
-    y, x = ((render_labels(SPLATS, LARGE[row]) == id).nonzero().T).float()
-    (width, height), margin = LARGE.size, 4.0
-    left, top = max(0.0, float(x.min()) - margin), max(0.0, float(y.min()) - margin)
-    right, bottom = float(x.max()) + 1 + margin, float(y.max()) + 1 + margin
-    return left, top, min(float(width), right), min(float(height), bottom)
-
-
-VASE = ("0001.jpg", box(3, 1))
-CUP = ("0005.jpg", box(7, 5))
-BALLS = Scene(PLAIN, CAMERAS)  # at a size of its own, as `import` and `train --downscale` make them
-
-
-def agreement(masked: Capture, id: int, ball: int) -> list[float]:
-    """IoU per photo of what is masked as an id with a ball, at the size that it was made at."""
-    assert masked.label_maps is not None
-    ious = []
-    for row in range(len(masked)):
-        labels, truth = masked.label_maps[row], render_labels(SPLATS, HALF[row]) == ball
-        assert labels is not None
-        assert labels.shape == masked.cameras[row].size[::-1]
-        mask = resize_labels(labels, truth.shape) == id
-        ious.append(float((mask & truth).sum() / (mask | truth).sum()))
-    return ious
-
-
-HALF = enlarged(CAMERAS, 2)
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verb, "SIZE", 96)
+    work_at_half_size(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -83,33 +54,8 @@ def balls(photos: Path) -> Capture:
 
 
 @pytest.fixture
-def capture(photos: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(photos, tmp_path / "capture"))
-
-
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    write_scene(SceneOnDisk(PLAIN, CAMERAS), tmp_path / "scene")
-    return tmp_path / "scene"
-
-
-@pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Training and rendering fail."""
-
-    def fail(*args: Any, **kwargs: Any) -> None:
-        raise AssertionError("work has begun")
-
-    monkeypatch.setattr(working, "fit", fail)
-    monkeypatch.setattr(verb, "spread", fail)
-
-
-def run_mask(capture: Path, boxes: dict, scene: Path | None = None, **options: Any) -> dict:
-    """`stylesplat mask CAPTURE --box NAME=VIEW:x0,y0,x1,y1 ...`."""
-    typed = tuple(
-        f"{name}={view}:{','.join(map(str, place))}" for name, (view, place) in boxes.items()
-    )
-    return Mask(capture=capture, box=typed, scene=scene, device="cpu", **options).run()
+    fail_at_work(monkeypatch)
 
 
 def test_boxes_become_label_maps_with_names(balls: Capture):
@@ -119,28 +65,6 @@ def test_boxes_become_label_maps_with_names(balls: Capture):
     assert min(agreement(masked, 1, 3)) > 0.8
     assert min(agreement(masked, 2, 7)) > 0.7
     assert masked.photos is balls.photos and masked.cameras is balls.cameras
-
-
-def test_the_command_writes_label_maps_with_names(capture: Path, scene: Path):
-    found = run_mask(capture, {"vase": VASE, "cup": CUP}, scene)
-    folder = capture / "object_mask"
-    assert found == {
-        "masks": folder,
-        "preview": folder / PREVIEW,
-        "photos": 8,
-        "of": 8,
-        "ids": [1, 2],
-        "names": {1: "vase", 2: "cup"},
-    }
-    assert read_names(folder) == {1: "vase", 2: "cup"}
-    assert read_image(folder / PREVIEW).shape[1] > 4 * LARGE.size[0]
-    pictures = {f"000{row}.png" for row in range(8)}
-    assert {path.name for path in folder.iterdir()} == pictures | {NAMES, PREVIEW}
-    in_memory = mask(load(capture), boxes={"vase": VASE, "cup": CUP}, scene=BALLS, device="cpu")
-    maps = load(capture).label_maps
-    assert maps is not None and in_memory.label_maps is not None
-    for on_disk, made in zip(maps, in_memory.label_maps, strict=True):
-        assert on_disk is not None and made is not None and torch.equal(on_disk, made.int())
 
 
 def test_boxes_of_one_object_in_two_photos(balls: Capture):
@@ -193,14 +117,11 @@ def test_a_splat_is_trained_where_there_is_none(
     assert agreement(masked, 1, 3)[1] > 0.7, "too short for more than the photo with the box"
 
 
-def test_a_scene_of_other_photos(balls: Capture, capture: Path, no_work: None):
+def test_a_scene_of_other_photos(balls: Capture, no_work: None):
     names = tuple(f"other_{name}" for name in CAMERAS.names)
     other = Scene(PLAIN, replace(CAMERAS, names=names))
     with pytest.raises(StyleSplatError, match=r"scene of other photos: it has no view 0000\.jpg"):
         mask(balls, boxes={"vase": VASE}, scene=other)
-    with pytest.raises(StyleSplatError, match="not a scene"):
-        run_mask(capture, {"vase": VASE}, capture)
-    assert not (capture / "object_mask").exists()
 
 
 def test_a_scene_with_more_photos_in_another_order(balls: Capture):
@@ -265,59 +186,6 @@ def test_what_would_change_nothing(balls: Capture, no_work: None, given: dict, e
         mask(balls, **given)
 
 
-def test_label_maps_are_kept_unless_told_otherwise(capture: Path, scene: Path, no_work: None):
-    write_label_map(torch.full((36, 48), 5), capture / "object_mask" / "0000.png")
-    with pytest.raises(StyleSplatError, match=r"holds something.*--overwrite"):
-        run_mask(capture, {"vase": VASE}, scene)
-    shutil.rmtree(capture / "object_mask")
-    (capture / "object_mask").touch()
-    with pytest.raises(StyleSplatError, match="is a file"):
-        run_mask(capture, {"vase": VASE}, scene, overwrite=True)
-
-
-def test_what_an_earlier_run_said_is_replaced_and_nothing_else(capture: Path, scene: Path):
-    folder = capture / "object_mask"
-    run_mask(capture, {"vase": VASE, "cup": CUP}, scene)
-    (folder / "mine.png").touch()
-    (folder / "0000.png").write_bytes(b"damaged")
-    run_mask(capture, {"cup": CUP}, scene, overwrite=True)
-    assert read_names(folder) == {1: "cup"}
-    assert set(read_label_map(folder / "0000.png").unique().tolist()) == {0, 1}
-    names = tmp_masks(capture.parent / "masks", ids=True)
-    Mask(capture=capture, source=names, overwrite=True).run()
-    assert not (folder / NAMES).exists(), "they have no names"
-    assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}
-
-
-def tmp_masks(folder: Path, *, ids: bool) -> Path:
-    """Another program's masks of the first photo: of ids, or one per object."""
-    mask = torch.zeros(144, 192, dtype=torch.int64)
-    mask[50:90, 60:120] = 9 if ids else 255
-    write_label_map(mask, folder / ("0000.png" if ids else "pot/0000.png"))
-    return folder
-
-
-def test_label_maps_of_others_are_merged_into(capture: Path, scene: Path):
-    folder = capture / "object_mask"
-    folder.mkdir()
-    (folder / "notes.txt").write_text("mine")
-    write_label_map(torch.full((36, 48), 5), folder / "0000.png")
-    run_mask(capture, {"vase": VASE}, scene, overwrite=True)
-    assert (folder / "notes.txt").read_text() == "mine"
-    assert min(agreement(load(capture), 1, 3)) > 0.8
-
-
-def test_a_box_that_fails_leaves_what_was_there(capture: Path, scene: Path):
-    folder = capture / "object_mask"
-    run_mask(capture, {"vase": VASE}, scene)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    black = ("0001.jpg", (4.0, 110.0, 20.0, 130.0))
-    with pytest.raises(StyleSplatError, match=r"box in 0001\.jpg holds looks like"):
-        run_mask(capture, {"vase": VASE, "hole": black}, scene, overwrite=True)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert [path.name for path in capture.iterdir() if path.name.startswith(".")] == []
-
-
 @pytest.mark.parametrize(
     ("stroke", "expected"),
     [
@@ -354,13 +222,6 @@ def test_a_scene_of_other_photos_with_the_same_names(balls: Capture, no_work: No
     other = Scene(PLAIN, replace(CAMERAS, viewmats=turned))
     with pytest.raises(StyleSplatError, match="does not show what the photos do"):
         mask(balls, boxes={"vase": VASE}, scene=other, device="cpu")
-
-
-def test_photos_that_differ_in_their_suffix_only(tmp_path: Path, no_work: None):
-    names = ("a.jpg", "a.png", *CAMERAS.names[2:])
-    photos = write_ball_capture(tmp_path / "twins", replace(CAMERAS, names=names), masks=False)
-    with pytest.raises(StyleSplatError, match="differ in their suffix only"):
-        run_mask(photos, {"vase": ("a.png", VASE[1])})
 
 
 def test_photos_of_several_sizes(balls: Capture):

@@ -108,13 +108,14 @@ class Mask:
 
     def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
         from stylesplat.drawing.preview import mask_preview
+        from stylesplat.io.captures.capture_folder import load
         from stylesplat.io.captures.label_folder import write_label_maps
         from stylesplat.io.images import write_image
 
         found = write_label_maps(masked, output, overwrite=self.overwrite)
         ids = sorted(set[int]().union(*found.values()))
         names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
-        write_image(mask_preview(masked, names), output / PREVIEW)
+        write_image(mask_preview(load(self.capture), names), output / PREVIEW)
         return {
             "masks": output,
             "preview": output / PREVIEW,
