@@ -35,7 +35,7 @@ from stylesplat.evaluation.style import measure_style
 from stylesplat.io.scene_folder import Scene, read_scene
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.sampling import evenly
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
@@ -79,7 +79,7 @@ class Bench:
 
     def job(self, painting: str) -> StyleJob:
         """The fox in a painting."""
-        picked = select(self.scene.splats, object_id=FOX)
+        picked = pick(self.scene.splats, object_id=FOX)
         return StyleJob(painting, picked, (self.paintings[painting],), StyleConfig())
 
 

@@ -24,7 +24,7 @@ from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.nnfm import nnfm_loss
 from stylesplat.stylization.paint_objects import StyleJob, stylize_objects
@@ -94,7 +94,7 @@ def compare(name: str, steps: int) -> list[list[object]]:
     maps = [loaded.label_maps[row] for row in rows]
     network = style_network()
     style = read_style(STYLES / "van_gogh_starry_night_1024.jpg")
-    picked = select(scene.splats, object_id=OBJECT_ID)
+    picked = pick(scene.splats, object_id=OBJECT_ID)
     job = StyleJob(name, picked, (style,), StyleConfig(steps=steps, max_growth=1.0))
     ours, _ = stylize_objects(scene.splats, training, [job], network, held_out=held_out)
     theirs = masked_in_2d(scene.splats, (training, maps), style, network, steps)

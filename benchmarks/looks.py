@@ -22,7 +22,7 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.object_views import Box, find_boxes
 from stylesplat.stylization.paint_objects import stylize
 from stylesplat.stylization.style_config import PRESETS
@@ -69,7 +69,7 @@ def main(options: Options) -> None:
     for name, (folder, object_id) in scenes.items():
         scene = read_scene(folder)
         training, held_out = working_views(scene)
-        picked = select(scene.splats, object_id=object_id)
+        picked = pick(scene.splats, object_id=object_id)
         box = max(
             find_boxes(scene.splats, held_out or training, picked), key=lambda each: each.length
         )

@@ -43,12 +43,12 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex, nearest
 from stylesplat.stylization.nnfm import nnfm_loss
 from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
-from stylesplat.stylization.paint_objects import stylize_live, stylize_objects
+from stylesplat.stylization.paint_objects import paint_live, stylize_objects
 from stylesplat.stylization.repaint import Studio, StyleJob, repaint
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.stylization.style_images import read_style
@@ -81,7 +81,7 @@ class Bench:
 
     def job(self, object_id: int, **settings: object) -> StyleJob:
         """One object in the style."""
-        picked = select(self.splats, object_id=object_id)
+        picked = pick(self.splats, object_id=object_id)
         config = replace(StyleConfig(), **settings)
         return StyleJob(str(object_id), picked, (self.style,), config)
 
@@ -184,7 +184,7 @@ def naive(bench: Bench, steps: int) -> tuple[float, Splats]:
     """Seconds per step of the naive loop, and what it makes."""
     job = bench.job(FOX, max_growth=1.0)
     config = replace(job.config, lr=1e-9)
-    start = next(stylize_live(*_arguments(bench, job), config=config, network=bench.network))
+    start = next(paint_live(*_arguments(bench, job), config=config, network=bench.network))
     rows = job.picked.nonzero()[:, 0]
     sh0 = start.splats.sh0[rows].requires_grad_()
     optimizer = torch.optim.Adam([sh0], lr=job.config.lr, eps=1e-15)

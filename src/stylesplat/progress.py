@@ -98,15 +98,18 @@ def task(
     return _observer().task(what, total, unit, done)
 
 
-def track(items: Iterable[T], what: str, *, unit: str = "view") -> Iterator[T]:
+def track(
+    items: Iterable[T], what: str, *, unit: str = "view", total: int | None = None
+) -> Iterator[T]:
     """The same items, counted as they are asked for.
 
     Args:
         items: What is worked on.
         what: What is done with them.
         unit: What one of them is.
+        total: How many there are, if they do not know it themselves.
     """
-    total = len(items) if isinstance(items, Sized) else None
+    total = len(items) if isinstance(items, Sized) else total
     with task(what, total, unit=unit) as counted:
         for item in items:
             yield item

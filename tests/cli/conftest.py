@@ -6,7 +6,8 @@ from PIL import Image
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from stylesplat.io.scene_folder import Scene, write_scene
+from stylesplat.io.scene_folder import save
+from stylesplat.scene.scene import Scene
 
 
 @pytest.fixture(scope="session")
@@ -18,9 +19,8 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """The balls as a scene that is trained, with the first view held out."""
-    info = {"test_views": [CAMERAS.names[0]], "settings": {"downscale": 1.0}}
     folder = tmp_path / "scene"
-    write_scene(Scene(SPLATS, CAMERAS, info=info, metrics={"psnr": 30.0}), folder)
+    save(Scene(SPLATS, CAMERAS, held_out=(CAMERAS.names[0],), metrics={"psnr": 30.0}), folder)
     return folder
 
 

@@ -9,11 +9,11 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_named_box
+from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.io.scene_folder import read_scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.verbs.export import export
-from stylesplat.verbs.select import Choice, select_object
+from stylesplat.verbs.select import select
 
 BOX = "vase=0001.jpg:6,8,23,24"
 QUICK = ("--features", "compact", "--steps", 1, "--pattern", "large", "--max-growth", 2)
@@ -55,11 +55,11 @@ def test_from_a_box_to_a_painted_object(
     imported, styled = tmp_path / "imported", tmp_path / "styled"
     splat = tmp_path / "splat.ply"
     assert run("import", splat, photos, "-o", imported, "--device", "cpu") == 0
-    assert [*read_scene(imported).picks] == ["vase"]
+    assert [*scene_folder.open(imported).objects] == ["vase"]
     paint = ("stylize", imported, "--style", f"vase={style}", "-o", styled, "--device", "cpu")
     assert run(*paint, *QUICK) == 0
-    recipe = read_scene(styled).recipe
-    assert recipe is not None and recipe["objects"][0]["name"] == "vase"
+    painted = scene_folder.open(styled).painted
+    assert painted is not None and painted.names == ("vase",)
 
 
 def test_masks_with_names_that_cannot_be(
@@ -88,8 +88,9 @@ def test_masks_with_names_that_cannot_be(
     said = capsys.readouterr().err
     assert "Object 4 is not called '3'. `stylesplat select` names it." in said
     assert "Object 5 is not called 'a=b'." in said
-    assert [*read_scene(imported).picks] == ["cup"]
-    select_object(imported, "pot", Choice(ids=(4,)))
+    named = scene_folder.open(imported)
+    assert [*named.objects] == ["cup"]
+    select(named, "pot", id=(4,))
 
 
 @pytest.mark.parametrize(

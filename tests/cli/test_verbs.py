@@ -16,7 +16,7 @@ from stylesplat.io.captures.photos import read_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.io.splats.splat_ply import read_splat_ply
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from tiny_captures import HEIGHT, WIDTH, write_capture
 
 QUICK = ("--pattern", "large", "--max-growth", 2)
@@ -219,7 +219,7 @@ def test_adjust_one_object_into_a_new_scene(styled: Path, tmp_path: Path, capsys
     assert (styled / "splats.ply").read_bytes() == before
     half, loud = read_scene(styled).splats, read_scene(out).splats
     changed = (loud.sh0 != half.sh0).flatten(1).any(dim=1)
-    assert changed.any() and not (changed & ~select(half, object_id=3, remove_outliers=False)).any()
+    assert changed.any() and not (changed & ~pick(half, object_id=3, remove_outliers=False)).any()
     assert run("adjust", out, "--intensity", 0.5) == 0
     assert torch.allclose(read_scene(out).splats.sh0, half.sh0, atol=1e-6)
     assert run("adjust", out, "--object", 300, "--intensity", 1) == 1

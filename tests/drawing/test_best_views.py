@@ -6,9 +6,9 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.drawing.best_views import SEARCHED_VIEWS, best_rows, find_views, visibility
 from stylesplat.scene.cameras import Cameras
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 
-RED = select(SPLATS, object_id=3, remove_outliers=False)
+RED = pick(SPLATS, object_id=3, remove_outliers=False)
 HIDDEN = torch.zeros_like(RED)
 HIDDEN[200] = True  # inside the red ball once it is moved there
 SHRUNK = replace(

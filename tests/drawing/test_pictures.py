@@ -13,7 +13,7 @@ from stylesplat.drawing.pictures import (
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 
 IMAGES = ["color", "identities", "depth", "object:7"]
 
@@ -51,7 +51,7 @@ def test_pictures_need_no_graph():
 
 
 def test_object_alone_is_white_elsewhere():
-    picked = {"ball": select(SPLATS, object_id=3)}
+    picked = {"ball": pick(SPLATS, object_id=3)}
     (named,) = render_pictures(SPLATS, CAMERAS[0], "object:ball", picks=picked)
     (by_id,) = render_pictures(SPLATS, CAMERAS[0], "object:3")
     assert torch.equal(named, by_id)
@@ -103,7 +103,7 @@ def test_unknown_picture(what):
 
 
 def test_unknown_object():
-    picks = {"ball": select(SPLATS, object_id=3)}
+    picks = {"ball": pick(SPLATS, object_id=3)}
     with pytest.raises(StyleSplatError, match=r"'cat'.*: ball, 3, 7, 300\."):
         render_pictures(SPLATS, CAMERAS, "object:cat", picks=picks)
 

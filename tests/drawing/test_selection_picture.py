@@ -8,10 +8,10 @@ from stylesplat.drawing.grid import CAPTION
 from stylesplat.drawing.object_sheet import MARGIN
 from stylesplat.drawing.selection_picture import OUTLINE, PANEL, selection_picture
 from stylesplat.scene.cameras import Cameras
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 
-RED = select(SPLATS, object_id=3, remove_outliers=False)
-BLUE = select(SPLATS, object_id=300, remove_outliers=False)
+RED = pick(SPLATS, object_id=3, remove_outliers=False)
+BLUE = pick(SPLATS, object_id=300, remove_outliers=False)
 HEIGHT = PANEL * 36 // 48
 
 

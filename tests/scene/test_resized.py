@@ -7,7 +7,7 @@ from jaxtyping import config
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import ids_of
-from stylesplat.scene.lazy import Lazy, glance
+from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.resized import at_most
 
 SIZES = ((40, 20), (20, 40))  # width and height
@@ -54,19 +54,24 @@ def test_it_is_taken_as_it_is_without_label_maps():
     assert at_most(replace(two_photos(), label_maps=None), 10).label_maps is None
 
 
-def test_photos_are_not_kept_at_their_own_size(monkeypatch: pytest.MonkeyPatch):
+def test_photos_are_read_once(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(config, "jaxtyping_disable", True)  # type checks look at photos
-    made: list[int] = []
+    read: list[int] = []
 
     def make() -> torch.Tensor:
-        made.append(1)
+        read.append(0)
         return photo(0)
 
-    items = Lazy([make])
-    assert torch.equal(glance(items, 0), glance(items, -1)) and len(made) == 2
-    assert items[0] is glance(items, 0) and len(made) == 3, "kept from the third time on"
-    plain = [photo(1)]
-    assert glance(plain, 0) is plain[0]
+    whole = replace(two_photos(), photos=Lazy([make, make]))
+    small = at_most(whole, 20)
+    assert not read, "on access"
+    assert small.photos[0] is small.photos[0] and len(read) == 1, "kept"
+    assert at_most(small, 10).photos[0].shape == (5, 10, 3) and len(read) == 1
+
+
+def test_it_knows_the_size_of_the_photos():
+    small = at_most(at_most(two_photos(), 20), 10)
+    assert small.downscale == 4 and small.full_cameras.sizes.tolist() == [*map(list, SIZES)]
 
 
 def test_ids_of_objects():

@@ -19,7 +19,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization import paint_objects as loop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint_objects import stylize, stylize_live, stylize_objects
+from stylesplat.stylization.paint_objects import stylize, paint_live, stylize_objects
 from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style_config import StyleConfig
 
@@ -267,7 +267,7 @@ def test_the_verb(job: StyleJob, network: FeatureNetwork, tmp_path: Path):
 def test_live_states_lead_to_the_same(job: StyleJob, network: FeatureNetwork):
     config = replace(FAST, intensity=0.7, max_growth=GROWN)
     rest = (SCENE, CAMERAS, job.picked, job.styles[0])
-    live = stylize_live(*rest, config=config, network=network)
+    live = paint_live(*rest, config=config, network=network)
     early = list(islice(live, 5))
     assert [state.step for state in early] == [1, 2, 3, 4, 5]
     kept = early[-1].splats.sh0.clone()
@@ -284,10 +284,10 @@ def test_live_states_lead_to_the_same(job: StyleJob, network: FeatureNetwork):
 def test_a_shorter_look_costs_nothing_later(job: StyleJob, network: FeatureNetwork):
     """Whoever stops asking may start again, and gets the same."""
     rest = (SCENE, CAMERAS, job.picked, job.styles[0])
-    live = stylize_live(*rest, config=FAST, network=network)
+    live = paint_live(*rest, config=FAST, network=network)
     next(live)
     del live
-    again = stylize_live(*rest, config=FAST, network=network)
+    again = paint_live(*rest, config=FAST, network=network)
     assert same(deque(again, maxlen=1).pop().splats, stylize(*rest, config=FAST, network=network))
 
 

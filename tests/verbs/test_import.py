@@ -11,7 +11,7 @@ from stylesplat.verbs.export import export
 from stylesplat.io.captures import capture_folder as load_module
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.scene.frames import known_frames
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.verbs.evaluate import evaluate_scene
 from stylesplat.verbs.import_splat import import_splat
 from stylesplat.verbs.objects import list_objects
@@ -47,7 +47,7 @@ def test_with_photos_and_label_maps(capture: Path, splat: Path, tmp_path: Path):
     assert metrics["confidence"] == pytest.approx(float(seen.mean()))
     listed = list_objects(tmp_path / "scene")["objects"]
     for each in listed:
-        picked = select(scene.splats, object_id=each["id"])
+        picked = pick(scene.splats, object_id=each["id"])
         mean = float(scene.splats.confidence[picked].mean())
         assert each["confidence"] == pytest.approx(mean, abs=1e-3) and 0.7 < mean <= 1
     found = select_object(tmp_path / "scene", "red", Choice(ids=(3,)))

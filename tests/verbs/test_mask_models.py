@@ -11,14 +11,13 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import load
-from stylesplat.io.scene_folder import Scene as SceneOnDisk
-from stylesplat.io.scene_folder import write_scene
+from stylesplat.io.scene_folder import save
 from stylesplat.masks.models.associate import to_masks
 from stylesplat.masks.models.sam import Method
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.verbs import mask_models
+from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 from stylesplat.verbs.mask_progress import Progress
 
@@ -67,7 +66,7 @@ def capture(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    write_scene(SceneOnDisk(PLAIN, CAMERAS), tmp_path / "scene")
+    save(Scene(PLAIN, CAMERAS), tmp_path / "scene")
     return tmp_path / "scene"
 
 

@@ -8,16 +8,15 @@ from typing import Any
 import pytest
 import torch
 
-from ball_boxes import BALLS, CUP, LARGE, PLAIN, VASE, agreement, fail_at_work, work_at_half_size
+from ball_boxes import BALLS, CUP, LARGE, VASE, agreement, fail_at_work, work_at_half_size
 from ball_photos import write_ball_capture
 from balls import CAMERAS
 from stylesplat.cli.mask import PREVIEW, Mask
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.captures.photos import read_image
 from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map
-from stylesplat.io.scene_folder import Scene as SceneOnDisk
-from stylesplat.io.scene_folder import write_scene
+from stylesplat.io.scene_folder import save
+from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 
 
@@ -38,7 +37,7 @@ def capture(photos: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    write_scene(SceneOnDisk(PLAIN, CAMERAS), tmp_path / "scene")
+    save(BALLS, tmp_path / "scene")
     return tmp_path / "scene"
 
 

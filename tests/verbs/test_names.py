@@ -12,7 +12,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.verbs.export import export
 from stylesplat.io.label_maps import write_names
 from stylesplat.io.scene_folder import Scene, read_scene
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.import_splat import import_splat
 from stylesplat.verbs.objects import can_be_called, find_object, list_objects, with_names
@@ -37,7 +37,7 @@ def splat(tmp_path: Path) -> Path:
 def check_names(folder: Path, said: str) -> None:
     scene = read_scene(folder)
     assert [*scene.picks] == ["vase"] and scene.picks["vase"].any()
-    assert torch.equal(scene.picks["vase"], select(scene.splats, object_id=7))
+    assert torch.equal(scene.picks["vase"], pick(scene.splats, object_id=7))
     assert torch.equal(find_object(scene, "vase"), find_object(scene, "7"))
     how = json.loads((folder / "objects.json").read_text())["vase"]
     assert how["ids"] == [7] and how["gaussians"] == scene.picks["vase"].sum()

@@ -10,7 +10,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.photos import read_image
 from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.verbs import select as verb
 from stylesplat.verbs.objects import list_objects
 from stylesplat.verbs.select import Choice, select_object
@@ -43,7 +43,7 @@ def test_a_point_that_is_not_meant(scene: Path):
         select_object(scene, "none", Choice(ids=(7,), not_points=(place(7),)))
     around = Choice(box3d=(-3.0, -3.0, 0.02, 3.0, 3.0, 3.0), not_points=(place(7),))
     select_object(scene, "all but green", around)
-    green = select(SPLATS, object_id=7)
+    green = pick(SPLATS, object_id=7)
     assert not (read_scene(scene).picks["all but green"] & green).any()
 
 
@@ -76,7 +76,7 @@ def test_grow_and_shrink_come_last(scene: Path):
     more = select_object(scene, "more", half)
     assert more["grow"] == 0.2 and "shrink" not in more
     picks = read_scene(scene).picks
-    red, green = (select(SPLATS, object_id=id) for id in (3, 7))
+    red, green = (pick(SPLATS, object_id=id) for id in (3, 7))
     assert picks["more"][red].all() and not picks["more"][green].any(), "what was taken stays away"
     assert picks["more"].sum() > red.sum(), "the table under it is taken in"
     less = select_object(scene, "less", Choice(plus=("more",), shrink=0.05))
@@ -152,7 +152,7 @@ def test_by_text(scene: Path, detector: ColorDetector):
     found = select_object(scene, "it", Choice(text="the red one"))
     assert found["ids"] == [3] and found["text"] == "the red one"
     assert found["scores"].keys() == {3} and 0.5 < found["scores"][3] < 0.81
-    assert torch.equal(read_scene(scene).picks["it"], select(SPLATS, object_id=3))
+    assert torch.equal(read_scene(scene).picks["it"], pick(SPLATS, object_id=3))
     assert read_scene(scene).objects["it"]["text"] == "the red one"
 
 
@@ -161,7 +161,7 @@ def test_text_is_united_with_the_rest(scene: Path, detector: ColorDetector):
     assert select_object(scene, "one", Choice(ids=(3,), text="red"))["ids"] == [3]
     select_object(scene, "red", Choice(ids=(3,)))
     select_object(scene, "green", Choice(ids=(3, 7), text="green", minus=("red",)))
-    assert torch.equal(read_scene(scene).picks["green"], select(SPLATS, object_id=7))
+    assert torch.equal(read_scene(scene).picks["green"], pick(SPLATS, object_id=7))
 
 
 def test_text_that_means_several(scene: Path, detector: ColorDetector):

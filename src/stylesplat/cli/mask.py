@@ -54,8 +54,9 @@ class Mask:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import OBJECT_MASK, load
+        from stylesplat.io.captures.capture_folder import OBJECT_MASK
         from stylesplat.io.captures.label_folder import refuse_label_maps
+        from stylesplat.verbs.load import load
         from stylesplat.verbs.mask import mask
 
         method = self.method or ("files" if self.source else "grabcut")
@@ -98,19 +99,15 @@ class Mask:
         return strokes
 
     def _scene(self) -> "Scene | None":
-        from stylesplat.io.scene_folder import read_scene
-        from stylesplat.scene.scene import Scene
+        from stylesplat.io.scene_folder import open
 
-        if self.scene is None:
-            return None
-        found = read_scene(self.scene)
-        return Scene(found.splats, found.cameras)
+        return open(self.scene) if self.scene else None
 
     def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
         from stylesplat.drawing.preview import mask_preview
-        from stylesplat.io.captures.capture_folder import load
         from stylesplat.io.captures.label_folder import write_label_maps
         from stylesplat.io.images import write_image
+        from stylesplat.verbs.load import load
 
         found = write_label_maps(masked, output, overwrite=self.overwrite)
         ids = sorted(set[int]().union(*found.values()))

@@ -1,5 +1,6 @@
 """`demo`: the whole way from photos to a repainted splat, on a scene made here."""
 
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -7,20 +8,23 @@ from typing import Any
 
 from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.report import Figure, Section, write_report
+from stylesplat.drawing.object_sheet import object_sheet
 from stylesplat.drawing.pictures import label_colors
-from stylesplat.verbs.export import export
 from stylesplat.io.files import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.io.scene_folder import SCENE, read_scene
+from stylesplat.io.scene_folder import SCENE, open, save
+from stylesplat.io.view_files import write_views
+from stylesplat.scene.scene import Scene
+from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import PRESETS as STYLE_PRESETS
 from stylesplat.training.train_config import PRESETS as TRAIN_PRESETS
-from stylesplat.verbs.objects import list_objects
-from stylesplat.verbs.recipe import StyledObject
-from stylesplat.verbs.render import render_scene
-from stylesplat.verbs.select import Choice, select_object
-from stylesplat.verbs.stylize import stylize_scene
-from stylesplat.verbs.train import train_scene
+from stylesplat.verbs.export import export
+from stylesplat.verbs.load import load
+from stylesplat.verbs.render import render
+from stylesplat.verbs.select import select
+from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.train import train
 
 # Under five minutes in all on two cores; many small Gaussians on the objects carry the strokes.
 TRAINING = replace(
@@ -36,6 +40,7 @@ OBJECT_IDS = {"vase": 1, "teapot": 2}
 SHOWN = "000"  # the view in the report
 REPORT = "report.html"
 CAPTURE = "capture"
+SHEET = "objects.png"  # in the scene's folder
 
 
 def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
@@ -50,29 +55,22 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
         StyleSplatError: If `output` holds something else or cannot be written.
     """
     unfinished = (output / CAPTURE).is_dir() and not (output / REPORT).exists()
-    if not (overwrite or unfinished):
-        refuse_occupied(output, marker=REPORT)
+    refuse_occupied(output, marker=REPORT, overwrite=overwrite or unfinished)
     start = time.monotonic()
-    capture, scene, styled = demo_capture(output / CAPTURE), output / "scene", output / "styled"
-    if overwrite or not (scene / SCENE).exists():
-        train_scene(capture, scene, config=TRAINING, overwrite=overwrite)
-    trained = read_scene(scene).metrics
-    list_objects(scene)
-    for name, id in OBJECT_IDS.items():
-        select_object(scene, name, Choice(ids=(id,)))
-    measured = stylize_scene(
+    capture = demo_capture(output / CAPTURE)
+    scene = _trained(capture, output / "scene", overwrite=overwrite)
+    styled = stylize(
         scene,
-        styled,
-        [
-            StyledObject(name, (capture / "styles" / f"{style}.png",), STYLING)
+        {
+            name: Style(capture / "styles" / f"{style}.png", config=STYLING)
             for name, style in STYLES.items()
-        ],
-        overwrite=True,
+        },
     )
-    _render(output)
-    export(read_scene(styled).splats, output / "styled.ply")
+    save(styled, output / "styled", overwrite=True)
+    _render(scene, styled, output)
+    export(styled, output / "styled.ply")
     seconds = time.monotonic() - start
-    _report(output, capture, trained, measured, seconds)
+    _report(output, capture, dict(scene.metrics), dict(styled.metrics), seconds)
     return {
         "report": output / REPORT,
         "splat": output / "styled.ply",
@@ -81,16 +79,32 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
     }
 
 
-def _render(output: Path) -> None:
-    scene, styled = output / "scene", output / "styled"
+def _trained(capture: Path, output: Path, *, overwrite: bool) -> Scene:
+    """The scene with its two objects, from disk if an earlier run has made it."""
+    checkpoint = output.with_name("training.partial") / "checkpoint.pt"
+    if (output / SCENE).exists() and not overwrite:
+        return open(output)
+    scene = train(load(capture), TRAINING, checkpoint=checkpoint)
+    for name, id in OBJECT_IDS.items():
+        scene = select(scene, name, id=id)
+    save(scene, output, overwrite=True)
+    names = {id: name for name, id in OBJECT_IDS.items()}
+    write_image(object_sheet(scene.splats, scene.cameras, names=names), output / SHEET)
+    shutil.rmtree(checkpoint.parent, ignore_errors=True)
+    return open(output)  # as whoever goes on from the folder has it
+
+
+def _render(scene: Scene, styled: Scene, output: Path) -> None:
     for source, what, folder in (
         (scene, "color", "before"),
         (styled, "color", "after"),
         (scene, "identities", "identities"),
         (scene, "labels", "labels"),
     ):
-        render_scene(source, output / folder, views="test", what=what, overwrite=True)
-    render_scene(styled, output / "orbit.mp4", views="orbit", overwrite=True)
+        views = render(source, "test", what=what)
+        write_views(views.names, views.pictures, output / folder, overwrite=True)
+    orbit = render(styled, "orbit")
+    write_views(orbit.names, orbit.pictures, output / "orbit.mp4", overwrite=True)
 
 
 def _report(

@@ -1,4 +1,4 @@
-"""The verb `view`: look at splats in a browser."""
+"""Splats in a browser."""
 
 import time
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ START_DISTANCE = 2.0  # from the middle along each axis, in median distances of 
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
-def view(
+def serve(
     splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
 ) -> "viser.ViserServer":
     """Show splats in a browser, in their mean colours (spherical harmonics of degree 0).

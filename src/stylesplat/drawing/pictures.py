@@ -1,6 +1,6 @@
 """Pictures of splats: colour, labels, identities, depth, or one object alone."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 
 import cv2
 import torch
@@ -12,10 +12,8 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import object_ids, render_labels, require_identities
-from stylesplat.selection.pick import select
+from stylesplat.selection.identities import render_labels, require_identities
 
-Picks = Mapping[str, Bool[Tensor, " N"]]
 Painter = Callable[[Cameras], UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]
 
 WHITE = (1.0, 1.0, 1.0)
@@ -30,7 +28,7 @@ def render_pictures(
     cameras: Cameras,
     what: str = "color",
     *,
-    picks: Picks | None = None,
+    picked: Bool[Tensor, " N"] | None = None,
 ) -> Iterator[UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]:
     """Render one picture per camera; colours mean the same in all of them.
 
@@ -38,17 +36,17 @@ def render_pictures(
         splats: The Gaussians.
         cameras: The views; sizes may differ.
         what: `color`; `labels`, the label ids themselves; `identities`, their first three
-            principal components (the paper's Figure 3); `depth`, near is bright; or
-            `object:NAME`, one object alone on white.
-        picks: The objects that have names. NAME may also be a label id.
+            principal components (the paper's Figure 3); `depth`, near is bright; or `object`,
+            some Gaussians alone on white.
+        picked: Which these are.
 
     Yields:
         An image, or for `labels` a label map, on the CPU.
 
     Raises:
-        StyleSplatError: If `what` or NAME is unknown, or needs identities that are not there.
+        StyleSplatError: If `what` is unknown, or needs identities that are not there.
     """
-    paint = _painter(splats.detach(), cameras, what, picks or {})
+    paint = _painter(splats.detach(), cameras, what, picked)
     return (paint(cameras[row]).cpu() for row in range(len(cameras)))
 
 
@@ -61,7 +59,9 @@ def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
     return to_uint8(torch.where(labels[..., None] == 0, 0, rgb))
 
 
-def _painter(splats: Splats, cameras: Cameras, what: str, picks: Picks) -> Painter:
+def _painter(
+    splats: Splats, cameras: Cameras, what: str, picked: Bool[Tensor, " N"] | None
+) -> Painter:
     if what == "color":
         return lambda camera: _paint_color(splats, camera, None)
     if what == "labels":
@@ -73,22 +73,11 @@ def _painter(splats: Splats, cameras: Cameras, what: str, picks: Picks) -> Paint
     if what == "depth":
         near_far = depth_range(splats, cameras)
         return lambda camera: _paint_depth(splats, camera, near_far)
-    if what.startswith("object:"):
-        alone = splats[_picked(splats, what.removeprefix("object:"), picks)]
+    if what == "object" and picked is not None:
+        alone = splats[picked.to(splats.device)]
         return lambda camera: _paint_color(alone, camera, WHITE)
     raise StyleSplatError(
         f"Cannot render {what!r}. Choose color, labels, identities, depth or object:NAME."
-    )
-
-
-def _picked(splats: Splats, name: str, picks: Picks) -> Bool[Tensor, " N"]:
-    if name in picks:
-        return picks[name].to(splats.device)
-    if name.isdecimal() and splats.classifier is not None:
-        return select(splats, object_id=int(name))
-    ids = map(str, object_ids(splats)) if splats.classifier is not None else ()
-    raise StyleSplatError(
-        f"No object is called {name!r}. Names and ids: {', '.join([*picks, *ids]) or 'none'}."
     )
 
 

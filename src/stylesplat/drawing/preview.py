@@ -13,7 +13,6 @@ from stylesplat.drawing.object_sheet import INK, MARGIN, PAPER, TITLE_SIZE
 from stylesplat.drawing.pictures import label_colors
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
-from stylesplat.scene.lazy import glance
 from stylesplat.scene.sampling import evenly
 
 PHOTOS = 8
@@ -31,13 +30,13 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
         names: By id; other objects are called by their id.
     """
     maps = capture.label_maps or []
-    rows = [row for row in range(len(capture)) if glance(maps, row) is not None]
+    rows = [row for row in range(len(capture)) if maps[row] is not None]
     cells, ids = [], set[int]()
     for row in evenly(rows, PHOTOS):
-        labels = glance(maps, row)
+        labels = maps[row]
         assert labels is not None
         ids |= ids_of(labels)
-        cells.append(_tinted(glance(capture.photos, row), labels))
+        cells.append(_tinted(capture.photos[row], labels))
     called = {id: names.get(id, str(id)) for id in sorted(ids)}
     return torch.from_numpy(np.array(_page(cells, called)))
 

@@ -59,8 +59,7 @@ def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterat
             the disk is full or the place cannot be written to.
     """
     path = Path(path).resolve()
-    if path.is_file() or not overwrite:
-        refuse_occupied(path, marker=marker)
+    refuse_occupied(path, marker=marker, overwrite=overwrite)
     temporary = _beside(path)
     try:
         temporary.mkdir(parents=True)
@@ -75,25 +74,58 @@ def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterat
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def refuse_occupied(path: Path | str, *, marker: str) -> None:
-    """Check that a folder is free to be claimed, before the work that will fill it.
+@contextmanager
+def revised_directory(path: Path | str) -> Iterator[Path]:
+    """A copy of a folder to change, which takes its place if the block succeeds, else vanishes.
+
+    Files are linked, not copied, so replace them (as `atomic_path` does) and never write into one.
+
+    Raises:
+        StyleSplatError: If the disk is full or the place cannot be written to.
+    """
+    path = Path(path).resolve()
+    temporary = _beside(path)
+    try:
+        shutil.copytree(path, temporary, copy_function=_link)
+        yield temporary
+        _swap(temporary, path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -> None:
+    """Check that a folder can be claimed, before the work that will fill it.
 
     Args:
         path: The folder; it need not exist.
         marker: The file that tells a folder of our own.
+        overwrite: Whether it may hold something.
 
     Raises:
-        StyleSplatError: If `path` is a file or a folder that holds anything.
+        StyleSplatError: If `path` or a part of it is a file, it cannot be made or written to, or
+            it holds anything and may not.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
-    if path.exists() and any(path.iterdir()):
+    _refuse_unwritable(path)
+    if path.exists() and not overwrite and any(path.iterdir()):
         found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
         raise StyleSplatError(
             f"The folder {path} holds {found}. "
             "Choose another one, or replace it with `--overwrite`."
         )
+
+
+def _refuse_unwritable(path: Path) -> None:
+    """Raise a StyleSplatError if nothing can be made beside a path."""
+    there = next(parent for parent in path.absolute().parents if parent.exists())
+    if not there.is_dir():
+        raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise StyleSplatError(f"Cannot make {path}: {there} may not be written to by this user.")
 
 
 def read_json(path: Path | str) -> dict[str, Any]:
@@ -114,14 +146,24 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 
 def write_json(content: dict[str, Any], path: Path | str) -> None:
-    """Write strict JSON: paths become strings, and infinities and NaN, which it lacks, null.
+    """Write a JSON file; see `strict_json`.
 
     Raises:
         StyleSplatError: If the disk is full or the place cannot be written to.
     """
-    text = json.dumps(_strict(content), indent=2, allow_nan=False, default=os.fspath)
+    text = strict_json(content, indent=2)
     with atomic_path(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def strict_json(content: Any, *, indent: int | None = None) -> str:
+    """JSON as its standard has it: paths become strings, infinities and NaN, which it lacks, null.
+
+    Example:
+        >>> strict_json({"psnr": float("inf"), "file": Path("a.ply")})
+        '{"psnr": null, "file": "a.ply"}'
+    """
+    return json.dumps(_strict(content), indent=indent, allow_nan=False, default=os.fspath)
 
 
 def file_stem(name: str) -> str:
@@ -152,6 +194,13 @@ def _cannot_write(path: Path, error: OSError) -> StyleSplatError:
     return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.")
 
 
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # not on every file system
+        shutil.copy2(source, target)
+
+
 def _swap(new: Path, path: Path) -> None:
     if not path.exists():
         new.rename(path)
@@ -176,6 +225,6 @@ def _merge(new: Path, path: Path) -> None:
 def _strict(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | set | frozenset):
         return [_strict(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -30,6 +30,10 @@ class Capture:
     """The folder that this was read from."""
     object_names: Mapping[int, str] = field(default_factory=dict)
     """What objects are called, by label id; most have no name."""
+    full: Cameras | None = None
+    """The cameras at the photos' full size, if the photos are smaller here."""
+    downscale: float = 1.0
+    """How many times smaller they are."""
 
     def __post_init__(self) -> None:
         for what, items in (("photos", self.photos), ("label maps", self.label_maps)):
@@ -40,3 +44,8 @@ class Capture:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    @property
+    def full_cameras(self) -> Cameras:
+        """The cameras at the photos' full size."""
+        return self.cameras if self.full is None else self.full

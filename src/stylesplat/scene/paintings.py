@@ -92,6 +92,8 @@ class Painted:
     """With all of them at intensity 1."""
     unsplit: Unsplit | None = None
     """The shapes of Gaussians that were split; None if none were."""
+    origin: Path | None = None
+    """The folder of the scene before; None if it had none."""
 
     @property
     def names(self) -> tuple[str, ...]:

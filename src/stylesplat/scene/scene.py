@@ -50,6 +50,8 @@ class Scene:
     """The objects that have a name."""
     painted: Painted | None = None
     """What was painted; None if nothing was."""
+    path: Path | None = None
+    """The folder that it was opened from."""
     capture: Path | None = None
     """The folder of the photos, where they were then."""
     info: Mapping[str, Any] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The verb `select`: choose an object's Gaussians by label id, by a box or by a point."""
+"""An object's Gaussians by label id, by a box or by a point: on bare splats."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 
 
-def select(
+def pick(
     splats: Splats,
     *,
     object_id: int | Sequence[int] | None = None,
@@ -76,10 +76,10 @@ def resolve_ids(
     point: Point | None = None,
     camera: Cameras | None = None,
 ) -> tuple[int, ...]:
-    """The label ids that the arguments of `select` mean.
+    """The label ids that the arguments of `pick` mean.
 
     Raises:
-        StyleSplatError: As `select` does.
+        StyleSplatError: As `pick` does.
     """
     require_identities(splats)
     if sum(way is not None for way in (object_id, box, point)) != 1:

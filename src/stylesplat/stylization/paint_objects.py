@@ -43,7 +43,7 @@ class Styled:
     """Which Gaussian of the scene before each one comes from."""
 
 
-def stylize(
+def paint(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
@@ -72,7 +72,7 @@ def stylize(
     return _repaint_whole(studio, job).splats
 
 
-def stylize_live(
+def paint_live(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
@@ -81,11 +81,11 @@ def stylize_live(
     config: StyleConfig | None = None,
     network: FeatureNetwork | None = None,
 ) -> Iterator[Repainted]:
-    """As `stylize`, step by step, to show it, to stop early or to go on later.
+    """As `paint`, step by step, to show it, to stop early or to go on later.
 
     Example::
 
-        live = stylize_live(splats, capture, picked, "wave.jpg")
+        live = paint_live(splats, capture, picked, "wave.jpg")
         for state in live:
             show(state.splats)
             if state.step == 100:
@@ -95,7 +95,7 @@ def stylize_live(
         The state after every step, at the intensity of `config`.
 
     Raises:
-        StyleSplatError: As `stylize` does.
+        StyleSplatError: As `paint` does.
     """
     studio, job = _one_object(splats, capture, picked, style, config, network)
     for state in repaint(studio, job):
@@ -169,7 +169,7 @@ def _one_object(
     config: StyleConfig | None,
     network: FeatureNetwork | None,
 ) -> tuple[Studio, StyleJob]:
-    """What `stylize` and `stylize_live` are given, checked."""
+    """What `paint` and `paint_live` are given, checked."""
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
     network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))

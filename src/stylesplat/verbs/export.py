@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from stylesplat.io.scene_folder import Scene
 from stylesplat.io.splats.splat_files import write_splats
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
 

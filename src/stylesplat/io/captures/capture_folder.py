@@ -40,7 +40,7 @@ class CaptureFiles:
     point_colors: UInt8[Tensor, "M 3"] | None
     """Colours of `points`."""
 
-    def at(self, downscale: float) -> Capture:
+    def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras so many times smaller.
 
         Raises:
@@ -60,33 +60,16 @@ class CaptureFiles:
             point_colors=self.point_colors,
             path=self.path,
             object_names=read_names(self.masks) if self.masks else {},
+            full=self.cameras,
+            downscale=float(downscale),
         )
 
 
 Masks = Path | str | Literal[False] | None
 
 
-def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
-    """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
-
-    Only the headers of the photos are read; the photos themselves are on access, and then
-    undistorted. The world stays as it is in the files.
-
-    Args:
-        path: The capture's folder.
-        downscale: How many times smaller photos, label maps and cameras shall be.
-        masks: The folder of label maps; by default the capture's `object_mask/` if it has one.
-            False leaves label maps out, unread.
-
-    Raises:
-        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
-            does not fit the others.
-    """
-    return open_capture(path, masks=masks).at(downscale)
-
-
 def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
-    """Read the headers of a capture, for whoever needs it at more than one size; see `load`.
+    """Read the headers of a capture, for whoever needs it at more than one size.
 
     Raises:
         StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or

@@ -14,7 +14,7 @@ from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import ids_of, resize_labels
-from stylesplat.scene.lazy import Lazy, glance
+from stylesplat.scene.lazy import Lazy
 
 
 def with_drawn_maps(
@@ -56,8 +56,7 @@ def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> Non
             f"Some photos in {capture.path} differ in their suffix only, so their label maps would "
             "have one name. Rename them."
         )
-    if folder.is_file() or not overwrite:
-        refuse_occupied(folder, marker="")
+    refuse_occupied(folder, marker="", overwrite=overwrite)
 
 
 def write_label_maps(
@@ -83,12 +82,12 @@ def write_label_maps(
     if capture.label_maps is None:
         raise StyleSplatError("This capture has no label maps to write. `mask` makes some.")
     refuse_label_maps(capture, folder, overwrite=overwrite)
-    full, found = _full_size(capture), dict[str, set[int]]()
+    found = dict[str, set[int]]()
     with claim_directory(folder, overwrite=overwrite, marker="") as claimed:
         for row, name in enumerate(track(capture.cameras.names, "label maps", unit="photo")):
-            labels = glance(capture.label_maps, row)
+            labels = capture.label_maps[row]
             if labels is not None:
-                whole = resize_labels(labels, full[full.index(name)].size[::-1])
+                whole = resize_labels(labels, capture.full_cameras[row].size[::-1])
                 write_label_map(whole, (claimed / name).with_suffix(".png"))
                 found[name] = ids_of(whole)
         called = {id: capture.object_names[id] for id in _named(capture, found.values())}
@@ -121,13 +120,6 @@ def _undistorted(camera: Cameras) -> Photo:
     (K,), (width, height) = camera.Ks.tolist(), camera.size
     lens = Lens("PINHOLE", width, height, (K[0][0], K[1][1], K[0][2], K[1][2]))
     return Photo(Path(camera.names[0]), True, lens, (width, height))
-
-
-def _full_size(capture: Capture) -> Cameras:
-    """The cameras of the photos as they lie on disk."""
-    if capture.path is None:
-        return capture.cameras
-    return open_capture(capture.path, masks=False).cameras
 
 
 def _remove_stale(folder: Path, photos: Iterable[str], *, named: bool) -> None:

@@ -1,14 +1,19 @@
-"""The verb that names objects: what it takes, and which function does the work."""
+"""`stylesplat select`."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.options import Json
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.errors import StyleSplatError
+
+if TYPE_CHECKING:
+    from stylesplat.scene.scene import Scene
+
+PICTURES = "selections"  # the folder inside a scene
 
 
 @dataclass(frozen=True)
@@ -56,28 +61,52 @@ class Select:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.verbs.select import Choice, select_object
+        from stylesplat.io.scene_folder import open, revise
+        from stylesplat.verbs.select import select
 
         if self.model is not None and self.text is None:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-        choice = Choice(
-            ids=self.id,
-            boxes=tuple(map(parse_box, self.box)),
-            points=tuple(map(parse_point, self.point)),
-            not_points=tuple(map(parse_point, self.not_point)),
+        before = open(self.scene)
+        after = select(
+            before,
+            self.name,
+            id=self.id,
+            box=[(view, *numbers) for view, numbers in map(parse_box, self.box)],
+            point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
+            not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
             text=self.text,
             box3d=parse_box3d(self.box3d) if self.box3d else (),
-            sphere=parse_sphere(self.sphere) if self.sphere else None,
+            sphere=self._sphere(),
             plus=self.plus,
             minus=self.minus,
             grow=self.grow,
             shrink=self.shrink,
-        )
-        return select_object(
-            self.scene,
-            self.name,
-            choice,
             threshold=self.threshold,
             remove_outliers=not self.keep_outliers,
             model=self.model,
         )
+        revise(before, after, self.scene)
+        found = after.objects[self.name]
+        return {"name": self.name, **found.how, "picture": self._draw(after)}
+
+    def _sphere(self) -> tuple[Any, ...] | None:
+        if not self.sphere:
+            return None
+        view, numbers = parse_sphere(self.sphere)
+        return (view, *numbers) if view else numbers
+
+    def _draw(self, scene: "Scene") -> Path | None:
+        from stylesplat.drawing.selection_picture import selection_picture
+        from stylesplat.io.files import file_stem
+        from stylesplat.io.images import write_image
+        from stylesplat.progress import say
+
+        target = self.scene / PICTURES / f"{file_stem(self.name)}.png"
+        picked = scene.objects[self.name].picked
+        picture = selection_picture(scene.splats, scene.cameras, picked)
+        if picture is None:
+            say(f"{self.name} shows in none of the views, so there is no picture of it.")
+            target.unlink(missing_ok=True)
+            return None
+        write_image(picture, target)
+        return target
