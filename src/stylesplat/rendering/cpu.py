@@ -39,19 +39,17 @@ PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 M
 Noun = TypeVar("Noun", bound=tuple)
 
 
-def plain(noun: Noun) -> Noun:
-    """The noun without gradients, its tensors contiguous."""
-    return _mapped(noun, lambda t: t.detach().contiguous())
-
-
 def arrays(noun: Noun) -> Noun:
-    """The noun as kernels take it: arrays that share the tensors' memory."""
-    return _mapped(noun, lambda t: t.detach().numpy())
+    """The noun as kernels take it, without gradients: arrays that share the tensors' memory."""
+    return _mapped(noun, _array)
+
+
+def _array(tensor):
+    return tensor.detach().contiguous().numpy()
 
 
 def _mapped(noun, change):
-    fields = (change(f) if isinstance(f, Tensor) else f for f in noun)
-    return type(noun)._make(fields)
+    return type(noun)(*[change(f) if isinstance(f, Tensor) else f for f in noun])
 
 
 def partial_sums(count: int, stride: int) -> Float[Tensor, "G count stride"]:
@@ -67,9 +65,8 @@ def partial_sums(count: int, stride: int) -> Float[Tensor, "G count stride"]:
 class _SphericalHarmonics(Function):
     @staticmethod
     def forward(ctx, bases, *harmonics):
-        harmonics = plain(Harmonics(*harmonics))
-        out = torch.empty_like(harmonics.dirs)
-        sh_colors.colors(bases, arrays(harmonics), out.numpy())
+        out = harmonics[0].new_empty(harmonics[0].shape)
+        sh_colors.colors(bases, arrays(Harmonics(*harmonics)), out.numpy())
         ctx.bases = bases
         ctx.save_for_backward(out, *harmonics)
         return out
@@ -78,13 +75,12 @@ class _SphericalHarmonics(Function):
     @once_differentiable
     def backward(ctx, v_out):
         out, *harmonics = ctx.saved_tensors
-        harmonics = Harmonics(*harmonics)
-        gradients = _mapped(harmonics, torch.empty_like)
+        gradients = Harmonics(*(t.new_empty(t.shape) for t in harmonics))
         sh_colors.colors_backward(
             ctx.bases,
-            arrays(harmonics),
-            out.numpy(),
-            v_out.contiguous().numpy(),
+            arrays(Harmonics(*harmonics)),
+            _array(out),
+            _array(v_out),
             arrays(gradients),
             get_num_threads(),
         )
@@ -94,13 +90,12 @@ class _SphericalHarmonics(Function):
 class _Project(Function):
     @staticmethod
     def forward(ctx, view, *gaussians):
-        view, gaussians = plain(view), plain(Gaussians(*gaussians))
-        n, new = len(gaussians.means), gaussians.means.new_empty
-        radii = torch.empty(n, 2, dtype=torch.int32)
-        out = Projected(new(n, 2), new(n, 3), new(n, 1), radii)
-        project.project(arrays(gaussians), arrays(view), arrays(out), get_num_threads())
+        ctx.view = arrays(view)
+        n, new = len(gaussians[0]), gaussians[0].new_empty
+        out = Projected(new(n, 2), new(n, 3), new(n, 1), torch.empty(n, 2, dtype=torch.int32))
+        inputs = arrays(Gaussians(*gaussians))
+        project.project(inputs, ctx.view, arrays(out), get_num_threads())
         out = out._replace(depths=out.depths[:, 0])
-        ctx.view = view
         ctx.save_for_backward(*gaussians[:3], *out)
         ctx.mark_non_differentiable(out.depths, out.radii)
         return tuple(out)
@@ -109,13 +104,12 @@ class _Project(Function):
     @once_differentiable
     def backward(ctx, *v_projected):
         geometry = Geometry(*ctx.saved_tensors[:3])
-        projected = Projected(*ctx.saved_tensors[3:])
-        gradients = _mapped(geometry, torch.empty_like)
+        gradients = Geometry(*(t.new_empty(t.shape) for t in geometry))
         project_backward.project_backward(
             arrays(geometry),
-            arrays(ctx.view),
-            arrays(projected),
-            arrays(plain(Projected(*v_projected))),
+            ctx.view,
+            arrays(Projected(*ctx.saved_tensors[3:])),
+            arrays(Projected(*v_projected)),
             arrays(gradients),
             get_num_threads(),
         )
@@ -140,13 +134,13 @@ class Drawing(NamedTuple):
 def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
     """Blend projected Gaussians, without gradients, into an image of a width and height."""
     (width, height), channels = size, colors.shape[1]
-    means2d, conics, depths, radii = plain(projected)
-    ellipses = arrays(plain(Ellipses(means2d, conics, opacities, colors)))
-    order = tiles.depth_order(depths.numpy(), radii.numpy())
+    ellipses = arrays(Ellipses(projected.means2d, projected.conics, opacities, colors))
+    radii = _array(projected.radii)
+    order = tiles.depth_order(_array(projected.depths), radii)
     stride = tiles.row_stride(channels)
     rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
     tiles.pack_rows(order, ellipses, rows)
-    lists = TileLists(*tiles.tile_lists(order, rows, radii.numpy(), size, get_num_threads()))
+    lists = TileLists(*tiles.tile_lists(order, rows, radii, size, get_num_threads()))
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
     picture = _picture(image, alphas)
@@ -156,7 +150,7 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
 
 def _picture(image: Tensor, alphas: Tensor) -> Picture:
     height, width, _ = image.shape
-    return Picture(image.view(-1).numpy(), alphas.view(-1).numpy(), width, height)
+    return Picture(_array(image).reshape(-1), _array(alphas).reshape(-1), width, height)
 
 
 class _Blend(Function):
@@ -179,7 +173,7 @@ class _Blend(Function):
             ctx.rows,
             ctx.lists,
             _picture(image, alphas),
-            _picture(v_image.contiguous(), v_alphas.contiguous()),
+            _picture(v_image, v_alphas),
             partial.flatten(1).numpy(),
         )
         shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)

@@ -111,11 +111,17 @@ def list_blocks(lists, tile, rows, entries, counts):
 
 @no_type_check
 @inner
-def block_corner(tile, block, width):
-    """Left column and upper row of a block of a tile of an image of this width."""
+def tile_corner(tile, width):
+    """Left column and upper row of a tile of an image of this width."""
     tiles_x = -(-width // TILE)
-    x = TILE * (tile % tiles_x) + BLOCK * (block & 3)
-    return x, TILE * (tile // tiles_x) + BLOCK * (block >> 2)
+    return TILE * (tile % tiles_x), TILE * (tile // tiles_x)
+
+
+@no_type_check
+@inner
+def block_corner(corner, block):
+    """Left column and upper row of a block, from those of its tile."""
+    return corner[0] + BLOCK * (block & 3), corner[1] + BLOCK * (block >> 2)
 
 
 @no_type_check
@@ -195,8 +201,9 @@ def blend(channels, rows, lists, picture, threads):
         entries, counts = np.empty((BLOCKS, room), np.int32), np.empty(BLOCKS, np.int64)
         for tile in range(thread, starts.shape[0] - 1, threads):
             list_blocks(lists, tile, rows, entries, counts)
+            corner = tile_corner(tile, width)
             for block in range(BLOCKS):
-                x, y = block_corner(tile, block, width)
+                x, y = block_corner(corner, block)
                 if x >= width or y >= height:
                     continue
                 open_block(state, width - x, height - y)

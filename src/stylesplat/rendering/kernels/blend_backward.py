@@ -14,6 +14,7 @@ from stylesplat.rendering.kernels.blend import (
     aligned,
     cross,
     prefetch_row,
+    tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inlined, inner, kernel, serial_kernel
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE, Place, Rows, spread
@@ -182,14 +183,13 @@ def blend_backward(channels, rows, lists, picture, v_picture, out):
     starts, ranks, masks = lists
     head, tail, geometry = channels
     width, height = picture.width, picture.height
-    tiles_x = -(-width // TILE)
     out_stride = gradient_stride(len(head) + len(tail))
     for thread in numba.prange(out.shape[0]):
         parts = Channels(head, tail, geometry)  # prange takes flat tuples only
         desk = open_desk(parts)
         mine = Rows(out[thread], out_stride)
         for tile in range(thread, starts.shape[0] - 1, out.shape[0]):
-            x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
+            x, y = tile_corner(tile, width)
             patch = Patch(y * width + x, min(TILE, width - x), min(TILE, height - y))
             open_gradients(parts, desk.state, patch, picture, v_picture)
             origin = x + np.float32(0.5), y + np.float32(0.5)

@@ -19,6 +19,7 @@ from stylesplat.rendering.kernels.blend import (
     block_pixels,
     cross,
     open_block,
+    tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
 from stylesplat.rendering.kernels.tiles import Place, spread
@@ -74,11 +75,11 @@ def pass_block(row, corner, block):
 
 @no_type_check
 @inner
-def open_tile(light, tile, size):
+def open_tile(light, corner, size):
     """Transmittance 1 in the blocks of a tile, 0 outside the image."""
     width, height = size
     for block in range(BLOCKS):
-        x, y = block_corner(tile, block, width)
+        x, y = block_corner(corner, block)
         open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
 
 
@@ -95,7 +96,8 @@ def keep_weights(rows, lists, picked, size, kept, threads):
     for thread in numba.prange(threads):
         light = aligned(BLOCKS * PIXELS)
         for tile in range(thread, starts.shape[0] - 1, threads):
-            open_tile(light, tile, (width, height))
+            corner = tile_corner(tile, width)
+            open_tile(light, corner, (width, height))
             place, pair = kept_starts[tile], firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 rank, todo = ranks[entry], np.int64(masks[entry])
@@ -107,8 +109,8 @@ def keep_weights(rows, lists, picked, size, kept, threads):
                 while todo != 0:
                     block = vec.lowest_bit(todo)
                     todo &= todo - 1
-                    corner = block_corner(tile, block, width)
-                    weight = pass_block(row, corner, Place(light, block * PIXELS))
+                    light_of_block = Place(light, block * PIXELS)
+                    weight = pass_block(row, block_corner(corner, block), light_of_block)
                     if mine:
                         vec.store_halves(weights, pair * PIXELS, weight)
                         pair += 1
@@ -116,11 +118,11 @@ def keep_weights(rows, lists, picked, size, kept, threads):
 
 @no_type_check
 @inner
-def read_tile(state, image, tile, size):
+def read_tile(state, image, corner, size):
     """Three channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
     width, height = size
     for block in range(BLOCKS):
-        left, top = block_corner(tile, block, width)
+        left, top = block_corner(corner, block)
         for lane in range(PIXELS):
             x, y = left + (lane & 3), top + (lane >> 2)
             inside = x < width and y < height
@@ -131,11 +133,11 @@ def read_tile(state, image, tile, size):
 
 @no_type_check
 @inner
-def write_tile(state, image, tile, size):
+def write_tile(state, image, corner, size):
     """The reverse of `read_tile`."""
     width, height = size
     for block in range(BLOCKS):
-        left, top = block_corner(tile, block, width)
+        left, top = block_corner(corner, block)
         for lane in range(PIXELS):
             x, y = left + (lane & 3), top + (lane >> 2)
             if x < width and y < height:
@@ -151,7 +153,8 @@ def compose(kept, colors, background, image, size, threads):
     for thread in numba.prange(threads):
         state = aligned(3 * BLOCKS * PIXELS)
         for tile in range(thread, firsts.shape[0], threads):
-            read_tile(state, background, tile, size)
+            corner = tile_corner(tile, size[0])
+            read_tile(state, background, corner, size)
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 row, todo = np.int64(gaussians[entry]) * 4, np.int64(masks[entry])
@@ -163,7 +166,7 @@ def compose(kept, colors, background, image, size, threads):
                     sums = vecs.add_scaled_row(sums, weight, colors, row)
                     vecs.store_vecs(state, place, sums)
                     pair += 1
-            write_tile(state, image, tile, size)
+            write_tile(state, image, corner, size)
 
 
 @no_type_check
@@ -177,7 +180,7 @@ def compose_backward(kept, v_image, size, out):
         for tile in range(thread, firsts.shape[0], out.shape[0]):
             if starts[tile] == starts[tile + 1]:
                 continue
-            read_tile(state, v_image, tile, size)
+            read_tile(state, v_image, tile_corner(tile, size[0]), size)
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 todo = np.int64(masks[entry])
