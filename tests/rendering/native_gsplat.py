@@ -42,7 +42,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
             gaussians = Gaussians(means, quats, scales, opacities)
             if means.is_meta:
                 count = len(viewmats), len(means)
-                seen = Projected(*(means.new_empty(*count, *more) for more in ((2,), (3,), (), (2,))))
+                seen = Projected(
+                    *(means.new_empty(*count, *more) for more in ((2,), (3,), (), (2,)))
+                )
             else:
                 each = [
                     reference.project(gaussians, View(viewmat, K, width, height))
@@ -57,7 +59,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
             assert backgrounds is None and masks is None
             assert colors.shape[-1] in SUPPORTED
             calls.blended_channels.append(colors.shape[-1])
-            return blend_tiles(Projected(means2d, conics, means2d, means2d), opacities, colors, rest)
+            return blend_tiles(
+                Projected(means2d, conics, means2d, means2d), opacities, colors, rest
+            )
 
     class Harmonics:
         @staticmethod
@@ -82,7 +86,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
     return calls
 
 
-def intersect_tile(means2d, radii, depths, image_ids, gaussian_ids, images, tile, columns, rows, *_):
+def intersect_tile(
+    means2d, radii, depths, image_ids, gaussian_ids, images, tile, columns, rows, *_
+):
     """Which Gaussians reach which tiles, tile by tile and front to back."""
     assert image_ids is None and gaussian_ids is None
     if means2d.is_meta:

@@ -39,23 +39,29 @@ def drawn(backend: Backend, count: int, moves: bool):
 @pytest.mark.parametrize("moves", [True, False])
 @pytest.mark.parametrize("count", [0, 1, 16, 40])
 def test_images_and_gradients_are_the_references(calls: Calls, count: int, moves: bool):
-    *expected, gradients = drawn("reference", count, moves)
-    *found, others = drawn("cuda", count, moves)
-    for wanted, given in zip(expected[:2], found[:2], strict=True):
+    *expected, projected, gradients = drawn("reference", count, moves)
+    *found, given_info, others = drawn("cuda", count, moves)
+    for wanted, given in zip(expected, found, strict=True):
         assert wanted.shape == given.shape
         assert (wanted - given).abs().max() < ROUNDING
-    assert set(found[2]) == set(expected[2]) and all(
-        torch.equal(found[2][name], expected[2][name]) for name in expected[2]
-    )
+    assert given_info.keys() == projected.keys()
+    assert all(torch.equal(given_info[name], projected[name]) for name in projected)
     for name, gradient in gradients.items():
-        assert gradient is not None and others[name] is not None, name
-        assert (gradient - others[name]).norm() < ROUNDING * (1 + gradient.norm()), name
+        other = others[name]
+        assert gradient is not None and other is not None, name
+        assert (gradient - other).norm() < ROUNDING * (1 + gradient.norm()), name
     assert calls.projections == calls.sorts == 1
 
 
 @pytest.mark.parametrize(
     "count, moves, passes",
-    [(0, True, [3]), (0, False, [3]), (16, False, [3, 16]), (16, True, [32]), (40, False, [3, 32, 8])],
+    [
+        (0, True, [3]),
+        (0, False, [3]),
+        (16, False, [3, 16]),
+        (16, True, [32]),
+        (40, False, [3, 32, 8]),
+    ],
 )
 def test_each_channel_is_blended_once(calls: Calls, count: int, moves: bool, passes: list[int]):
     drawn("cuda", count, moves)
@@ -94,16 +100,22 @@ def test_what_gsplat_does_not_know_is_refused(calls: Calls):
     # The stand-ins would be worth nothing if gsplat's own Python did not run above them.
     import gsplat
 
-    with pytest.raises(TypeError, match="unexpected keyword"):
-        gsplat.rasterize_to_pixels(picture_width=3)
-    with pytest.raises(ValueError, match="Unsupported number of color channels"):
-        empty = torch.zeros(1, 2, 0)
-        gsplat.rasterize_to_pixels(
+    def blend(channels: int, **options: object):
+        return gsplat.rasterize_to_pixels(
             torch.zeros(1, 2, 2),
             torch.zeros(1, 2, 3),
-            empty,
+            torch.zeros(1, 2, channels),
             torch.zeros(1, 2),
-            *(16, 16, 16),
-            torch.zeros(1, 1, 1),
-            torch.zeros(0),
+            image_width=16,
+            image_height=16,
+            tile_size=16,
+            isect_offsets=torch.zeros(1, 1, 1, dtype=torch.int64),
+            flatten_ids=torch.zeros(0, dtype=torch.int64),
+            **options,
         )
+
+    assert blend(3)[0].shape == (1, 16, 16, 3)
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        blend(3, picture_width=3)
+    with pytest.raises(ValueError, match="Unsupported number of color channels"):
+        blend(0)

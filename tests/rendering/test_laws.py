@@ -116,9 +116,7 @@ def test_nothing_to_see_is_an_empty_image(backend: Backend):
 @pytest.mark.parametrize("factor", [0.2, 7.0])
 def test_scaling_world_and_cameras_together_keeps_the_image(backend: Backend, factor: float):
     splats, cameras = random_splats(), two_cameras()
-    larger = replace(
-        splats, means=factor * splats.means, scales=splats.scales + math.log(factor)
-    )
+    larger = replace(splats, means=factor * splats.means, scales=splats.scales + math.log(factor))
     farther = replace(cameras, viewmats=cameras.viewmats.clone())
     farther.viewmats[:, :3, 3] *= factor
     assert_same_picture(render(splats, backend), render(larger, backend, farther))
@@ -145,7 +143,7 @@ def test_a_crop_is_a_part_of_the_whole(backend: Backend, corner: tuple[int, int]
     splats = replace(splats, scales=splats.scales - 2.5)
     camera, (left, top) = two_cameras()[1:], corner
     part = render(splats, backend, crop(camera, corner, (40, 30)))
-    width, height = camera.size
+    height = camera.size[1]
     whole = torch.nn.functional.pad(render(splats, backend, camera), (0, 0, 40, 40, 40, 40))
     whole = whole[:, 40 + top :, 40 + left :][:, :30, :40]
     rows, columns = slice(0, min(30, height - top)), slice(max(0, -left), 40)
@@ -249,9 +247,7 @@ def test_the_background_shines_through_what_is_left(backend: Backend):
 def test_the_image_is_linear_in_the_features(backend: Backend):
     splats = random_splats()
     one, other = torch.randn(2, len(splats), 16, generator=torch.Generator().manual_seed(2))
-    images = [
-        render(splats, backend, features=f)[..., 3:] for f in (one, other, one - 3 * other)
-    ]
+    images = [render(splats, backend, features=f)[..., 3:] for f in (one, other, one - 3 * other)]
     # float32 sums of up to 200 terms of size 4
     torch.testing.assert_close(images[2], images[0] - 3 * images[1], atol=2e-5, rtol=0)
 

@@ -116,39 +116,54 @@ class _Project(Function):
         return None, *gradients, None
 
 
-class Drawing(NamedTuple):
-    """Gaussians blended into one image, with what it takes to visit the same pixels again."""
+class Tiled(NamedTuple):
+    """Projected Gaussians, sorted into the tiles of one image."""
 
     order: np.ndarray
     """The Gaussian of each rank, nearest first."""
     rows: Rows
     """What blending reads, one row per rank; see `tiles.pack_rows`."""
     lists: TileLists
-    """Ranks and masks by tile, without what other Gaussians hide."""
+    """Ranks and masks by tile; blending strikes from them what other Gaussians hide."""
+
+
+class Drawing(NamedTuple):
+    """Gaussians blended into one image, with what it takes to visit the same pixels again."""
+
+    tiled: Tiled
     image: Tensor
     """Colours, [H, W, D]."""
     alphas: Tensor
     """Coverage, [H, W, 1]."""
 
 
-def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
-    """Blend projected Gaussians, without gradients, into an image of a width and height."""
-    (width, height), channels = size, colors.shape[1]
+def sort_into_tiles(
+    projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]
+) -> Tiled:
+    """Lists of what to blend, without gradients, for an image of a width and height."""
     ellipses = arrays(Ellipses(projected.means2d, projected.conics, opacities, colors))
     radii = _array(projected.radii)
     order = tiles.depth_order(_array(projected.depths), radii)
-    stride = tiles.row_stride(channels)
+    stride = tiles.row_stride(colors.shape[1])
     rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
     tiles.pack_rows(order, ellipses, rows)
-    lists = TileLists(*tiles.tile_lists(order, rows, radii, size, get_num_threads()))
+    lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
+    return Tiled(order, rows, TileLists(*lists))
+
+
+def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
+    """Blend projected Gaussians, without gradients, into an image of a width and height."""
+    (width, height), channels = size, colors.shape[1]
+    tiled = sort_into_tiles(projected, opacities, colors, size)
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
-    picture = _picture(image, alphas)
-    blend.blend(vecs.channels(channels), rows, lists, picture, get_num_threads())
-    return Drawing(order, rows, lists, image, alphas)
+    picture = picture_of(image, alphas)
+    blend.blend(vecs.channels(channels), tiled.rows, tiled.lists, picture, get_num_threads())
+    return Drawing(tiled, image, alphas)
 
 
-def _picture(image: Tensor, alphas: Tensor) -> Picture:
+def picture_of(image: Tensor, alphas: Tensor) -> Picture:
+    """An image and its coverage, or their gradients, as kernels take them."""
     height, width, _ = image.shape
     return Picture(_array(image).reshape(-1), _array(alphas).reshape(-1), width, height)
 
@@ -156,8 +171,7 @@ def _picture(image: Tensor, alphas: Tensor) -> Picture:
 class _Blend(Function):
     @staticmethod
     def forward(ctx, size, geometry_channels, opacities, colors, *projected):
-        drawing = draw(Projected(*projected), opacities, colors, size)
-        ctx.order, ctx.rows, ctx.lists, image, alphas = drawing
+        ctx.tiled, image, alphas = draw(Projected(*projected), opacities, colors, size)
         ctx.geometry_channels, ctx.count = geometry_channels, len(opacities)
         ctx.save_for_backward(image, alphas)
         return image, alphas
@@ -166,21 +180,19 @@ class _Blend(Function):
     @once_differentiable
     def backward(ctx, v_image, v_alphas):
         image, alphas = ctx.saved_tensors
-        channels = image.shape[-1]
-        partial = partial_sums(len(ctx.order), blend_backward.gradient_stride(channels))
+        (order, rows, lists), channels = ctx.tiled, image.shape[-1]
+        partial = partial_sums(len(order), blend_backward.gradient_stride(channels))
         blend_backward.blend_backward(
             blend_backward.split_channels(channels, ctx.geometry_channels),
-            ctx.rows,
-            ctx.lists,
-            _picture(image, alphas),
-            _picture(v_image, v_alphas),
+            rows,
+            lists,
+            picture_of(image, alphas),
+            picture_of(v_image, v_alphas),
             partial.flatten(1).numpy(),
         )
         shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)
         v_ellipses = Ellipses(*(image.new_zeros(shape) for shape in shapes))
-        blend_backward.collect_gradients(
-            ctx.order, ctx.rows, partial.numpy(), arrays(v_ellipses)
-        )
+        blend_backward.collect_gradients(order, rows, partial.numpy(), arrays(v_ellipses))
         v_means2d, v_conics, v_opacities, v_colors = v_ellipses
         return None, None, v_opacities, v_colors, v_means2d, v_conics, None, None
 
@@ -212,9 +224,7 @@ def rasterize(
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = project_gaussians(gaussians, view)
         size, opacities = (view.width, view.height), gaussians.opacities
-        images.append(
-            _Blend.apply(size, geometry_channels, opacities, view_colors, *projected)
-        )
+        images.append(_Blend.apply(size, geometry_channels, opacities, view_colors, *projected))
         projections.append(projected)
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))

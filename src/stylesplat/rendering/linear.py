@@ -91,14 +91,14 @@ def contributions(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -
         picked: The Gaussians whose colours are to vary.
     """
     drawing = _draw_others(splats, camera, picked)
-    numbers, shown = _number_shown(drawing, picked)
+    numbers, shown = _number_shown(drawing.tiled, picked)
     background, coverage = drawing.image.split((3, 1), dim=2)
     return Contributions(
         gaussians=shown,
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
-        kept=_keep(drawing, numbers),
+        kept=_keep(drawing.tiled, numbers, camera.size),
     )
 
 
@@ -112,25 +112,23 @@ def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing
     return cpu.draw(projected, gaussians.opacities, colors, camera.size)
 
 
-def _number_shown(drawing: cpu.Drawing, picked: Tensor) -> tuple[np.ndarray, Tensor]:
+def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
     """Count the picked Gaussians that are drawn: the number of each rank or -1, and who it is."""
-    _, ranks, masks = drawing.lists
-    drawn = np.zeros(len(drawing.order), bool)
+    _, ranks, masks = tiled.lists
+    drawn = np.zeros(len(tiled.order), bool)
     drawn[ranks[masks != 0]] = True
-    drawn &= picked.numpy()[drawing.order]
+    drawn &= picked.numpy()[tiled.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)
-    return numbers, torch.from_numpy(drawing.order[drawn].astype(np.int64))
+    return numbers, torch.from_numpy(tiled.order[drawn].astype(np.int64))
 
 
-def _keep(drawing: cpu.Drawing, numbers: np.ndarray) -> Kept:
-    starts, firsts = linear_blocks.count_pairs(drawing.lists, numbers)
+def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
+    starts, firsts = linear_blocks.count_pairs(tiled.lists, numbers)
     gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
     weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
     kept = Kept(starts, firsts[:-1].copy(), gaussians, masks, weights)
-    height, width, _ = drawing.image.shape
-    linear_blocks.keep_weights(
-        drawing.rows, drawing.lists, numbers, (width, height), kept, get_num_threads()
-    )
+    threads = get_num_threads()
+    linear_blocks.keep_weights(tiled.rows, tiled.lists, numbers, size, kept, threads)
     return kept
 
 

@@ -31,9 +31,7 @@ def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def perspective_jacobian(
-    means_c: Float[Tensor, "N 3"], view: View
-) -> Float[Tensor, "N 2 3"]:
+def perspective_jacobian(means_c: Float[Tensor, "N 3"], view: View) -> Float[Tensor, "N 2 3"]:
     """Derivative of pixel by camera position, held constant far outside the image."""
     _, K, width, height = view
     x, y, z = means_c.unbind(-1)

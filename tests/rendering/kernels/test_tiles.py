@@ -1,5 +1,7 @@
 """Sorting Gaussians into tiles: nothing is lost, nothing is out of order."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -22,7 +24,10 @@ def packed() -> tuple[np.ndarray, Rows, np.ndarray, Ellipses]:
     """The order, rows and radii of a scene in the second view, and what was packed."""
     projected = cpu.project_gaussians(GAUSSIANS, views_of(two_cameras())[1])
     ellipses = Ellipses(
-        projected.means2d, projected.conics, GAUSSIANS.opacities, torch.rand(len(GAUSSIANS.means), 3)
+        projected.means2d,
+        projected.conics,
+        GAUSSIANS.opacities,
+        torch.rand(len(GAUSSIANS.means), 3),
     )
     order = tiles.depth_order(projected.depths.numpy(), projected.radii.numpy())
     rows = Rows(torch.zeros(len(order) * 16).numpy(), 16)
@@ -69,7 +74,7 @@ def visible(ellipses: Ellipses, order: np.ndarray) -> torch.Tensor:
 def listed(lists: tiles.TileLists) -> dict[tuple[int, int], int]:
     """The mask of each (tile, rank)."""
     starts, ranks, masks = lists
-    cuts = zip(starts[:-1], starts[1:], strict=True)
+    cuts = pairwise(starts)
     return {
         (tile, int(ranks[i])): int(masks[i])
         for tile, (first, last) in enumerate(cuts)
@@ -93,7 +98,9 @@ def test_blocks_are_listed_for_a_reason(packed):
     # bounding boxes' blocks more than a third.
     order, rows, radii, ellipses = packed
     width, height = SIZE
-    seen = torch.nn.functional.pad(visible(ellipses, order).float(), (0, 80 - width, 0, 64 - height))
+    seen = torch.nn.functional.pad(
+        visible(ellipses, order).float(), (0, 80 - width, 0, 64 - height)
+    )
     blocks = torch.nn.functional.max_pool2d(seen, 4).sum()
     entries = listed(tiles.tile_lists(order, rows, radii, SIZE, 2)).values()
     assert blocks <= sum(mask.bit_count() for mask in entries) < 1.25 * blocks
@@ -107,14 +114,15 @@ def test_lists_are_front_to_back_whatever_the_threads(packed, chunks: int):
     for found, wanted in zip((starts, ranks, masks), expected, strict=True):
         assert np.array_equal(found, wanted)
     assert len(starts) == 21 and starts[0] == 0 and starts[-1] == len(ranks) == len(masks)
-    for first, last in zip(starts[:-1], starts[1:], strict=True):
+    for first, last in pairwise(starts):
         assert (np.diff(ranks[first:last]) > 0).all()
 
 
 @pytest.mark.parametrize("rows", [0, 1, 15, 16, 17, 1000])
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_threads_share_all_rows_by_whole_vectors(rows: int, threads: int):
-    spans = [span.py_func(rows, thread, threads) for thread in range(threads)]
+    own = span.py_func  # pyright: ignore[reportFunctionMemberAccess]
+    spans = [own(rows, thread, threads) for thread in range(threads)]
     covered = [row for low, high in spans for row in range(low, high)]
     assert covered == list(range(rows))
     assert all(low % 16 == 0 for low, high in spans if low < high)

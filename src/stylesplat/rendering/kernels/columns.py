@@ -12,8 +12,8 @@ class Lanes(NamedTuple):
     """Which rows of the arrays the lanes of a vector are."""
 
     first: int
-    count: int
-    """Up to 16."""
+    rows: int
+    """How many, up to 16."""
     mask: object
     """The lanes that are not 0."""
     buffer: np.ndarray
