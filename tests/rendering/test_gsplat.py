@@ -1,5 +1,7 @@
 """The GPU backend's way through gsplat, on any machine: see `native_gsplat.py`."""
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -100,7 +102,7 @@ def test_what_gsplat_does_not_know_is_refused(calls: Calls):
     # The stand-ins would be worth nothing if gsplat's own Python did not run above them.
     import gsplat
 
-    def blend(channels: int, **options: object):
+    def blend(channels: int, **options: Any):
         return gsplat.rasterize_to_pixels(
             torch.zeros(1, 2, 2),
             torch.zeros(1, 2, 3),

@@ -41,15 +41,12 @@ Noun = TypeVar("Noun", bound=tuple)
 
 def arrays(noun: Noun) -> Noun:
     """The noun as kernels take it, without gradients: arrays that share the tensors' memory."""
-    return _mapped(noun, _array)
+    fields = [_array(f) if isinstance(f, Tensor) else f for f in noun]
+    return type(noun)(*fields)
 
 
-def _array(tensor):
+def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
-
-
-def _mapped(noun, change):
-    return type(noun)(*[change(f) if isinstance(f, Tensor) else f for f in noun])
 
 
 def partial_sums(count: int, stride: int) -> Float[Tensor, "G count stride"]:

@@ -19,7 +19,9 @@ VIEWS = {
     "first": FIRST,
     "second": SECOND,
     "turned": TURNED,
-    "narrow": FIRST._replace(width=7, height=90),  # most lie where the Jacobian is held constant
+    # most lie where the Jacobian is held constant, in x or in y
+    "narrow": FIRST._replace(width=7, height=90),
+    "flat": FIRST._replace(width=90, height=7),
 }
 
 
