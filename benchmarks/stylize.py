@@ -37,9 +37,10 @@ from stylesplat.evaluation.measure import object_nnfm
 from stylesplat.evaluation.style import LENGTH
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering import cpu
-from stylesplat.rendering.kernels import blend, blend_backward
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.kernels import blend, blend_backward, vecs
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.rasterize import activated, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
@@ -122,27 +123,19 @@ def _rasterized(splats: Splats, camera: Cameras) -> Tensor:
 
 def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[], None]:
     """What is left of rasterising with projection, order and tile lists stored."""
-    opacities = torch.sigmoid(splats.opacities)
-    matrices = camera.viewmats[0].to(splats.means), camera.Ks[0].to(splats.means)
-    geometry = (splats.means, splats.quats, splats.scales.exp(), opacities)
-    means2d, conics, depths, radii = cpu.project_gaussians(*geometry, *matrices, camera.size)
-    colors = torch.rand_like(splats.means)
-    drawn = cpu.draw(means2d, conics, opacities, colors, depths, radii, camera.size)
-    rows, pixels = drawn.rows, (drawn.image, drawn.alphas, v_image, torch.zeros_like(drawn.alphas))
-    flat = tuple(t.reshape(-1).numpy() for t in pixels)
-    threads, stride = get_num_threads(), blend_backward.gradient_stride(3)
-    lists = drawn.lists
-    flat_rows, row_stride = rows.view(-1).numpy(), rows.shape[1]
-    width, height = camera.size
+    gaussians = activated(splats)
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    drawn = cpu.draw(projected, gaussians.opacities, torch.rand_like(splats.means), camera.size)
+    picture = cpu.picture_of(drawn.image, drawn.alphas)
+    v_picture = cpu.picture_of(v_image, torch.zeros_like(drawn.alphas))
+    order, rows, lists = drawn.tiled
+    colors, channels = vecs.channels(3), blend_backward.split_channels(3, 0)
+    stride = blend_backward.gradient_stride(3)
 
     def work() -> None:
-        blend.blend(
-            *((0, 0, 0), flat_rows, row_stride, lists, width, height, flat[0], flat[1], threads)
-        )
-        partial = rows.new_zeros(threads, len(rows) * stride)
-        blend_backward.blend_backward(
-            *((0, 0, 0), (), (), flat_rows, row_stride, lists, width, height, flat, partial.numpy())
-        )
+        blend.blend(colors, rows, lists, picture, get_num_threads())
+        partial = cpu.partial_sums(len(order), stride).flatten(1).numpy()
+        blend_backward.blend_backward(channels, rows, lists, picture, v_picture, partial)
 
     return work
 

@@ -18,14 +18,15 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.rendering import cpu
+from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.kernels import linear_blocks, vec
+from stylesplat.rendering.kernels.linear_blocks import Kept
+from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
 HEADROOM = 1e3  # a constant band that keeps colours positive whatever the other bands
-
-Kept = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Contributions:
     origin: Float[Tensor, "1 3"]
     """Where the camera is: colours depend on the direction."""
     kept: Kept
-    """The weights; see `kernels/linear_blocks.py`."""
+    """The weights."""
     bands: Float[Tensor, "M 3"] | None = None
     """What the higher bands of colour add as seen from there, if they are fixed."""
 
@@ -90,71 +91,71 @@ def contributions(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -
         picked: The Gaussians whose colours are to vary.
     """
     drawing = _draw_others(splats, camera, picked)
-    numbers, shown = _number_shown(drawing, picked)
+    numbers, shown = _number_shown(drawing.tiled, picked)
     background, coverage = drawing.image.split((3, 1), dim=2)
     return Contributions(
         gaussians=shown,
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
-        kept=_keep(drawing, numbers),
+        kept=_keep(drawing.tiled, numbers, camera.size),
     )
 
 
 def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing:
     """Colours of all but the picked Gaussians, and the coverage of these."""
-    opacities = torch.sigmoid(splats.opacities)
-    matrices = camera.viewmats[0].to(splats.means), camera.Ks[0].to(splats.means)
-    means2d, conics, depths, radii = cpu.project_gaussians(
-        *(splats.means, splats.quats, splats.scales.exp(), opacities, *matrices, camera.size)
-    )
-    dirs = splats.means - camera.positions.to(splats.means)
+    gaussians, camera = activated(splats), beside(splats, camera)
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    dirs = splats.means - camera.positions
     colors = cpu.spherical_harmonics(splats.sh_degree, dirs, splats.sh0, splats.shN)
     colors = torch.cat([colors * ~picked[:, None], picked[:, None].to(colors)], dim=1)
-    return cpu.draw(means2d, conics, opacities, colors, depths, radii, camera.size)
+    return cpu.draw(projected, gaussians.opacities, colors, camera.size)
 
 
-def _number_shown(drawing: cpu.Drawing, picked: Tensor) -> tuple[np.ndarray, Tensor]:
+def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
     """Count the picked Gaussians that are drawn: the number of each rank or -1, and who it is."""
-    _, ranks, masks = drawing.lists
-    drawn = np.zeros(len(drawing.order), bool)
+    _, ranks, masks = tiled.lists
+    drawn = np.zeros(len(tiled.order), bool)
     drawn[ranks[masks != 0]] = True
-    drawn &= picked.numpy()[drawing.order]
+    drawn &= picked.numpy()[tiled.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)
-    return numbers, torch.from_numpy(drawing.order[drawn].astype(np.int64))
+    return numbers, torch.from_numpy(tiled.order[drawn].astype(np.int64))
 
 
-def _keep(drawing: cpu.Drawing, numbers: np.ndarray) -> Kept:
-    starts, firsts = linear_blocks.count_pairs(drawing.lists, numbers)
+def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
+    starts, firsts = linear_blocks.count_pairs(tiled.lists, numbers)
     gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
     weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
-    kept = starts, firsts[:-1].copy(), gaussians, masks, weights
-    height, width, _ = drawing.image.shape
-    rows = drawing.rows
-    linear_blocks.keep_weights(
-        *(rows.view(-1).numpy(), rows.shape[1], drawing.lists, numbers, width, height, kept),
-        get_num_threads(),
-    )
+    kept = Kept(starts, firsts[:-1].copy(), gaussians, masks, weights)
+    threads = get_num_threads()
+    linear_blocks.keep_weights(tiled.rows, tiled.lists, numbers, size, kept, threads)
     return kept
 
 
-def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
+def _size(view: Contributions) -> tuple[int, int]:
     height, width, _ = view.background.shape
-    partial = v_image.new_zeros(get_num_threads(), len(view.gaussians) * vec.LANES)
+    return width, height
+
+
+def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
+    partial = cpu.partial_sums(len(view.gaussians), vec.LANES)
     flat = v_image.contiguous().view(-1).numpy()
-    linear_blocks.compose_backward(view.kept, flat, width, height, partial.numpy())
-    return partial.view(len(partial), len(view.gaussians), vec.LANES).sum(dim=0)[:, :3]
+    linear_blocks.compose_backward(view.kept, flat, _size(view), partial.flatten(1).numpy())
+    return partial.sum(dim=0)[:, :3]
 
 
 class _Compose(Function):
     @staticmethod
     def forward(ctx, colors, view):
-        height, width, _ = view.background.shape
         image = torch.empty_like(view.background)
         rows = torch.nn.functional.pad(colors.detach(), (0, 1)).view(-1)
         linear_blocks.compose(
-            *(view.kept, rows.numpy(), view.background.view(-1).numpy(), image.view(-1).numpy()),
-            *(width, height, get_num_threads()),
+            view.kept,
+            rows.numpy(),
+            view.background.view(-1).numpy(),
+            image.view(-1).numpy(),
+            _size(view),
+            get_num_threads(),
         )
         ctx.view = view
         return image

@@ -2,11 +2,10 @@
 
 With geometry and opacities frozen an image is linear in the colours. The weights of the picked
 Gaussians are kept for the 16 pixels of each block that they touch, as float16, tile by tile and
-front to back: `starts` [tiles + 1] cuts `gaussians` and `masks` into tiles, `firsts` [tiles] says
-where each tile's `weights` begin.
+front to back.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -16,15 +15,32 @@ from stylesplat.rendering.kernels.blend import (
     BLOCKS,
     PIXELS,
     aligned,
-    eighth_exponents,
+    block_corner,
+    block_pixels,
+    cross,
     open_block,
-    pass_light,
+    tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.tiles import BLOCK, TILE
+from stylesplat.rendering.kernels.tiles import Place, spread
 
-COLORS = (0, 0, 0)  # its length is the number of channels
-NONE = ()
+COLORS = vecs.channels(3)
+NONE = vecs.channels(0)
+
+
+class Kept(NamedTuple):
+    """The weights of some Gaussians in one image."""
+
+    starts: np.ndarray
+    """Cuts `gaussians` and `masks` into tiles: [tiles + 1]."""
+    firsts: np.ndarray
+    """Where each tile's weights begin, in blocks: [tiles]."""
+    gaussians: np.ndarray
+    """The number, among the picked, of every entry's Gaussian."""
+    masks: np.ndarray
+    """The blocks that it touches."""
+    weights: np.ndarray
+    """Float16 as uint16, 16 a block."""
 
 
 @no_type_check
@@ -48,28 +64,40 @@ def count_pairs(lists, picked):
 
 @no_type_check
 @inner
-def block_place(tile, tiles_x, block):
-    """Left and upper pixel of a block."""
-    x = TILE * (tile % tiles_x) + BLOCK * (block & 3)
-    return x, TILE * (tile // tiles_x) + BLOCK * (block >> 2)
+def pass_block(row, corner, block):
+    """Take from a block the light that a Gaussian blocks; what it adds to the pixels."""
+    pixel_x, pixel_y = block_pixels(corner[0], corner[1])
+    before = vec.load(block.flat, block.first)
+    crossing = cross(row, pixel_x - spread(row, 0), pixel_y - spread(row, 1), before)
+    vec.store(block.flat, block.first, crossing.after)
+    return crossing.weight
+
+
+@no_type_check
+@inner
+def open_tile(light, corner, size):
+    """Transmittance 1 in the blocks of a tile, 0 outside the image."""
+    width, height = size
+    for block in range(BLOCKS):
+        x, y = block_corner(corner, block)
+        open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
 
 
 @no_type_check
 @kernel
-def keep_weights(rows, row_stride, lists, picked, width, height, kept, threads):
-    """Fill `kept` = (starts, firsts, gaussians, masks, weights) from lists that `blend` has cut.
+def keep_weights(rows, lists, picked, size, kept, threads):
+    """Fill `kept` from lists that `blend` has cut.
 
     `picked` gives the number of a rank among the picked Gaussians, or -1.
     """
     starts, ranks, masks = lists
     kept_starts, firsts, gaussians, kept_masks, weights = kept
-    tiles_x = -(-width // TILE)
+    width, height = size
     for thread in numba.prange(threads):
         light = aligned(BLOCKS * PIXELS)
         for tile in range(thread, starts.shape[0] - 1, threads):
-            for block in range(BLOCKS):
-                x, y = block_place(tile, tiles_x, block)
-                open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
+            corner = tile_corner(tile, width)
+            open_tile(light, corner, (width, height))
             place, pair = kept_starts[tile], firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 rank, todo = ranks[entry], np.int64(masks[entry])
@@ -77,20 +105,12 @@ def keep_weights(rows, row_stride, lists, picked, width, height, kept, threads):
                 if mine:
                     gaussians[place], kept_masks[place] = picked[rank], masks[entry]
                     place += 1
-                row = rank * row_stride
+                row = Place(rows.flat, rank * rows.stride)
                 while todo != 0:
                     block = vec.lowest_bit(todo)
                     todo &= todo - 1
-                    x, y = block_place(tile, tiles_x, block)
-                    dx = (vec.columns() + (np.float32(x) + np.float32(0.5))) - vec.spread(rows, row)
-                    dy = (vec.rows() + (np.float32(y) + np.float32(0.5))) - vec.spread(
-                        rows, row + 1
-                    )
-                    eighth = eighth_exponents(rows, row, dx, dy)
-                    hit = vec.greater_equal(eighth, vec.spread(rows, row + 5))
-                    before = vec.load(light, block * PIXELS)
-                    _, _, weight, after, _ = pass_light(rows, row, eighth, hit, before)
-                    vec.store(light, block * PIXELS, after)
+                    light_of_block = Place(light, block * PIXELS)
+                    weight = pass_block(row, block_corner(corner, block), light_of_block)
                     if mine:
                         vec.store_halves(weights, pair * PIXELS, weight)
                         pair += 1
@@ -98,10 +118,11 @@ def keep_weights(rows, row_stride, lists, picked, width, height, kept, threads):
 
 @no_type_check
 @inner
-def read_tile(state, image, tile, tiles_x, width, height):
+def read_tile(state, image, corner, size):
     """Three channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
+    width, height = size
     for block in range(BLOCKS):
-        left, top = block_place(tile, tiles_x, block)
+        left, top = block_corner(corner, block)
         for lane in range(PIXELS):
             x, y = left + (lane & 3), top + (lane >> 2)
             inside = x < width and y < height
@@ -112,10 +133,11 @@ def read_tile(state, image, tile, tiles_x, width, height):
 
 @no_type_check
 @inner
-def write_tile(state, image, tile, tiles_x, width, height):
+def write_tile(state, image, corner, size):
     """The reverse of `read_tile`."""
+    width, height = size
     for block in range(BLOCKS):
-        left, top = block_place(tile, tiles_x, block)
+        left, top = block_corner(corner, block)
         for lane in range(PIXELS):
             x, y = left + (lane & 3), top + (lane >> 2)
             if x < width and y < height:
@@ -125,14 +147,14 @@ def write_tile(state, image, tile, tiles_x, width, height):
 
 @no_type_check
 @kernel
-def compose(kept, colors, background, image, width, height, threads):
+def compose(kept, colors, background, image, size, threads):
     """Fill a flat image with the background and what Gaussians of flat `colors` [M*4] add."""
     starts, firsts, gaussians, masks, weights = kept
-    tiles_x = -(-width // TILE)
     for thread in numba.prange(threads):
         state = aligned(3 * BLOCKS * PIXELS)
         for tile in range(thread, firsts.shape[0], threads):
-            read_tile(state, background, tile, tiles_x, width, height)
+            corner = tile_corner(tile, size[0])
+            read_tile(state, background, corner, size)
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 row, todo = np.int64(gaussians[entry]) * 4, np.int64(masks[entry])
@@ -144,22 +166,21 @@ def compose(kept, colors, background, image, width, height, threads):
                     sums = vecs.add_scaled_row(sums, weight, colors, row)
                     vecs.store_vecs(state, place, sums)
                     pair += 1
-            write_tile(state, image, tile, tiles_x, width, height)
+            write_tile(state, image, corner, size)
 
 
 @no_type_check
 @kernel
-def compose_backward(kept, v_image, width, height, out):
+def compose_backward(kept, v_image, size, out):
     """Add each thread's gradients of the colours to its own flat rows `out` [threads, M*16]."""
     starts, firsts, gaussians, masks, weights = kept
-    tiles_x = -(-width // TILE)
     for thread in numba.prange(out.shape[0]):
         state = aligned(3 * BLOCKS * PIXELS)
         mine = out[thread]
         for tile in range(thread, firsts.shape[0], out.shape[0]):
             if starts[tile] == starts[tile + 1]:
                 continue
-            read_tile(state, v_image, tile, tiles_x, width, height)
+            read_tile(state, v_image, tile_corner(tile, size[0]), size)
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 todo = np.int64(masks[entry])

@@ -4,10 +4,11 @@ The basis is `rendering.sh.sh_basis`'s: same order, same signs.
 """
 
 from math import sqrt
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.rendering.sh import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL
@@ -16,6 +17,14 @@ A2, B2, C2 = SH_C2
 A3, B3, C3 = SH_C3
 ZONAL, TESSERAL = SH_C3_ZONAL
 ZERO, HALF = np.float32(0), np.float32(0.5)
+
+
+class Harmonics(NamedTuple):
+    """What a colour is made of, or the gradients of that: [N,3], [N,1,3] and [N,K-1,3]."""
+
+    dirs: Tensor
+    sh0: Tensor
+    shN: Tensor
 
 
 @no_type_check
@@ -74,8 +83,9 @@ def unit(direction):
 
 @no_type_check
 @kernel
-def colors(bases, dirs, sh0, shN, out):
+def colors(bases, harmonics, out):
     """Fill `out` [N,3] with the colours, clamped at 0; `bases` is 1, 4, 9 or 16."""
+    dirs, sh0, shN = harmonics
     for i in numba.prange(dirs.shape[0]):
         x, y, z, _ = unit(dirs[i])
         values = basis(x, y, z)
@@ -95,8 +105,10 @@ def colors(bases, dirs, sh0, shN, out):
 
 @no_type_check
 @kernel
-def colors_backward(bases, dirs, sh0, shN, out, v_out, v_dirs, v_sh0, v_shN, threads):
-    """Fill the gradients of directions and coefficients."""
+def colors_backward(bases, harmonics, out, v_out, v_harmonics, threads):
+    """Fill the gradients of directions and coefficients; `out` are the colours."""
+    dirs, _, shN = harmonics
+    v_dirs, v_sh0, v_shN = v_harmonics
     n = dirs.shape[0]
     for t in numba.prange(threads):
         sums = np.zeros(16, np.float32)
