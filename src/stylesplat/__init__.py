@@ -20,7 +20,6 @@ from stylesplat.runtime import tune_runtime
 if TYPE_CHECKING:
     from stylesplat.drawing.browser import view
     from stylesplat.errors import StyleSplatError
-    from stylesplat.verbs.export import export
     from stylesplat.io.captures.capture_folder import load
     from stylesplat.masks.attach import mask
     from stylesplat.rendering.rasterize import rasterize as render
@@ -29,7 +28,8 @@ if TYPE_CHECKING:
     from stylesplat.scene.splats import Splats
     from stylesplat.selection.pick import select
     from stylesplat.stylization.paint_objects import stylize
-    from stylesplat.training.loop import train
+    from stylesplat.verbs.export import export
+    from stylesplat.verbs.train import train
 
 __all__ = [
     "Cameras",
@@ -60,7 +60,7 @@ _HOMES = {
     "render": "rendering.rasterize",
     "select": "selection.pick",
     "stylize": "stylization.loop",
-    "train": "training.loop",
+    "train": "verbs.train",
     "view": "viewer.view",
 }
 

@@ -11,7 +11,6 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.training import loop
 from stylesplat.training.initialize import first_splats, label_ids, scene_extent, seen_together
 from stylesplat.training.loop import fit, train
 from stylesplat.training.schedule import gaussian_count, photo_downscale, sh_degree

@@ -18,7 +18,7 @@ class Capture:
     cameras: Cameras
     """One per photo, of the photo's size."""
     photos: Sequence[UInt8[Tensor, "H W 3"]]
-    """Undistorted photos, sRGB."""
+    """Undistorted photos, sRGB, over black where they are transparent."""
     label_maps: Sequence[Int[Tensor, "H W"] | None] | None = None
     """Per photo the label id of each pixel, 0 = background; None where a photo has none."""
     points: Float[Tensor, "M 3"] | None = None
@@ -29,9 +29,15 @@ class Capture:
     """The folder that this was read from."""
     object_names: Mapping[int, str] = field(default_factory=dict)
     """What objects are called, by label id; most have no name."""
+    alphas: Sequence[UInt8[Tensor, "H W"] | None] | None = None
+    """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
 
     def __post_init__(self) -> None:
-        for what, items in (("photos", self.photos), ("label maps", self.label_maps)):
+        for what, items in (
+            ("photos", self.photos),
+            ("label maps", self.label_maps),
+            ("alphas", self.alphas),
+        ):
             if items is not None and len(items) != len(self.cameras):
                 raise StyleSplatError(
                     f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
@@ -39,3 +45,11 @@ class Capture:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    def labels(self, row: int) -> Int[Tensor, "H W"] | None:
+        """The label map of a photo, if it has one."""
+        return None if self.label_maps is None else self.label_maps[row]
+
+    def alpha(self, row: int) -> UInt8[Tensor, "H W"] | None:
+        """How opaque the pixels of a photo are; None if they all are."""
+        return None if self.alphas is None else self.alphas[row]

@@ -7,16 +7,12 @@ from torch import Tensor
 
 T = TypeVar("T", bound=Tensor | None)
 
-CACHE_BYTES = 2 << 30  # items are kept while they fit, so that small captures are read once
-
 
 class Lazy(Sequence[T]):
-    """Tensors that are made on access, and kept as long as all that are kept fit a budget."""
+    """Tensors that are made anew at each access; who needs them often keeps them in a `Cache`."""
 
-    def __init__(self, makers: Sequence[Callable[[], T]], budget: int = CACHE_BYTES) -> None:
+    def __init__(self, makers: Sequence[Callable[[], T]]) -> None:
         self._makers = makers
-        self._room = budget
-        self._kept: dict[int, T] = {}
 
     def __len__(self) -> int:
         return len(self._makers)
@@ -27,13 +23,5 @@ class Lazy(Sequence[T]):
     def __getitem__(self, index: slice) -> "Lazy[T]": ...
     def __getitem__(self, index: int | slice) -> "T | Lazy[T]":
         if isinstance(index, slice):
-            return Lazy(self._makers[index], self._room)
-        index = range(len(self))[index]
-        if index in self._kept:
-            return self._kept[index]
-        item = self._makers[index]()
-        size = item.nbytes if item is not None else 0
-        if size <= self._room:
-            self._kept[index] = item
-            self._room -= size
-        return item
+            return Lazy(self._makers[index])
+        return self._makers[range(len(self))[index]]()

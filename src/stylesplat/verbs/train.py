@@ -7,6 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
+
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.captures.capture_folder import open_capture
@@ -64,8 +66,6 @@ def train_scene(
     torch_device = pick_device(device)
     if overwrite:
         checkpoint.unlink(missing_ok=True)
-    elif checkpoint.exists():
-        say(f"Continuing from {checkpoint}.")
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
     rows, held_out = split_views(capture, config.test_every)
@@ -91,6 +91,28 @@ def train_scene(
     write_scene(with_names(scene, capture.object_names), output, overwrite=True)
     checkpoint.unlink(missing_ok=True)
     return metrics
+
+
+def train(
+    capture: Capture,
+    config: TrainConfig | None = None,
+    *,
+    device: torch.device | str = "auto",
+    **settings: float | int | bool | None,
+) -> Splats:
+    """Train a splat from posed photos: Gaussians, and identities if there are label maps.
+
+    Args:
+        capture: Posed photos, from `load`.
+        config: How to train; the default preset if not given.
+        device: `auto` takes an NVIDIA GPU where there is one.
+        settings: Fields of `TrainConfig` to change, such as `steps=2000`.
+
+    Raises:
+        StyleSplatError: If the capture leaves nothing to train on.
+    """
+    config = replace(config or TrainConfig(), **settings)
+    return fit(capture, config, device=pick_device(device)).splats.detach()
 
 
 def _numbers(state: State, seconds: float) -> dict[str, Any]:

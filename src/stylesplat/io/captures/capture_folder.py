@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures import cut_outs
 from stylesplat.io.captures.colmap import find_sparse, read_colmap
 from stylesplat.io.captures.photos import Photo, fit_photo
 from stylesplat.io.captures.posed_files import PosedFiles
@@ -33,12 +34,14 @@ class CaptureFiles:
     """One per photo, at full size."""
     photos: list[Photo]
     """At full size."""
-    masks: Path | None
-    """The folder of label maps."""
+    masks: Path | Literal[False] | None
+    """The folder of label maps; False if none are wanted."""
     points: Float[Tensor, "M 3"] | None
     """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
     """Colours of `points`."""
+    cut_out: bool
+    """Whether the photos are transparent where the object is not."""
 
     def at(self, downscale: float) -> Capture:
         """The capture with photos, label maps and cameras so many times smaller.
@@ -51,15 +54,25 @@ class CaptureFiles:
             raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
         cameras = self.cameras.downscale(downscale)
         sizes = cameras.sizes.tolist()
-        photos = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
+        files = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
+        photos, alphas = Lazy([file.read for file in files]), None
+        if self.cut_out:
+            photos, alphas = cut_outs.split_alpha(files)
+        label_maps, names = None, {}
+        if self.masks:
+            label_maps = match_label_maps(self.masks, cameras.names, files)
+            names = read_names(self.masks)
+        elif alphas is not None and self.masks is None:
+            label_maps, names = cut_outs.object_maps(alphas), cut_outs.NAMES
         return Capture(
             cameras=cameras,
-            photos=Lazy([photo.read for photo in photos]),
-            label_maps=match_label_maps(self.masks, cameras.names, photos) if self.masks else None,
+            photos=photos,
+            label_maps=label_maps,
             points=self.points,
             point_colors=self.point_colors,
             path=self.path,
-            object_names=read_names(self.masks) if self.masks else {},
+            object_names=names,
+            alphas=alphas,
         )
 
 
@@ -69,14 +82,16 @@ Masks = Path | str | Literal[False] | None
 def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
     """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
 
-    Only the headers of the photos are read; the photos themselves are on access, and then
-    undistorted. The world stays as it is in the files.
+    Only the headers of the photos are read; the photos themselves are on access, each time anew,
+    and then undistorted. The world stays as it is in the files. Of photos with transparency a few
+    are looked at: if they are cut out, what is opaque is an object called `object`, unless there
+    are label maps.
 
     Args:
         path: The capture's folder.
         downscale: How many times smaller photos, label maps and cameras shall be.
         masks: The folder of label maps; by default the capture's `object_mask/` if it has one.
-            False leaves label maps out, unread.
+            False leaves label maps out, unread, and the object of cut-out photos too.
 
     Raises:
         StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
@@ -109,9 +124,10 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         path=folder,
         cameras=cameras,
         photos=photos,
-        masks=Path(masks) if masks else None,
+        masks=masks if masks is None or masks is False else Path(masks),
         points=posed.points,
         point_colors=posed.point_colors,
+        cut_out=cut_outs.are_cut_out(photos),
     )
 
 

@@ -62,7 +62,7 @@ class MemoryFollower:
         )
         # Prepared when they are their turn, and then kept no longer: 12 MB each
         prepare = [partial(self._pixels, photos, row) for row in range(len(photos))]
-        session.processed_frames = Lazy(prepare, budget=0)
+        session.processed_frames = Lazy(prepare)
         self.processor.add_inputs_to_inference_session(
             session, frame_idx=0, obj_ids=[*seeds], input_masks=[*seeds.values()]
         )
