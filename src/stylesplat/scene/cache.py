@@ -15,7 +15,7 @@ GIB = 2**30
 class Cache(Generic[Key]):
     """Tuples of tensors by key, as many as fit; what was used longest ago is forgotten first."""
 
-    def __init__(self, budget: float) -> None:
+    def __init__(self, budget: int) -> None:
         """Start empty.
 
         Args:

@@ -71,7 +71,7 @@ def training_views(
         device: Where views are wanted; what is kept stays in the computer's memory.
         max_memory: GiB.
     """
-    cache: Cache[tuple[int, int]] = Cache(max_memory * GIB)
+    cache: Cache[tuple[int, int]] = Cache(int(max_memory * GIB))
     all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= max_memory * GIB
     latest = [1]
 
