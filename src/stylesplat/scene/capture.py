@@ -9,17 +9,18 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.labels import OwnLabels
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Posed photos. Photos and label maps are sequences that may load on access."""
+    """Posed photos, which may differ in size. All sequences may load on access."""
 
     cameras: Cameras
     """One per photo, of the photo's size."""
-    photos: Sequence[UInt8[Tensor, "H W 3"]]
+    photos: Sequence[UInt8[Tensor, "_ _ 3"]]
     """Undistorted photos, sRGB, over black where they are transparent."""
-    label_maps: Sequence[Int[Tensor, "H W"] | None] | None = None
+    label_maps: Sequence[OwnLabels | None] | None = None
     """Per photo the label id of each pixel, 0 = background; None where a photo has none."""
     points: Float[Tensor, "M 3"] | None = None
     """Sparse points in the world, to start training from."""
@@ -29,7 +30,7 @@ class Capture:
     """The folder that this was read from."""
     object_names: Mapping[int, str] = field(default_factory=dict)
     """What objects are called, by label id; most have no name."""
-    alphas: Sequence[UInt8[Tensor, "H W"] | None] | None = None
+    alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
     """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
 
     def __post_init__(self) -> None:
