@@ -61,7 +61,9 @@ def first_splats(
 
 
 def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
-    """Mean distance of each point to its nearest neighbours, positive."""
+    """Mean distance of each point to its nearest neighbours, positive; 1 if there are none."""
+    if len(points) < 2:
+        return torch.ones(len(points))
     array = points.numpy()
     count = min(NEIGHBORS, len(array) - 1)
     distances = KDTree(array).query(array, k=count + 1)[0][:, 1:]  # 0 is the point itself
