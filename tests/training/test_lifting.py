@@ -11,6 +11,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick_objects
 from stylesplat.training.lifting import class_codes, lift
+from stylesplat.training.object_sizes import object_share
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
 PHOTOS = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
@@ -139,11 +140,11 @@ def test_identities_are_shares_of_codes():
 
 def test_labels_of_the_whole_picture_leave_no_doubt():
     flat = [torch.full_like(labels, 9) for labels in TRUTH]
-    lifted = lift(PLAIN, capture(flat))
-    assert lifted.confidence is not None
-    seen = lifted.confidence > 0.99  # the others are hidden: the prior outvotes their pixels
+    _, counts = votes(flat, range(8))
+    seen = counts.sum(dim=1) > 1  # pixels; the prior outvotes those that hardly show
     assert seen.float().mean() > 0.8
-    assert pick_objects(lifted, [9])[9][seen].float().mean() > 0.99
+    share = object_share(lift(PLAIN, capture(flat)))
+    assert share is not None and (share[seen] > 0.999).all()
 
 
 def test_lifting_is_repeatable():

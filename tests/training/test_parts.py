@@ -2,6 +2,7 @@
 
 import copy
 from types import ModuleType
+from typing import cast
 
 import pytest
 import torch
@@ -24,7 +25,7 @@ def cuda(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 @pytest.fixture(params=["cpu", "cuda"])
 def parts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Parts:
     """Both, one after the other."""
-    return cpu_parts if request.param == "cpu" else fake_gsplat.cuda_parts(monkeypatch)
+    return cast(Parts, cpu_parts if request.param == "cpu" else fake_gsplat.cuda_parts(monkeypatch))
 
 
 def draw(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -219,5 +220,6 @@ def test_training_takes_the_same_way_on_both(
         assert theirs.params[name].dtype == tensor.dtype
         error = (theirs.params[name] - tensor).detach().norm() / tensor.detach().norm()
         # Rounding, which Adam blows up where gradients hardly differ from 0: those of the
-        # rotations of Gaussians that are round still are nothing but rounding.
-        assert error < (1e-2 if name == "quats" else 1e-3), name
+        # rotations of Gaussians that are round still are nothing but rounding. A step without its
+        # corrections, say, would be three times as long: 0.1.
+        assert error < (2e-2 if name == "quats" else 5e-3), name

@@ -62,4 +62,5 @@ def test_clones_share_nothing():
 def test_splats_stay_attached_to_what_is_trained():
     state = first_state(random_splats(5))
     state.splats.means.sum().backward()
-    assert torch.equal(state.params["means"].grad, torch.ones(5, 3))
+    gradient = state.params["means"].grad
+    assert gradient is not None and torch.equal(gradient, torch.ones(5, 3))

@@ -10,7 +10,7 @@ from stylesplat.training.train_config import PRESETS, TrainConfig
 @pytest.mark.parametrize("value", [0, -1])
 def test_there_has_to_be_something_to_do(name: str, value: int):
     with pytest.raises(StyleSplatError, match=f"Cannot train with {name} {value}"):
-        TrainConfig(**{name: value})
+        replace(TrainConfig(), **{name: value})
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])

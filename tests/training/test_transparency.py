@@ -14,8 +14,10 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import select
+from stylesplat.training import loop
 from stylesplat.training.gradients import _behind
 from stylesplat.training.loop import fit
+from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import View, split_views
 
@@ -95,16 +97,16 @@ def test_colours_follow_from_the_generator():
 
 
 def test_training_on_cut_outs_continues_and_repeats(cut_outs: Capture, tmp_path: Path):
-    config = replace(CONFIG, steps=20)
+    config = replace(CONFIG, steps=30)
     path = tmp_path / "checkpoint.pt"
 
-    def stop(state, loss, psnr):
-        raise RuntimeError("killed") if state.step == 10 else None
+    def killed(state: State, loss: float, psnr: float) -> None:
+        if state.step == 20:
+            raise RuntimeError("killed")
 
-    monkey = pytest.MonkeyPatch()
-    with monkey.context() as patch, pytest.raises(RuntimeError):
-        patch.setattr("stylesplat.training.loop.CHECKPOINT_SECONDS", 0.0)
-        fit(cut_outs, config, checkpoint=path, on_progress=stop)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(RuntimeError):
+        patch.setattr(loop, "CHECKPOINT_SECONDS", 0.0)
+        fit(cut_outs, config, checkpoint=path, on_progress=killed)
     assert path.exists()
     continued, straight = fit(cut_outs, config, checkpoint=path), fit(cut_outs, config)
     for name, tensor in straight.params.items():
