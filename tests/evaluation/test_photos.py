@@ -108,6 +108,32 @@ def test_no_miou_without_label_maps(capture):
     }
 
 
+def test_ids_that_nobody_learned_are_left_out(capture):
+    maps = [labels.clone() for labels in capture.label_maps]
+    maps[0][:, :10] = 99  # over table, background and a part of a ball, maybe
+    metrics = evaluate_views(SPLATS, replace(capture, label_maps=maps), [0, 1])
+    assert metrics["unknown_ids"] == [99]
+    assert metrics["iou"] == {3: 1, 7: 1, 300: 1} and metrics["miou"] == 1
+    assert "unknown_ids" not in evaluate_views(SPLATS, capture, [0, 1])
+
+
+def test_known_ids_in_the_wrong_place_still_count(capture):
+    maps = [labels.clone() for labels in capture.label_maps]
+    maps[0][maps[0] == 0] = 3
+    metrics = evaluate_views(SPLATS, replace(capture, label_maps=maps), [0])
+    assert metrics["iou"][3] < 0.5 and metrics["iou"][7] == 1
+
+
+def test_transparent_photos_are_compared_over_black(capture):
+    image, coverage, _ = rasterize(SPLATS, CAMERAS)
+    alphas = [(255 * a[..., 0]).round().to(torch.uint8) for a in coverage]
+    cut_out = replace(capture, alphas=alphas)
+    assert evaluate_views(SPLATS, cut_out, [0]) == evaluate_views(SPLATS, capture, [0])
+    everywhere = replace(SPLATS, means=SPLATS.means.index_fill(0, torch.tensor([0]), 0.0))
+    everywhere.scales[0] = 3.0
+    assert evaluate_views(everywhere, cut_out, [0])["psnr"] < 30
+
+
 def test_no_views(capture):
     with pytest.raises(StyleSplatError, match=r"no held-out views.*--test-every"):
         evaluate_views(SPLATS, capture, [])

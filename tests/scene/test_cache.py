@@ -1,6 +1,13 @@
+import mmap
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
 import torch
 
 from stylesplat.scene.cache import Cache, size_of
+
+STATUS = Path("/proc/self/statm")
 
 
 def item(size: int, value: int = 0) -> tuple[torch.Tensor]:
@@ -83,6 +90,49 @@ def test_items_may_be_made_of_other_items():
 
     cache.get("half", half)
     assert cache.used == 15
+
+
+class Pair(NamedTuple):
+    one: torch.Tensor
+    other: torch.Tensor | None
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int16, torch.float32])
+def test_what_is_kept_is_what_was_made(dtype: torch.dtype):
+    cache: Cache[int] = Cache(1000)
+    made = Pair(torch.arange(12).to(dtype).view(3, 4), None)
+    for _ in range(2):
+        kept = cache.get(0, lambda: made)
+        assert isinstance(kept, Pair) and kept.other is None
+        assert kept.one.dtype == dtype and torch.equal(kept.one, made.one)
+
+
+def test_what_is_kept_is_a_copy():
+    cache: Cache[int] = Cache(1000)
+    made = item(10)
+    kept = cache.get(0, lambda: made)[0]
+    made[0][:] = 9
+    assert not kept.any()
+
+
+def test_tensors_without_numbers_are_kept():
+    cache: Cache[int] = Cache(1000)
+    assert cache.get(0, lambda: (torch.zeros(0, 3),))[0].shape == (0, 3)
+
+
+@pytest.mark.skipif(not STATUS.exists(), reason="needs Linux")
+def test_what_is_forgotten_returns_to_the_system():
+    def resident() -> int:
+        return int(STATUS.read_text().split()[1]) * mmap.PAGESIZE
+
+    cache: Cache[int] = Cache(2**28)
+    before = resident()
+    for key in range(200):
+        cache.get(key, lambda: item(2**20, 1))
+    full = resident()
+    cache.forget(lambda key: key % 2 == 0)
+    assert full - before > 180 * 2**20
+    assert full - resident() > 90 * 2**20
 
 
 def test_size_counts_tensors_and_ignores_none():

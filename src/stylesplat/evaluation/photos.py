@@ -1,10 +1,9 @@
 """How close renders are to the photos, and rendered labels to the given ones."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.metrics.iou import object_iou
@@ -13,6 +12,7 @@ from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 
@@ -20,6 +20,8 @@ from stylesplat.selection.identities import render_labels
 @torch.no_grad()
 def evaluate_views(splats: Splats, capture: Capture, rows: Sequence[int]) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
+
+    Where photos are transparent, black is compared with what is rendered.
 
     Args:
         splats: The Gaussians.
@@ -29,7 +31,8 @@ def evaluate_views(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
     Returns:
         `psnr` and `ssim`, averaged over the views. If the splats have identities and these views
         have label maps, also `iou` and `boundary_iou` by label id, and their means over the
-        objects, `miou` and `boundary_miou`.
+        objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know, as no
+        photo that was trained on shows them, are left out, and the ids listed in `unknown_ids`.
 
     Raises:
         StyleSplatError: If `rows` is empty.
@@ -46,21 +49,28 @@ def evaluate_views(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
         scores.append(torch.stack([psnr(image, photo), ssim(image, photo)]))
     means = torch.stack(scores).mean(dim=0)
     metrics: dict[str, Any] = {"psnr": means[0].item(), "ssim": means[1].item()}
-    pairs = list(_label_pairs(splats, capture, rows))
-    if pairs:
-        for prefix, boundary in (("", False), ("boundary_", True)):
-            by_id = object_iou(pairs, boundary=boundary)
-            metrics[f"{prefix}iou"] = by_id
-            metrics[f"{prefix}miou"] = sum(by_id.values()) / max(len(by_id), 1)
-    return metrics
+    return metrics | _label_metrics(splats, capture, rows)
 
 
-def _label_pairs(
-    splats: Splats, capture: Capture, rows: Sequence[int]
-) -> Iterable[tuple[Tensor, Tensor]]:
-    if splats.classifier is None or capture.label_maps is None:
-        return
+def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dict[str, Any]:
+    if splats.classifier is None:
+        return {}
+    known = torch.tensor(splats.classifier.ids)
+    pairs: list[tuple[Labels, Labels]] = []
+    unknown: set[int] = set()
     for row in rows:
-        given = capture.label_maps[row]
+        given = capture.labels(row)
         if given is not None:
-            yield render_labels(splats, capture.cameras[row]).cpu(), given
+            rendered = render_labels(splats, capture.cameras[row]).cpu()
+            seen = torch.isin(given, known.to(given))
+            unknown.update(given[~seen].unique().tolist())
+            # What is background on either side counts for no object
+            pairs.append((rendered.where(seen, BACKGROUND), given.where(seen, BACKGROUND)))
+    if not pairs:
+        return {}
+    metrics: dict[str, Any] = {"unknown_ids": sorted(unknown)} if unknown else {}
+    for prefix, boundary in (("", False), ("boundary_", True)):
+        by_id = object_iou(pairs, boundary=boundary)
+        metrics[f"{prefix}iou"] = by_id
+        metrics[f"{prefix}miou"] = sum(by_id.values()) / max(len(by_id), 1)
+    return metrics

@@ -1,9 +1,11 @@
 """A store of bounded size."""
 
+import mmap
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
+import torch
 from torch import Tensor
 
 Key = TypeVar("Key", bound=Hashable)
@@ -13,7 +15,10 @@ GIB = 2**30
 
 
 class Cache(Generic[Key]):
-    """Tuples of tensors by key, as many as fit; what was used longest ago is forgotten first."""
+    """Tuples of tensors by key, as many as fit; what was used longest ago is forgotten first.
+
+    What is kept are copies on the CPU.
+    """
 
     def __init__(self, budget: int) -> None:
         """Start empty.
@@ -37,6 +42,7 @@ class Cache(Generic[Key]):
             return self._items[key]  # pyright: ignore[reportReturnType]
         item = make()
         if size_of(item) <= self._budget:
+            item = _apart(item)
             self._items[key] = item
             self._used += size_of(item)
         while self._used > self._budget:
@@ -50,6 +56,21 @@ class Cache(Generic[Key]):
 
     def _drop(self, key: Key) -> None:
         self._used -= size_of(self._items.pop(key))
+
+
+def _apart(item: T) -> T:
+    """Copies in pages of their own, which return to the system when they go.
+
+    The heap, which `runtime.py` lets keep what is freed, would be left full of holes.
+    """
+    copies = [t if t is None or t.nbytes == 0 else _copy(t) for t in item]
+    make = getattr(type(item), "_make", type(item))  # a NamedTuple takes its items one by one
+    return make(copies)
+
+
+def _copy(tensor: Tensor) -> Tensor:
+    pages = mmap.mmap(-1, tensor.nbytes)
+    return torch.frombuffer(pages, dtype=tensor.dtype).view(tensor.shape).copy_(tensor)
 
 
 def size_of(item: tuple[Tensor | None, ...]) -> int:

@@ -14,12 +14,12 @@ from stylesplat.scene.labels import OwnLabels
 
 @dataclass(frozen=True)
 class Capture:
-    """Posed photos. Photos and label maps are sequences that may load on access."""
+    """Posed photos, which may differ in size. All sequences may load on access."""
 
     cameras: Cameras
     """One per photo, of the photo's size."""
     photos: Sequence[UInt8[Tensor, "_ _ 3"]]
-    """Undistorted photos, sRGB."""
+    """Undistorted photos, sRGB, over black where they are transparent."""
     label_maps: Sequence[OwnLabels | None] | None = None
     """Per photo the label id of each pixel, 0 = background; None where a photo has none."""
     points: Float[Tensor, "M 3"] | None = None
@@ -34,9 +34,15 @@ class Capture:
     """The cameras at the photos' full size, if the photos are smaller here."""
     downscale: float = 1.0
     """How many times smaller they are."""
+    alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
+    """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
 
     def __post_init__(self) -> None:
-        for what, items in (("photos", self.photos), ("label maps", self.label_maps)):
+        for what, items in (
+            ("photos", self.photos),
+            ("label maps", self.label_maps),
+            ("alphas", self.alphas),
+        ):
             if items is not None and len(items) != len(self.cameras):
                 raise StyleSplatError(
                     f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
@@ -49,3 +55,11 @@ class Capture:
     def full_cameras(self) -> Cameras:
         """The cameras at the photos' full size."""
         return self.cameras if self.full is None else self.full
+
+    def labels(self, row: int) -> Int[Tensor, "H W"] | None:
+        """The label map of a photo, if it has one."""
+        return None if self.label_maps is None else self.label_maps[row]
+
+    def alpha(self, row: int) -> UInt8[Tensor, "H W"] | None:
+        """How opaque the pixels of a photo are; None if they all are."""
+        return None if self.alphas is None else self.alphas[row]

@@ -46,12 +46,18 @@ class TrainConfig:
     """Learning rate of the classifier."""
     identity_geometry: bool = False
     """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
+    max_memory: float = 1.0
+    """GiB for photos and label maps; what does not fit is read again."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "max_seconds", "max_gaussians", "refine_every"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise StyleSplatError(f"Cannot train with {name} {value}: it must exceed 0.")
+        if not self.max_memory >= 0:
+            raise StyleSplatError(
+                f"Cannot train with max_memory {self.max_memory}: it must not be less than 0."
+            )
 
 
 PRESETS = {

@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures import cut_outs
 from stylesplat.io.captures.colmap import find_sparse, read_colmap
 from stylesplat.io.captures.photos import Photo, fit_photo
 from stylesplat.io.captures.posed_files import PosedFiles
@@ -33,12 +34,14 @@ class CaptureFiles:
     """One per photo, at full size."""
     photos: list[Photo]
     """At full size."""
-    masks: Path | None
-    """The folder of label maps."""
+    masks: Path | Literal[False] | None
+    """The folder of label maps; False if none are wanted."""
     points: Float[Tensor, "M 3"] | None
     """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
     """Colours of `points`."""
+    cut_out: bool
+    """Whether the photos are transparent where the object is not."""
 
     def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras so many times smaller.
@@ -51,15 +54,25 @@ class CaptureFiles:
             raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
         cameras = self.cameras.downscale(downscale)
         sizes = cameras.sizes.tolist()
-        photos = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
+        files = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
+        photos, alphas = Lazy([file.read for file in files]), None
+        if self.cut_out:
+            photos, alphas = cut_outs.split_alpha(files)
+        label_maps, names = None, {}
+        if self.masks:
+            label_maps = match_label_maps(self.masks, cameras.names, files)
+            names = read_names(self.masks)
+        elif alphas is not None and self.masks is None:
+            label_maps, names = cut_outs.object_maps(alphas), cut_outs.NAMES
         return Capture(
             cameras=cameras,
-            photos=Lazy([photo.read for photo in photos]),
-            label_maps=match_label_maps(self.masks, cameras.names, photos) if self.masks else None,
+            photos=photos,
+            label_maps=label_maps,
             points=self.points,
             point_colors=self.point_colors,
             path=self.path,
-            object_names=read_names(self.masks) if self.masks else {},
+            object_names=names,
+            alphas=alphas,
             full=self.cameras,
             downscale=float(downscale),
         )
@@ -92,9 +105,10 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         path=folder,
         cameras=cameras,
         photos=photos,
-        masks=Path(masks) if masks else None,
+        masks=masks if masks is None or masks is False else Path(masks),
         points=posed.points,
         point_colors=posed.point_colors,
+        cut_out=cut_outs.are_cut_out(photos),
     )
 
 

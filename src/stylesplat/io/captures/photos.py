@@ -26,6 +26,8 @@ UNREADABLE = (
 )
 UPRIGHT = 1  # EXIF's orientation of a photo to be shown as it is stored
 MAX_GREY = 0xFFFF  # Pillow's mode I is of 32 bits, but holds 16-bit grey of PGM files too
+OPAQUE = 128  # the alpha from which a pixel shows something
+BLACK, WHITE = 0, 255
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
@@ -38,7 +40,7 @@ def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
     Raises:
         StyleSplatError: If there is no such file or it is no readable picture.
     """
-    return torch.from_numpy(_decode(Path(path), upright=True))
+    return torch.from_numpy(_rgb(_decode(Path(path), upright=True), WHITE))
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,45 @@ class Photo:
     def read(self) -> UInt8[Tensor, "H W 3"]:
         """Read, rotate, undistort and shrink (every pixel then averages what it covers).
 
+        Transparency shows black.
+
         Raises:
             StyleSplatError: If the file is no longer readable.
         """
-        pixels = self.lens.undistort(_decode(self.path, upright=self.upright))
+        return self.read_with_alpha()[..., :3].contiguous()
+
+    def read_with_alpha(self) -> UInt8[Tensor, "H W D"]:
+        """The same, with alpha as a fourth channel if the file has transparency.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        pixels = self.lens.undistort(_premultiplied(_decode(self.path, upright=self.upright)))
         if pixels.shape[1::-1] != self.size:
             pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
         return torch.from_numpy(pixels)
+
+    def is_cut_out(self) -> bool:
+        """Whether the file has transparent pixels; looks for them only if it may have some.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        return self.has_alpha() and bool(
+            (_decode(self.path, upright=self.upright)[:, :, 3:] < OPAQUE).any()
+        )
+
+    def has_alpha(self) -> bool:
+        """Whether the file has transparency, be it opaque everywhere; reads its header.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        try:
+            with Image.open(self.path) as image:
+                return image.has_transparency_data
+        except UNREADABLE as error:
+            raise unreadable(self.path, error) from error
 
     def resized(self, width: int, height: int) -> "Photo":
         """The same photo, to be given another size."""
@@ -120,11 +154,12 @@ def unreadable(path: Path, error: Exception) -> StyleSplatError:
     return StyleSplatError(f"Cannot read the image {path}: {reason(error)}. Replace the file.")
 
 
-def _decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W 3"]:
+def _decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
+    """RGB, or RGBA where the file has transparency."""
     try:
         with Image.open(path) as image:
             turn = upright and _orientation(image) != UPRIGHT
-            return _rgb(ImageOps.exif_transpose(image) if turn else image)
+            return _pixels(ImageOps.exif_transpose(image) if turn else image)
     except UNREADABLE as error:
         raise unreadable(path, error) from error
 
@@ -136,7 +171,7 @@ def _orientation(image: Image.Image) -> int:
     return image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
 
 
-def _rgb(image: Image.Image) -> UInt8[np.ndarray, "H W 3"]:
+def _pixels(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
     if image.mode == "F":
         raise ValueError("its pixels are floating-point numbers")
     if image.mode.startswith("I"):  # 16-bit grey, which convert("RGB") would clip
@@ -145,7 +180,19 @@ def _rgb(image: Image.Image) -> UInt8[np.ndarray, "H W 3"]:
             raise ValueError("its pixels do not fit into 16 bits")
         grey = (deep >> 8).astype(np.uint8)
         return np.repeat(grey[:, :, None], 3, axis=2)
-    if image.has_transparency_data:
-        image = image.convert("RGBA")
-        image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
-    return np.array(image.convert("RGB"))
+    return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+
+
+def _premultiplied(pixels: UInt8[np.ndarray, "H W D"]) -> UInt8[np.ndarray, "H W D"]:
+    """The same over black; averages of such pixels are free of the colours that nobody sees."""
+    if pixels.shape[2] == 3:
+        return pixels
+    return np.concatenate([_rgb(pixels, BLACK), pixels[:, :, 3:]], axis=2)
+
+
+def _rgb(pixels: UInt8[np.ndarray, "H W D"], behind: int) -> UInt8[np.ndarray, "H W 3"]:
+    """What shows before a grey level."""
+    if pixels.shape[2] == 3:
+        return pixels
+    colors, alpha = pixels[:, :, :3].astype(np.uint16), pixels[:, :, 3:].astype(np.uint16)
+    return ((colors * alpha + behind * (255 - alpha) + 127) // 255).astype(np.uint8)
