@@ -56,7 +56,6 @@ class Train:
         from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.io.files import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
-        from stylesplat.progress import say
         from stylesplat.training.train_config import PRESETS
         from stylesplat.verbs.train import train
 
@@ -67,8 +66,6 @@ class Train:
         if self.restart:
             shutil.rmtree(partial, ignore_errors=True)
         capture = open_capture(self.capture, masks=self.masks).at(self.downscale)
-        if checkpoint.exists():
-            say(f"Continuing from {checkpoint}. --restart begins anew.")
         names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
         scene = train(
             capture,

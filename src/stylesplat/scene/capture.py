@@ -56,10 +56,10 @@ class Capture:
         """The cameras at the photos' full size."""
         return self.cameras if self.full is None else self.full
 
-    def labels(self, row: int) -> Int[Tensor, "H W"] | None:
+    def labels(self, row: int) -> OwnLabels | None:
         """The label map of a photo, if it has one."""
         return None if self.label_maps is None else self.label_maps[row]
 
-    def alpha(self, row: int) -> UInt8[Tensor, "H W"] | None:
+    def alpha(self, row: int) -> UInt8[Tensor, "_ _"] | None:
         """How opaque the pixels of a photo are; None if they all are."""
         return None if self.alphas is None else self.alphas[row]

@@ -1,13 +1,12 @@
 """`mask --method sam2` and others: label maps of everything that a segmentation model finds."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.masks.ids.repair import repair
 from stylesplat.masks.models.sam import (
     FAMILIES,
@@ -22,6 +21,7 @@ from stylesplat.masks.models.track import Segmenter, stretches, track
 from stylesplat.progress import task
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.fingerprint import fingerprint
 from stylesplat.scene.labels import Labels, Mask
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
@@ -52,7 +52,9 @@ def mask_with_model(
     proposer = load_proposer(method, model, place)
     follower = load_follower(method, model, place) if FAMILIES[method].follower_types else None
     settings = {"method": method, "model": model, "sizes": small.cameras.sizes.tolist()}
-    settings |= {"photos": _fingerprint(capture), "stretches": stretches(small.cameras)}
+    bare = replace(small, label_maps=None, object_names={})  # what it had does not matter
+    photos = fingerprint(bare, photos=len(bare))
+    settings |= {"photos": photos, "stretches": stretches(small.cameras)}
     with TemporaryDirectory() as temporary:
         kept = open_progress(progress or Path(temporary) / "progress", settings)
         working = with_splat(small, scene, device)
@@ -65,18 +67,6 @@ def mask_with_model(
             "boxes with --box."
         )
     return with_maps(capture, [partial(maps.__getitem__, row) for row in range(len(maps))], {})
-
-
-def _fingerprint(capture: Capture) -> Any:
-    """What tells a capture from one that changed: photo files with their sizes and times."""
-    if capture.path is None:
-        return list(capture.cameras.names)
-    files = open_capture(capture.path, masks=False)
-    paths = [files.photos[files.cameras.index(name)].path for name in capture.cameras.names]
-    stats = [path.stat() for path in paths]
-    return [
-        (str(path), stat.st_size, stat.st_mtime_ns) for path, stat in zip(paths, stats, strict=True)
-    ]
 
 
 def _segmenter(
