@@ -28,8 +28,9 @@ from stylesplat.rendering.kernels import (
 )
 from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.rendering.kernels.project_backward import Geometry
+from stylesplat.rendering.kernels.rows import Rows
 from stylesplat.rendering.kernels.sh_colors import Harmonics
-from stylesplat.rendering.kernels.tiles import Ellipses, Rows, TileLists
+from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras

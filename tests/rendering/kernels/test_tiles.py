@@ -12,7 +12,8 @@ from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.kernels import tiles
 from stylesplat.rendering.kernels.columns import span
-from stylesplat.rendering.kernels.tiles import Ellipses, Rows
+from stylesplat.rendering.kernels.rows import Rows
+from stylesplat.rendering.kernels.tiles import Ellipses
 from stylesplat.rendering.rasterize import activated
 
 GAUSSIANS = activated(random_splats())

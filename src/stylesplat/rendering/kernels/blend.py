@@ -13,7 +13,8 @@ import numpy as np
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec, vecs
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE, Place, spread
+from stylesplat.rendering.kernels.rows import Place, spread
+from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
 
 BLOCKS = 16
 PIXELS = 16  # in a block: the lanes of a vector

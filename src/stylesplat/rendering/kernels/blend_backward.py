@@ -17,7 +17,8 @@ from stylesplat.rendering.kernels.blend import (
     tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inlined, inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE, Place, Rows, spread
+from stylesplat.rendering.kernels.rows import Place, Rows, spread
+from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
 
 AHEAD = 6  # entries by which rows are prefetched
 MOMENTS = 6  # gradient numbers of the ellipse, in front of the colours'

@@ -22,7 +22,7 @@ from stylesplat.rendering.kernels.blend import (
     tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.tiles import Place, spread
+from stylesplat.rendering.kernels.rows import Place, spread
 
 COLORS = vecs.channels(3)
 NONE = vecs.channels(0)

@@ -15,6 +15,7 @@ from torch import Tensor
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
+from stylesplat.rendering.kernels.rows import Place, spread
 
 TILE = 16
 BLOCK = 4
@@ -31,21 +32,6 @@ class Ellipses(NamedTuple):
     conics: Tensor
     opacities: Tensor
     colors: Tensor
-
-
-class Rows(NamedTuple):
-    """Rows of numbers in one flat array; see `pack_rows`."""
-
-    flat: np.ndarray
-    stride: int
-    """Length of a row: a multiple of 16 floats, one cache line."""
-
-
-class Place(NamedTuple):
-    """A place in a flat array: where a row or the pixels of a block begin."""
-
-    flat: np.ndarray
-    first: int
 
 
 class Grid(NamedTuple):
@@ -124,13 +110,6 @@ def pack_rows(order, ellipses, rows):
         flat[row + 6] = opacities[i]
         for c in range(colors.shape[1]):
             flat[row + ROW_COLORS + c] = colors[i, c]
-
-
-@no_type_check
-@inner
-def spread(place, column):
-    """All lanes set to one number of a row."""
-    return vec.spread(place.flat, place.first + column)
 
 
 @no_type_check
