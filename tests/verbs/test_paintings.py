@@ -176,6 +176,22 @@ def test_what_an_object_was_painted_upon_may_be_gone(
     assert what_was_painted(scene).paintings[0].upon == {}
 
 
+def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: list[str]):
+    """They can be adjusted, undone and painted beside, but not painted again."""
+    colors = torch.rand(64, 80, 3, generator=torch.Generator().manual_seed(2))
+    style = Style(colors, config=FAST)
+    styled = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
+    scene_folder.save(styled, tmp_path / "styled")
+    found = scene_folder.open(tmp_path / "styled")
+    assert what_was_painted(found).paintings[0].styles == style.sources()
+    assert style.sources()[0].path is None
+    assert_same_splats(adjust(found, undo=True).splats, scene_folder.open(trained).splats)
+    with pytest.raises(StyleSplatError, match=r"red: it was painted with colours that were never"):
+        read_recipe(tmp_path / "styled" / "recipe.json")
+    assert "nnfm_after" not in evaluate(found, device="cpu")
+    assert "red is not compared with its style: its style was never a file." in said
+
+
 # A name that means something else now: other Gaussians, fewer, more
 ANEW = {
     "other": {"id": 300},
