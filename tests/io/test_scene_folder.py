@@ -326,7 +326,7 @@ def test_a_folder_that_one_stands_in_stays_the_same(
     scene_folder.save(full_scene(), folder)
     scene = scene_folder.open(folder)
     monkeypatch.chdir(folder)
-    revise(scene, replace(scene, painted=None), Path("."))
+    revise(scene, replace(scene, painted=None), Path())
     assert_same(scene_folder.open("."), replace(scene, painted=None))
     assert not Path("recipe.json").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]

@@ -1,6 +1,5 @@
 """What was painted is remembered as it was painted, and can be painted again just so."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
@@ -13,7 +12,6 @@ from safetensors.torch import load, save
 from balls import SPLATS
 from painted_balls import (
     FAST,
-    GREEN,
     RED,
     TRAINED,
     assert_same_objects,
@@ -25,7 +23,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation import style as report
 from stylesplat.io import scene_folder
 from stylesplat.io.files import read_json, write_json
-from stylesplat.scene.paintings import Colors, Painted
+from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS
+from balls import SPLATS
 from painted_balls import (
     FAST,
     GREEN,
@@ -197,7 +197,7 @@ def test_nothing_to_undo_or_adjust(folder: Path):
         adjust(once)
     with pytest.raises(StyleSplatError, match=r"green is not styled in .*once\. Styled objects: r"):
         adjust(once, 0.5, objects=["red", "green"])
-    with pytest.raises(StyleSplatError, match="use 0 to 1.5"):
+    with pytest.raises(StyleSplatError, match=r"use 0 to 1\.5"):
         adjust(once, 1.6)
     with pytest.raises(StyleSplatError, match="--overwrite"):
         save(adjust(once, undo=True), folder / "trained")
