@@ -12,6 +12,7 @@ import torch
 
 from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.cli import main
+from stylesplat.evaluation import style as report
 from stylesplat.io import scene_folder
 from stylesplat.io.files import strict_json
 from stylesplat.verbs import evaluate as verb
@@ -25,6 +26,11 @@ def strictly(text: str) -> Any:
         raise ValueError(f"{constant} is no JSON")
 
     return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(autouse=True)
+def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "LENGTH", 30.0)
 
 
 def test_files_of_a_scene(tmp_path: Path):

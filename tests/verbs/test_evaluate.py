@@ -1,6 +1,5 @@
 """What can be measured of a scene: with photos or without, styled or not, held out or not."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,6 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS
 from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation import style as report
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.paintings import Source
@@ -18,16 +16,11 @@ from stylesplat.scene.scene import Scene
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.load import load
 
+pytestmark = pytest.mark.usefixtures("small_measurements")
+
 PHOTOS = {"psnr", "ssim", "iou", "miou", "boundary_iou", "boundary_miou"}
 CHANGES = {"changed_gaussians", "outside_psnr", "outside_max_difference", "edge_psnr", "rim_error"}
 STYLE = {"nnfm_before", "nnfm_after", "statistics_before", "statistics_after"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_measurements() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "LENGTH", 30.0)
-        yield
 
 
 @pytest.fixture(scope="module")

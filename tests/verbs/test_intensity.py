@@ -17,6 +17,8 @@ from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.stylize import stylize
 
+pytestmark = pytest.mark.usefixtures("small_measurements")
+
 EXACT = 1e-5  # colours below 2, sums over some dozen Gaussians in float32
 INTENSITIES = (0.3, 0.6, 1.5)
 

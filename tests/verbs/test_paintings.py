@@ -1,6 +1,5 @@
 """What was painted is remembered as it was painted, and can be painted again just so."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -20,7 +19,6 @@ from painted_balls import (
     write_pictures,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation import style as report
 from stylesplat.io import scene_folder
 from stylesplat.io.files import read_json, write_json
 from stylesplat.scene.paintings import Painted
@@ -32,14 +30,9 @@ from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 
+pytestmark = pytest.mark.usefixtures("small_measurements")
+
 VGG19 = Path("/work/shared/weights/vgg19_conv1_1-conv3_4.safetensors")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_measurements() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "LENGTH", 30.0)
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -152,10 +145,10 @@ def test_weights_that_are_others_now_are_refused(
     stylize(before, recipe, features="compact", device="cpu")
 
 
-def test_objects_of_a_recipe_may_have_different_networks_in_one_run(
+def test_a_recipe_may_say_what_an_object_is_painted_upon(
     trained: Path, pictures: tuple[Path, Path], tmp_path: Path
 ):
-    """Whatever runs that takes, they are painted alone unless the recipe says otherwise."""
+    """Also an object of the same recipe, at a strength that it does not keep."""
     style = Style(pictures[0], config=FAST)
     objects = (StyledObject("red", style), StyledObject("green", style, upon={"red": 0.2}))
     scene = stylize(scene_folder.open(trained), Recipe(objects), device="cpu")
