@@ -22,7 +22,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.files import read_json, write_json
 from stylesplat.scene.paintings import Painted
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
@@ -251,9 +251,15 @@ def test_a_label_id_that_was_painted_is_painted_once(
 def test_undoing_keeps_what_was_named_since(once: Scene):
     scene = select(once, "new", id=7)
     new = torch.arange(len(scene.splats)) >= len(SPLATS)
-    objects = {**scene.objects, "split": replace(scene.objects["new"], picked=new)}
+    objects = {
+        **scene.objects,
+        "split": SceneObject(new),
+        "nothing": SceneObject(torch.zeros_like(new)),
+    }
     undone = adjust(replace(scene, objects=objects), undo=True)
-    assert undone.objects.keys() == {*TRAINED.objects, "new"}, "what the split made is gone"
+    assert undone.objects.keys() == {*TRAINED.objects, "new", "nothing"}, (
+        "what the split made is gone"
+    )
     assert torch.equal(undone.objects["red"].picked, RED)
 
 
