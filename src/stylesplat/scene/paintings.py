@@ -33,9 +33,9 @@ class Painting:
     styles: tuple[Source, ...]
     """The pictures whose style it has."""
     settings: Mapping[str, Any]
-    """All of them, as plain values, but for the intensity."""
+    """All of them, as plain values; the intensity among them is that at first."""
     intensity: float
-    """How much of the new colours shows, 0 to 1.5."""
+    """How much of the new colours shows now, 0 to 1.5."""
     features: str
     """The network whose features were matched."""
     weights: Source | None = None

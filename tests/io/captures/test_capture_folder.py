@@ -11,9 +11,10 @@ import torch
 from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import load, open_capture
+from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
+from stylesplat.verbs.load import load
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
 
 MakeCapture = Callable[..., Path]

@@ -10,12 +10,12 @@ import zstandard
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.verbs.export import export
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import look_at
 from stylesplat.scene.splats import Splats
+from stylesplat.verbs.export import export
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "splats"
 PLAIN = replace(SPLATS, identities=None, classifier=None)
