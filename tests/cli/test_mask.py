@@ -10,10 +10,10 @@ from balls import CAMERAS, SPLATS
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_named_box
 from stylesplat.errors import StyleSplatError
-from stylesplat.verbs.export import export
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import read_scene
 from stylesplat.selection.identities import render_labels
+from stylesplat.verbs.export import export
 from stylesplat.verbs.select import Choice, select_object
 
 BOX = "vase=0001.jpg:6,8,23,24"
