@@ -1,5 +1,6 @@
 """Files are written whole or not at all: to a temporary name beside the target, then renamed."""
 
+import ctypes
 import errno
 import hashlib
 import json
@@ -7,7 +8,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from uuid import uuid4
 from stylesplat.errors import StyleSplatError
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: paths as they are; swap two
+RENAME_SWAP = 2  # the same of macOS
 MAX_STEM = 48  # characters of a file name that are taken from a text
 PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
 
@@ -145,7 +148,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
     return content
 
 
-def write_json(content: dict[str, Any], path: Path | str) -> None:
+def write_json(content: Mapping[str, Any], path: Path | str) -> None:
     """Write a JSON file; see `strict_json`.
 
     Raises:
@@ -194,7 +197,7 @@ def _cannot_write(path: Path, error: OSError) -> StyleSplatError:
     return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.")
 
 
-def _link(source: str, target: str) -> None:
+def _link(source: str | Path, target: str | Path) -> None:
     try:
         os.link(source, target)
     except OSError:  # not on every file system
@@ -202,28 +205,62 @@ def _link(source: str, target: str) -> None:
 
 
 def _swap(new: Path, path: Path) -> None:
+    """Give a folder the place of another, which is left in its own, or gone."""
     if not path.exists():
         new.rename(path)
-        return
+    elif Path.cwd().is_relative_to(path):
+        _refill(path, new)  # else whoever stands in it, such as a shell, would be left nowhere
+    elif not _exchanged(new, path):
+        old = _beside(path)
+        path.rename(old)
+        try:
+            new.rename(path)
+        except BaseException:
+            old.rename(path)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Swap two folders in one step; False where the system cannot."""
+    system, paths = ctypes.CDLL(None), (os.fsencode(one), os.fsencode(other))
+    if hasattr(system, "renameat2"):  # Linux
+        return system.renameat2(AT_FDCWD, paths[0], AT_FDCWD, paths[1], RENAME_EXCHANGE) == 0
+    return hasattr(system, "renamex_np") and system.renamex_np(*paths, RENAME_SWAP) == 0  # macOS
+
+
+def _refill(path: Path, new: Path) -> None:
+    """Give a folder the files of another, one by one; on failure its own again."""
     old = _beside(path)
-    path.rename(old)
     try:
-        new.rename(path)
-    except OSError:
-        old.rename(path)
-        raise
-    shutil.rmtree(old)
+        shutil.copytree(path, old, copy_function=_link)
+        try:
+            _mirror(new, path)
+        except BaseException:
+            _mirror(old, path)
+            raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _mirror(source: Path, path: Path) -> None:
+    """Make a folder hold what another does, and nothing else."""
+    _merge(source, path)
+    for file in sorted(path.rglob("*"), reverse=True):  # what is in a folder before the folder
+        if not (source / file.relative_to(path)).exists():
+            file.rmdir() if file.is_dir() else file.unlink()
 
 
 def _merge(new: Path, path: Path) -> None:
     for source in sorted(p for p in new.rglob("*") if p.is_file()):
         target = path / source.relative_to(new)
         target.parent.mkdir(parents=True, exist_ok=True)
-        source.replace(target)
+        with atomic_path(target) as temporary:
+            _link(source, temporary)
 
 
 def _strict(value: Any) -> Any:
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _strict(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [_strict(item) for item in value]

@@ -76,7 +76,7 @@ def open(path: Path | str) -> Scene:
     splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
     capture, held_out = info.pop("capture", None), info.pop("test_views", [])
     with within(f"Cannot read {folder / SCENE}"):
-        downscale = _number(info.get("settings", {}).get("downscale", 1.0), "downscale")
+        downscale = _taken_downscale(info)
     picks = read_rows(folder / PICKS, len(splats))
     painted = read_painted(folder, picks, len(splats))
     return Scene(
@@ -95,37 +95,48 @@ def open(path: Path | str) -> Scene:
 
 def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
     """Write what differs from what the folder holds already; everything if that is nothing."""
-    if before is None or scene.splats is not before.splats:
+
+    def differs(*names: str) -> bool:
+        return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
+
+    if differs("splats"):
         write_splat_ply(scene.splats, folder / SPLATS)
         _write_identities(scene.splats, folder)
-    if before is None or scene.cameras is not before.cameras:
+    if differs("cameras"):
         _write_cameras(scene.cameras, folder)
-    if before is None or scene.objects is not before.objects:
+    if differs("objects"):
         picks = {name: each.picked for name, each in scene.objects.items()}
         write_tensors(picks, folder / PICKS)
         write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
-    if before is None or scene.painted is not before.painted:
+    if differs("painted"):
         write_painted(scene.painted, folder)
-    if before is None or scene.metrics is not before.metrics:
-        write_json(dict(scene.metrics), folder / METRICS)
-    if before is None or scene.info is not before.info:
+    if differs("metrics"):
+        write_json(scene.metrics, folder / METRICS)
+    if differs("info", "capture", "held_out", "downscale"):
         write_json(_info(scene), folder / SCENE)
 
 
 def _info(scene: Scene) -> dict[str, Any]:
     settings = {**scene.info.get("settings", {}), "downscale": scene.downscale}
     return {
-        "version": VERSION,
         **scene.info,
+        "version": VERSION,
         "capture": scene.capture,
-        "test_views": list(scene.held_out),
+        "test_views": scene.held_out,
         "settings": settings,
     }
 
 
-def _number(value: Any, name: str) -> float:
+def _taken_downscale(info: dict[str, Any]) -> float:
+    """The downscale, which a file keeps among the settings, taken from there."""
+    settings = info.pop("settings", {})
+    if not isinstance(settings, dict):
+        raise StyleSplatError("settings must be KEY: VALUE. Train again.")
+    value = settings.pop("downscale", 1.0)
+    if settings:
+        info["settings"] = settings
     if not isinstance(value, int | float) or not value > 0:
-        raise StyleSplatError(f"{name} is {value!r}, not a number above 0. Train again.")
+        raise StyleSplatError(f"downscale is {value!r}, not a number above 0. Train again.")
     return float(value)
 
 
@@ -151,6 +162,7 @@ def _scene_folder(path: Path | str) -> Path:
 
 def _write_identities(splats: Splats, folder: Path) -> None:
     if splats.identities is None or splats.classifier is None:
+        (folder / IDENTITIES).unlink(missing_ok=True)  # an earlier state's
         return
     tensors = {
         "identities": splats.identities,

@@ -18,7 +18,8 @@ Which = Literal["test", "train", "all"]
 
 MAX_NAME = 100  # characters of an object's name
 RESERVED = "__metadata__"  # of safetensors files
-UNFIT = re.compile(r"[\x00-\x1f\x7f/\\=]")  # control characters, folders, the sign of OBJECT=IMAGE
+# Folders, the sign of OBJECT=IMAGE, control characters and line ends, halves of characters
+UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 @dataclass(frozen=True)
@@ -97,18 +98,20 @@ class Scene:
 
 def check_name(name: str) -> None:
     """Raise a StyleSplatError if an object cannot be called that."""
-    fault = _fault(name)
+    fault = name_fault(name)
     if fault:
-        shown = name if len(name) <= MAX_NAME else f"{name[:20]}..."
-        raise StyleSplatError(f"Cannot call an object {shown!r}: {fault}. Choose another name.")
+        raise StyleSplatError(
+            f"Cannot call an object {brief(name)!r}: {fault}. Choose another name."
+        )
 
 
 def can_be_called(name: str) -> bool:
-    """Whether an object can be called that; `check_name` says why not."""
-    return _fault(name) is None
+    """Whether an object can be called that; `name_fault` says why not."""
+    return name_fault(name) is None
 
 
-def _fault(name: str) -> str | None:
+def name_fault(name: str) -> str | None:
+    """Why an object cannot be called that; None if it can."""
     if not name.strip():
         return "a name must not be empty"
     if name.isdecimal():
@@ -118,3 +121,8 @@ def _fault(name: str) -> str | None:
     if name == RESERVED:
         return "files of objects use that name for themselves"
     return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
+
+
+def brief(name: str) -> str:
+    """A name as a message can hold it."""
+    return name if len(name) <= MAX_NAME else f"{name[:20]}..."

@@ -2,8 +2,11 @@
 
 from collections.abc import Mapping
 
+from jaxtyping import Bool
+from torch import Tensor
+
 from stylesplat.progress import say
-from stylesplat.scene.scene import Scene, SceneObject, can_be_called
+from stylesplat.scene.scene import Scene, SceneObject, brief, name_fault
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD, pick_objects
 
@@ -21,9 +24,18 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
     picked = pick_objects(scene.splats, [*known]) if known else {}
     for id, mask in picked.items():
         name = known[id]
-        if not mask.any() or not can_be_called(name) or name in scene.objects:
-            say(f"Object {id} is not called {name!r}. `stylesplat select` names it.")
+        fault = _fault(scene, name, mask)
+        if fault:
+            say(
+                f"Object {id} is not called {brief(name)!r}: {fault}. `stylesplat select` names it."
+            )
             continue
         how = {"ids": [id], "threshold": THRESHOLD, "gaussians": int(mask.sum())}
         scene = scene.with_object(name, SceneObject(mask, how))
     return scene
+
+
+def _fault(scene: Scene, name: str, mask: Bool[Tensor, " N"]) -> str | None:
+    if not mask.any():
+        return "no Gaussians are it"
+    return "another object is" if name in scene.objects else name_fault(name)

@@ -5,13 +5,22 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields, replace
 from difflib import get_close_matches
-from typing import Any, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import StyleConfig
 
+WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    NoneType: "null",
+    dict: "KEY: VALUE",
+    list: "a list",
+}
 SETTINGS = {field.name: get_type_hints(StyleConfig)[field.name] for field in fields(StyleConfig)}
 
 
@@ -42,14 +51,24 @@ def fitted(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]
         try:
             fit[key] = msgspec.convert(value, hints[key])
             if isinstance(fit[key], float) and not math.isfinite(fit[key]):
-                raise msgspec.ValidationError("Expected a finite `float`")
+                raise msgspec.ValidationError
         except msgspec.ValidationError as error:
             shown = json.dumps(value, ensure_ascii=False, default=str)
-            said = str(error)
-            raise StyleSplatError(
-                f"{key} cannot be {shown}: {said[0].lower()}{said[1:]}. Mend it, or leave it out."
-            ) from error
+            expected = _described(hints[key])
+            raise StyleSplatError(f"{key} must be {expected}, not {shown}.") from error
     return fit
+
+
+def _described(hint: Any) -> str:
+    kind, arguments = get_origin(hint), get_args(hint)
+    if kind in (Union, UnionType):
+        return " or ".join(map(_described, arguments))
+    if kind is Literal:
+        return " or ".join(map(json.dumps, arguments))
+    if kind is tuple:
+        count = "" if arguments[-1] is ... else f" of {len(arguments)}"
+        return f"a list{count}, each {_described(arguments[0])}"
+    return WORDS[kind or hint]
 
 
 def _suggestion(key: str, known: Iterable[str]) -> str:

@@ -22,7 +22,7 @@ SHARED = {  # what else a recipe may say of all objects
     "objects": dict | list | None,
 }
 OWN = {  # and of one
-    "style": str | tuple[str, ...] | None,
+    "style": str | tuple[str, ...],
     "sha256": str | tuple[str, ...] | None,
     "settings": dict,
     "features": Network | None,
@@ -122,6 +122,8 @@ def _styled_object(
     folder: Path,
 ) -> StyledObject:
     told = fitted({"intensity": entry["intensity"]}, SETTINGS) if "intensity" in entry else {}
+    if None in (listed(entry.get("style")) or (None,)):  # colours that were never a file
+        entry = {key: value for key, value in entry.items() if key != "style"}
     settings, own = _sorted_out(entry, OWN)
     recorded = "upon" in own or "features" in own  # by us, so what is not under `settings` is now
     if recorded:
@@ -143,7 +145,7 @@ def _styled_object(
 def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) -> list[Path]:
     if not files:
         raise StyleSplatError(
-            "it has no picture file. Add `style: IMAGE`."
+            "it has no picture. Add `style: IMAGE`."
             if not digests
             else "it was painted with colours that were never a file. Save them, add `style: FILE`."
         )

@@ -66,7 +66,7 @@ def evaluate(
 def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, Any]:
     """The held-out views compared with their photos; of an import, some of all."""
     capture = posed_as(capture, scene.cameras)
-    if scene.info.get("splat"):
+    if "splat" in scene.info:
         rows = evenly(range(len(capture)), MEASURED)
     else:
         rows = [capture.cameras.index(name) for name in scene.held_out]

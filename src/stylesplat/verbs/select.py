@@ -74,7 +74,7 @@ def select(
         points=_in_views(point, 2, "point"),
         not_points=_in_views(not_point, 2, "not_point"),
         text=text,
-        box3d=tuple(map(float, box3d)),
+        box3d=_box3d(box3d),
         sphere=_sphere(sphere) if sphere else None,
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),
@@ -105,6 +105,12 @@ def _in_views(places: Places, count: int, what: str) -> Any:
             )
         found.append((view, tuple(map(float, numbers))))
     return tuple(found)
+
+
+def _box3d(corners: Sequence[float]) -> tuple[float, ...]:
+    if len(corners) not in (0, 6):
+        raise StyleSplatError(f"Cannot select by box3d={corners!r}. Give x0, y0, z0, x1, y1, z1.")
+    return tuple(map(float, corners))
 
 
 def _sphere(place: Place) -> tuple[str, tuple[float, ...]]:
