@@ -271,16 +271,18 @@ class Killed(BaseException):
     """The end of the process, as far as a test can have it."""
 
 
-@pytest.mark.parametrize("exchange", [True, False], ids=["at once", "one by one"])
+@pytest.mark.parametrize("way", ["exchange", "two renames", "file by file"])
 @pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), Killed()])
 def test_a_revision_is_whole_or_not_at_all(
-    error: BaseException, exchange: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    error: BaseException, way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Whichever call to the file system fails, and be it the last call of all."""
     folder = tmp_path / "scene"
-    if not exchange:
-        monkeypatch.setattr(files, "_exchanged", lambda one, other: False)
     scene_folder.save(full_scene(), folder)
+    if way == "two renames":  # where the system cannot exchange
+        monkeypatch.setattr(files, "_exchanged", lambda one, other: False)
+    if way == "file by file":  # where somebody stands in the folder
+        monkeypatch.chdir(folder)
     (folder / "notes.txt").write_text("mine")
     scene = scene_folder.open(folder)
     changed = replace(scene, splats=plain_scene().splats, painted=None, metrics={})
@@ -326,7 +328,7 @@ def test_a_folder_that_one_stands_in_stays_the_same(
     scene_folder.save(full_scene(), folder)
     scene = scene_folder.open(folder)
     monkeypatch.chdir(folder)
-    revise(scene, replace(scene, painted=None), Path("."))
+    revise(scene, replace(scene, painted=None), Path())
     assert_same(scene_folder.open("."), replace(scene, painted=None))
     assert not Path("recipe.json").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.verbs.export import export
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import sh_basis
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
+from stylesplat.verbs.export import export
 
 SHARED = Path("/work/shared/data/splats/metalsplatter")
 

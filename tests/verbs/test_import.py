@@ -113,7 +113,7 @@ def test_a_splat_of_something_else(capture: Capture):
 
 
 def test_options_that_would_change_nothing(capture: Capture, splat: Path):
-    with pytest.raises(StyleSplatError, match="needs? the capture"):
+    with pytest.raises(StyleSplatError, match="needs the capture"):
         import_(splat, frame="nerfstudio")
     with pytest.raises(StyleSplatError, match=r"without photos\. Leave it out"):
         import_(splat, capture, up="z")

@@ -1,14 +1,13 @@
 """Styled scenes: adjusted, styled again, made again from their recipe, and undone."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS
+from balls import SPLATS
 from painted_balls import (
     FAST,
     GREEN,
@@ -20,7 +19,6 @@ from painted_balls import (
     write_pictures,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation import style as report
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise, save
 from stylesplat.scene.paintings import Painted
@@ -31,12 +29,7 @@ from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.stylize import stylize
 
-
-@pytest.fixture(scope="module", autouse=True)
-def small_measurements() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "LENGTH", 30.0)
-        yield
+pytestmark = pytest.mark.usefixtures("small_measurements")
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +190,7 @@ def test_nothing_to_undo_or_adjust(folder: Path):
         adjust(once)
     with pytest.raises(StyleSplatError, match=r"green is not styled in .*once\. Styled objects: r"):
         adjust(once, 0.5, objects=["red", "green"])
-    with pytest.raises(StyleSplatError, match="use 0 to 1.5"):
+    with pytest.raises(StyleSplatError, match=r"use 0 to 1\.5"):
         adjust(once, 1.6)
     with pytest.raises(StyleSplatError, match="--overwrite"):
         save(adjust(once, undo=True), folder / "trained")

@@ -260,6 +260,8 @@ def _merge(new: Path, path: Path) -> None:
 
 
 def _strict(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # of NumPy or torch
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: _strict(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

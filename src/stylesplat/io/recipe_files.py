@@ -104,7 +104,7 @@ def _painting(
     entry: Mapping[str, Any], content: Mapping[str, Any], picked: Bool[Tensor, " N"]
 ) -> Painting:
     settings = {**content["settings"], **entry["settings"]}
-    paths, digests = listed(entry["style"]), listed(entry["sha256"])
+    paths, digests = _several(entry["style"]), _several(entry["sha256"])
     weights = entry["weights"] if "weights" in entry else content.get("weights")
     return Painting(
         name=str(entry["name"]),
@@ -118,6 +118,11 @@ def _painting(
         weights=Source(Path(weights), entry.get("weights_sha256")) if weights else None,
         upon={str(name): float(value) for name, value in entry.get("upon", {}).items()},
     )
+
+
+def _several(items: Any) -> list[Any]:
+    """What `_single` was given."""
+    return items if isinstance(items, list) else [items]
 
 
 def _single(items: list[Any]) -> Any:

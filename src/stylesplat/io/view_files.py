@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from jaxtyping import Int, UInt8
 from torch import Tensor
@@ -17,17 +17,18 @@ VIDEO = ".mp4"
 
 
 def png_names(names: Sequence[str]) -> list[str]:
-    """The photos' names as PNGs; those that differ in their suffix only keep it.
+    """The photos' names as PNGs inside a folder; those that would be the same keep their suffixes.
 
     Example:
-        >>> png_names(["cam0/1.jpg", "cam1/1.jpg", "a.jpg", "a.png"])
-        ['cam0/1.png', 'cam1/1.png', 'a.jpg.png', 'a.png.png']
+        >>> png_names(["cam0/1.jpg", "cam1/1.jpg", "a.jpg", "a.png", "../b.jpg"])
+        ['cam0/1.png', 'cam1/1.png', 'a.jpg.png', 'a.png.png', '_/b.png']
     """
-    plain = [Path(name).with_suffix(".png").as_posix() for name in names]
-    count = Counter(plain)
-    return [
-        png if count[png] == 1 else f"{name}.png" for name, png in zip(names, plain, strict=True)
-    ]
+    inside = [_inside(name) for name in names]
+    plain = [path.with_suffix(".png").as_posix() for path in inside]
+    whole = [f"{path.as_posix()}.png" for path in inside]
+    pairs = list(zip(plain, whole, strict=True))
+    wanted = Counter(name for pair in pairs for name in {*pair})
+    return [short if wanted[short] == 1 else long for short, long in pairs]
 
 
 def refuse_taken(output: Path, *, overwrite: bool) -> None:
@@ -72,3 +73,10 @@ def write_views(
 def is_video(output: Path) -> bool:
     """Whether views are written as a video there."""
     return output.suffix.lower() == VIDEO
+
+
+def _inside(name: str) -> PurePosixPath:
+    """A photo's name as a path that does not leave its folder."""
+    path = PurePosixPath(name)
+    parts = path.parts[1:] if path.is_absolute() else path.parts
+    return PurePosixPath(*("_" if part == ".." else part for part in parts or ("_",)))

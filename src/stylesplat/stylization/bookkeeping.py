@@ -123,11 +123,15 @@ def unpainted(scene: Scene) -> Scene:
             scales=splats.scales.index_copy(0, shape.rows, shape.scales),
             opacities=splats.opacities.index_copy(0, shape.rows, shape.opacities),
         )
-        objects = {name: _first(each, shape.count) for name, each in objects.items()}
+        objects = {
+            name: _first(each, shape.count)
+            for name, each in objects.items()
+            if each.picked[: shape.count].any() or not each.picked.any()  # not of new ones alone
+        }
     return replace(
         scene,
         splats=splats,
-        objects={name: each for name, each in objects.items() if each.picked.any()},
+        objects=objects,
         painted=None,
         metrics=scene.metrics.get("train", {}),
     )

@@ -112,7 +112,7 @@ def _matrix_sqrt(matrix: Tensor) -> Tensor:
 def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
     """The base with the colours of picked Gaussians moved towards the styled ones.
 
-    Renders are linear in the colours, so this blends the renders.
+    Renders are linear in the colours, so this blends the renders, wherever no colour is clamped.
 
     Args:
         base: Colours at intensity 0.
