@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,15 @@ NEEDS_NONE = {"content_ssim", "short_range_rmse", "outside_psnr", "changed_gauss
 
 
 @pytest.fixture(scope="module")
-def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def quickly() -> Iterator[None]:
+    """Objects are compared with their styles at a size that takes less time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
+        yield
+
+
+@pytest.fixture(scope="module")
+def once(quickly: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two balls with the colours of a gradient, and two views held out: consistency takes two."""
     folder = tmp_path_factory.mktemp("once")
     ss.save(
