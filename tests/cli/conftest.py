@@ -6,6 +6,7 @@ from PIL import Image
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from command_line import QUICK, run
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
 
@@ -20,7 +21,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def scene(tmp_path: Path) -> Path:
     """The balls as a scene that is trained, with the first view held out."""
     folder = tmp_path / "scene"
-    save(Scene(SPLATS, CAMERAS, held_out=(CAMERAS.names[0],), metrics={"psnr": 30.0}), folder)
+    save(Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], metrics={"psnr": 30.0}), folder)
     return folder
 
 
@@ -32,3 +33,18 @@ def style(tmp_path: Path) -> Path:
     path = tmp_path / "stripes.png"
     Image.fromarray(pixels[:, None].expand(96, 96, 3).numpy()).save(path)
     return path
+
+
+@pytest.fixture
+def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Objects are compared with their styles at a size that takes less time."""
+    monkeypatch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
+
+
+@pytest.fixture
+def styled(scene: Path, style: Path, small_measurements: None) -> Path:
+    """Two balls in stripes, at half intensity."""
+    out = scene.with_name("styled")
+    styles = ("--style", f"3={style}", "--style", f"7={style}")
+    assert run("stylize", scene, "-o", out, "--steps", 2, "--intensity", 0.5, *QUICK, *styles) == 0
+    return out

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from stylesplat.drawing.browser import covariances, view
+from stylesplat.drawing.browser import covariances, serve
 from stylesplat.errors import StyleSplatError
 
 
@@ -20,7 +20,7 @@ def free_port() -> int:
 
 
 def test_serves_on_loopback_until_stopped(free_port):
-    server = view(SPLATS, cameras=CAMERAS, port=free_port, block=False)
+    server = serve(SPLATS, cameras=CAMERAS, port=free_port, block=False)
     try:
         assert (server.get_host(), server.get_port()) == ("127.0.0.1", free_port)
         with urlopen(f"http://127.0.0.1:{free_port}", timeout=10) as page:
@@ -34,7 +34,7 @@ def test_serves_on_loopback_until_stopped(free_port):
 
 
 def test_starts_without_cameras(free_port):
-    server = view(SPLATS, port=free_port, block=False)
+    server = serve(SPLATS, port=free_port, block=False)
     try:
         distance = np.linalg.norm(server.initial_camera.position - server.initial_camera.look_at)
         assert distance > 1  # outside the balls
@@ -49,7 +49,7 @@ def test_blocks_until_ctrl_c_and_then_stops(free_port, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stylesplat.drawing.browser.time.sleep", interrupt)
-    view(SPLATS, port=free_port)
+    serve(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -65,9 +65,9 @@ def test_covariances_have_the_scales_as_deviations():
 def test_without_viser(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(StyleSplatError, match=r"pip install stylesplat\[view\]"):
-        view(SPLATS)
+        serve(SPLATS)
 
 
 def test_empty_splats():
     with pytest.raises(StyleSplatError, match="nothing to view"):
-        view(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
+        serve(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])

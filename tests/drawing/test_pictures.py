@@ -15,14 +15,15 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick
 
-IMAGES = ["color", "identities", "depth", "object:7"]
+IMAGES = ["color", "identities", "depth", "object"]
+GREEN = pick(SPLATS, object_id=7)
 
 
 @pytest.mark.parametrize("what", IMAGES)
 def test_every_picture_has_the_size_of_its_camera(what):
     cameras = CAMERAS[:2]
     cameras = replace(cameras, sizes=torch.tensor([[48, 36], [40, 30]]))
-    shapes = [tuple(p.shape) for p in render_pictures(SPLATS, cameras, what)]
+    shapes = [tuple(p.shape) for p in render_pictures(SPLATS, cameras, what, picked=GREEN)]
     assert shapes == [(36, 48, 3), (30, 40, 3)]
 
 
@@ -37,26 +38,23 @@ def test_labels_are_ids():
     assert torch.equal(labels, render_labels(SPLATS, CAMERAS[3]))
 
 
-@pytest.mark.parametrize("what", ["color", "identities", "labels", "object:7"])
+@pytest.mark.parametrize("what", ["color", "identities", "labels", "object"])
 def test_a_view_looks_the_same_in_any_company(what):
-    (alone,) = render_pictures(SPLATS, CAMERAS[2], what)
-    assert torch.equal(alone, list(render_pictures(SPLATS, CAMERAS, what))[2])
+    (alone,) = render_pictures(SPLATS, CAMERAS[2], what, picked=GREEN)
+    assert torch.equal(alone, list(render_pictures(SPLATS, CAMERAS, what, picked=GREEN))[2])
 
 
 def test_pictures_need_no_graph():
     splats = replace(SPLATS, means=SPLATS.means.clone().requires_grad_())
     for what in IMAGES:
-        (picture,) = render_pictures(splats, CAMERAS[0], what)
+        (picture,) = render_pictures(splats, CAMERAS[0], what, picked=GREEN)
         assert not picture.requires_grad
 
 
 def test_object_alone_is_white_elsewhere():
-    picked = {"ball": pick(SPLATS, object_id=3)}
-    (named,) = render_pictures(SPLATS, CAMERAS[0], "object:ball", picks=picked)
-    (by_id,) = render_pictures(SPLATS, CAMERAS[0], "object:3")
-    assert torch.equal(named, by_id)
-    assert (named[:, 30:] == 255).all()  # the ball is on the left
-    red, green, _ = named[12, 13].tolist()
+    (ball,) = render_pictures(SPLATS, CAMERAS[0], "object", picked=pick(SPLATS, object_id=3))
+    assert (ball[:, 30:] == 255).all()  # the ball is on the left
+    red, green, _ = ball[12, 13].tolist()
     assert red > 200 > 60 > green
 
 
@@ -100,12 +98,6 @@ def test_label_colors_are_distinct_and_background_is_black():
 def test_unknown_picture(what):
     with pytest.raises(StyleSplatError, match=r"Choose color, labels, .*object:NAME"):
         render_pictures(SPLATS, CAMERAS, what)
-
-
-def test_unknown_object():
-    picks = {"ball": pick(SPLATS, object_id=3)}
-    with pytest.raises(StyleSplatError, match=r"'cat'.*: ball, 3, 7, 300\."):
-        render_pictures(SPLATS, CAMERAS, "object:cat", picks=picks)
 
 
 @pytest.mark.parametrize("what", ["labels", "identities"])

@@ -47,7 +47,7 @@ class Import:
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         capture = None
         if self.capture is not None:
-            capture = open_capture(self.capture, masks=self.masks).at(1)
+            capture = open_capture(self.capture, masks=self.masks).at(1.0)
         scene = import_(self.splat, capture, frame=self.frame, up=self.up, device=self.device)
         save(scene, self.output, overwrite=self.overwrite)
         return dict(scene.metrics)

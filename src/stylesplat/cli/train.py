@@ -1,7 +1,7 @@
 """`stylesplat train`."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,21 +59,19 @@ class Train:
         from stylesplat.training.train_config import PRESETS
         from stylesplat.verbs.train import train
 
+        names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
+        config = replace(PRESETS[self.preset], **given(self, names))
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         output = self.output.resolve()
         partial = output.with_name(output.name + PARTIAL)
         checkpoint = partial / f"checkpoint_{self.segment}.pt"
+        capture = open_capture(self.capture, masks=self.masks).at(self.downscale)
         if self.restart:
             shutil.rmtree(partial, ignore_errors=True)
-        capture = open_capture(self.capture, masks=self.masks).at(self.downscale)
-        names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
+        elif checkpoint.exists():
+            say("There is an interrupted run; --restart would begin anew.")
         scene = train(
-            capture,
-            PRESETS[self.preset],
-            segment=self.segment,
-            device=self.device,
-            checkpoint=checkpoint,
-            **given(self, names),
+            capture, config, segment=self.segment, device=self.device, checkpoint=checkpoint
         )
         save(scene, self.output, overwrite=self.overwrite)
         shutil.rmtree(partial, ignore_errors=True)

@@ -6,8 +6,8 @@ import torch
 
 from stylesplat.demo.cloud import surface_points
 from stylesplat.demo.faults import corrupt_label_maps
-from stylesplat.demo.paintings import burning_tide, swirling_night
 from stylesplat.demo.still_life import OBJECT_NAMES, View, dome_cameras, photograph
+from stylesplat.demo.style_pictures import burning_tide, swirling_night
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.files import claim_directory, write_json
 from stylesplat.io.images import write_image

@@ -161,7 +161,7 @@ def _styling_story(output: Path, capture: Path) -> tuple[Section, ...]:
         Section(
             "3. Objects to choose from",
             "stylesplat objects draws this sheet; stylesplat select gives an object a name.",
-            (Figure(output / "scene" / "objects.png", "objects.png"),),
+            (Figure(output / "scene" / SHEET, SHEET),),
         ),
         Section(
             "4. Two styles",

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json, write_json
-from stylesplat.io.recipe import paintings_in, recipe_of, within
+from stylesplat.io.recipe_files import paintings_in, recipe_of, within
 from stylesplat.io.splats.splat_ply import pad_bands
 from stylesplat.io.tensors import load_tensors, read_rows, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit

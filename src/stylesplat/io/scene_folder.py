@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import claim_directory, read_json, revised_directory, write_json
 from stylesplat.io.painted_files import read_painted, write_painted
-from stylesplat.io.recipe import within
+from stylesplat.io.recipe_files import within
 from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
 from stylesplat.io.tensors import check_rows, load_tensors, read_rows, write_tensors
 from stylesplat.scene.cameras import Cameras

@@ -25,7 +25,7 @@ def read_style(
 ) -> Float[Tensor, "H W 3"]:
     """Read a picture to take a style from.
 
-    Longer sides than 4096 pixels are scaled down, which one line on stderr says.
+    Longer sides than 4096 pixels are scaled down, which the user is told.
 
     Args:
         path: Any picture that Pillow reads, with one frame.
@@ -115,8 +115,7 @@ def _shrink(pixels: UInt8[np.ndarray, "H W 3"], path: Path) -> UInt8[np.ndarray,
         return pixels
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
     _refuse_small(*size, f"Scaled down to {MAX_SIDE} pixels of length, {path}")
-    line = f"{path}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels"
-    say(line)
+    say(f"{path}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
     return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
 
 

@@ -30,12 +30,12 @@ def adjust(
         StyleSplatError: If the scene is not styled, or not in these objects, or nothing says what
             to do.
     """
-    painted = require_painted(scene)
     if undo:
         return unpainted(scene)
     if intensity is None:
         raise StyleSplatError("Nothing to adjust. Pass an --intensity F, or --undo.")
     check_intensity(intensity)
+    painted = require_painted(scene)
     names = [objects] if isinstance(objects, str) else list(objects)
     unknown = next((name for name in names if name not in painted.names), None)
     if unknown is not None:

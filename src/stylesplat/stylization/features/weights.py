@@ -36,8 +36,15 @@ MARKS = {  # layers that the other network does not have
     "vgg19": ("features.16.weight", "conv3_4.weight"),
 }
 UNREADABLE = (
-    *(SafetensorError, pickle.UnpicklingError, zipfile.BadZipFile),
-    *(EOFError, IndexError, KeyError, OSError, RuntimeError, ValueError, struct.error),
+    SafetensorError,
+    pickle.UnpicklingError,
+    zipfile.BadZipFile,
+    struct.error,
+    EOFError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    ValueError,
 )
 
 

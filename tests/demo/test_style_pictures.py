@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stylesplat.demo.paintings import burning_tide, swirling_night
+from stylesplat.demo.style_pictures import burning_tide, swirling_night
 
 PAINTINGS = (swirling_night, burning_tide)
 
