@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import class_probabilities, object_ids, render_labels
-from stylesplat.selection.pick import resolve_ids, pick
+from stylesplat.selection.pick import pick, resolve_ids
 
 
 def project(camera: Cameras, point: tuple[float, float, float]) -> tuple[float, float]:
