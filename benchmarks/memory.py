@@ -45,8 +45,8 @@ class Options:
     """Of a photo."""
     steps: int = 300
     """Of training."""
-    max_gaussians: int = 20_000
-    """Gaussians at most."""
+    max_gaussians: int = 3000
+    """Gaussians at most: few, for noise makes them large, and then the rasteriser's lists grow."""
     max_memory: float = 1.0
     """GiB for photos and label maps."""
     folder: Path | None = None

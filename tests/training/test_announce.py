@@ -8,10 +8,11 @@ import torch
 from scenes import random_splats
 from stylesplat.progress import Silence, observed
 from stylesplat.training import announce
-from stylesplat.training.announce import REPORT_STEPS, Tally, announced
+from stylesplat.training.announce import GPU_STEPS, Tally, announced
 from stylesplat.training.state import State, first_state
 from stylesplat.training.train_config import TrainConfig
 
+GPU = torch.device("cuda")
 STATE = first_state(random_splats(1500))
 
 
@@ -93,20 +94,22 @@ def test_others_are_told_too(listener: Listener):
 
 
 def test_a_tally_averages():
-    tally = Tally.empty()
+    tally = Tally()
     for loss in (1.0, 2.0, 6.0):
         tally = tally.plus(torch.tensor([loss, 10 * loss]))
     assert tally.means() == (3.0, 30.0) and tally.steps == 3
 
 
-def test_a_tally_is_due_every_few_steps():
-    tally = Tally.empty()
-    assert [step for step in range(1, 31) if tally.due(step)] == [
-        REPORT_STEPS * i for i in range(1, 30 // REPORT_STEPS + 1)
-    ]
+def test_a_gpu_is_waited_for_every_few_steps():
+    told = [step for step in range(1, 31) if Tally().due(step, GPU)]
+    assert told == [GPU_STEPS * i for i in range(1, 30 // GPU_STEPS + 1)]
 
 
-def test_a_tally_is_due_when_steps_are_slow(monkeypatch: pytest.MonkeyPatch):
-    tally, now = Tally.empty(), announce.monotonic()
+def test_on_a_cpu_there_is_nothing_to_wait_for():
+    assert all(Tally().due(step, torch.device("cpu")) for step in range(1, 31))
+
+
+def test_slow_steps_are_told_one_by_one(monkeypatch: pytest.MonkeyPatch):
+    tally, now = Tally(), announce.monotonic()
     monkeypatch.setattr(announce, "monotonic", lambda: now + 1.5)
-    assert tally.due(3)
+    assert tally.due(3, GPU)

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.training.announce import REPORT_STEPS
+from stylesplat.training.announce import GPU_STEPS, Tally
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
@@ -130,11 +130,19 @@ def test_no_photos_left(capture: Capture, config: TrainConfig):
         fit(capture, replace(config, test_every=1))
 
 
-def test_progress_is_told_now_and_then_and_at_the_end(capture: Capture, config: TrainConfig):
+def test_progress_is_told_after_each_step(capture: Capture, config: TrainConfig):
     told: list[int] = []
     fit(capture, replace(config, steps=27), on_progress=lambda state, *_: told.append(state.step))
-    assert {REPORT_STEPS, 2 * REPORT_STEPS, 27} <= set(told)
-    assert told == sorted(set(told))
+    assert told == [*range(1, 28)]
+
+
+def test_on_a_gpu_progress_is_told_now_and_then_and_at_the_end(
+    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
+):
+    told: list[int] = []
+    monkeypatch.setattr(Tally, "due", lambda self, step, device: step % GPU_STEPS == 0)
+    fit(capture, replace(config, steps=27), on_progress=lambda state, *_: told.append(state.step))
+    assert told == [GPU_STEPS, 2 * GPU_STEPS, 27]
 
 
 def test_what_is_told_is_what_was_measured(capture: Capture, config: TrainConfig):
@@ -146,7 +154,7 @@ def test_what_is_told_is_what_was_measured(capture: Capture, config: TrainConfig
 
 def test_an_interrupt_without_a_checkpoint_still_stops(capture: Capture, config: TrainConfig):
     def stop(state: State, loss: float, psnr: float) -> None:
-        assert state.step <= 10, "the step after the interrupt must not begin"
+        assert state.step == 1, "the step after the interrupt must not begin"
         signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):

@@ -68,7 +68,7 @@ def test_whole_photos_are_what_the_capture_holds():
     assert camera.names == LARGE[3].names and camera.size == (96, 72)
     assert torch.equal(photo, PHOTOS[3] / 255)
     assert alpha is not None and torch.equal(alpha[..., 0], ALPHAS[3] / 255)
-    assert classes is not None and torch.equal(torch.tensor(IDS)[classes], MAPS[3])
+    assert classes is not None and torch.equal(torch.tensor(IDS)[classes.long()], MAPS[3])
 
 
 @pytest.mark.parametrize("memory", [1.0, 0.0])
@@ -82,7 +82,7 @@ def test_smaller_photos_average_and_smaller_maps_pick(factor: int, memory: float
     assert alpha is not None and classes is not None
     expected = cv2.resize(ALPHAS[3].numpy(), size, interpolation=cv2.INTER_AREA)
     assert torch.equal(alpha[..., 0], torch.from_numpy(expected) / 255)
-    assert torch.equal(torch.tensor(IDS)[classes], resize_labels(MAPS[3], size[::-1]))
+    assert torch.equal(torch.tensor(IDS)[classes.long()], resize_labels(MAPS[3], size[::-1]))
 
 
 def test_photos_without_alpha_and_label_map():

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -14,11 +15,11 @@ from stylesplat.training.train_config import TrainConfig
 
 SMOOTHING = 0.98  # per step, of the loss and PSNR told: single photos differ a lot
 
-REPORT_STEPS = 10  # between reports, each of which waits for the device
-REPORT_SECONDS = 1.0  # but slow steps are reported one by one
+GPU_STEPS = 10  # between reports, each of which waits for the GPU; a CPU has done the step anyway
+GPU_SECONDS = 1.0  # but slow steps are reported one by one
 
 Report = Callable[[State, float, float], None]
-"""Is told the state every few steps, and the means of loss and PSNR since the last time."""
+"""Is told the state, after each step or few, and the means of loss and PSNR since the last time."""
 
 
 @dataclass(frozen=True)
@@ -29,22 +30,19 @@ class Tally:
     """Their sums."""
     steps: int = 0
     """How many."""
-    since: float = 0.0
+    since: float = field(default_factory=monotonic)
     """When counting began."""
-
-    @classmethod
-    def empty(cls) -> "Tally":
-        """From now on."""
-        return cls(since=monotonic())
 
     def plus(self, scores: Float[Tensor, "2"]) -> "Tally":
         """With one more step."""
         total = scores if self.scores is None else self.scores + scores
         return Tally(total, self.steps + 1, self.since)
 
-    def due(self, step: int) -> bool:
-        """Whether it is time to tell."""
-        return step % REPORT_STEPS == 0 or monotonic() - self.since > REPORT_SECONDS
+    def due(self, step: int, device: torch.device) -> bool:
+        """Whether it is time to tell: each step on a CPU, every few on a GPU."""
+        if device.type == "cpu" or step % GPU_STEPS == 0:
+            return True
+        return monotonic() - self.since > GPU_SECONDS
 
     def means(self) -> tuple[float, float]:
         """Of loss and PSNR; waits for the device."""

@@ -75,7 +75,8 @@ def ids_of(labels: Int[Tensor, "H W"] | None) -> set[int]:
 
 def to_classes(labels: Int[Tensor, "H W"], ids: tuple[int, ...]) -> Integer[Tensor, "H W"]:
     """Places in `ids`, which are sorted and hold all labels, in the smallest type for them."""
-    classes = torch.searchsorted(torch.tensor(ids), labels.long())
+    known = torch.tensor(ids, dtype=torch.int32)
+    classes = torch.searchsorted(known, labels.int(), out_int32=True)
     return classes.to(class_type(len(ids)))
 
 

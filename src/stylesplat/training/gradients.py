@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from torch import Tensor
 
 from stylesplat.metrics.psnr import decibels
@@ -80,7 +80,7 @@ def _behind(
 def _identity_losses(
     run: Run,
     state: State,
-    view: tuple[Float[Tensor, "H W 16"], Int[Tensor, "H W"]],
+    view: tuple[Float[Tensor, "H W 16"], Integer[Tensor, "H W"]],
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """Of a view's rendered identities and its classes; now and then of neighbours in 3D too."""
@@ -88,7 +88,7 @@ def _identity_losses(
     assert splats.identities is not None and splats.classifier is not None
     y, x = run.offset(state.step)
     pixels, targets = (each[y::stride, x::stride].flatten(0, 1) for each in view)
-    loss = identity_loss(pixels, targets, splats.classifier)
+    loss = identity_loss(pixels, targets.long(), splats.classifier)
     if state.step // run.config.identity_every % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
         sample, neighbors = neighbors_of_some(splats.means.detach(), generator)
         loss = loss + neighbor_loss(

@@ -50,8 +50,9 @@ def fit(
         device: Where to train.
         checkpoint: A file to continue from if it exists. It is written every minute, when the run
             is interrupted and at its end, and left where it is.
-        on_progress: Told the state, and the means of loss and PSNR since it was told last: every
-            tenth step, when a second has passed, and at the end.
+        on_progress: Told the state, and the means of loss and PSNR since it was told last: after
+            each step; on a GPU, which would have to be waited for, after every tenth, when a second
+            has passed, and at the end.
 
     Returns:
         The trained tensors, with the optimiser's state; `state.splats.detach()` are the Gaussians.
@@ -123,17 +124,17 @@ def _warm_up(run: Run, state: State) -> None:
 
 def _finish(run: Run, state: State, saved: Checkpoint | None, report: Report) -> State:
     """Train to the end of the run; Ctrl-C waits for the end of a step."""
-    tally, written = Tally.empty(), time.monotonic()
+    tally, written = Tally(), time.monotonic()
     with deferred_interrupt() as interrupted:
         while run.progress(state) < 1 and not interrupted():
             start = time.perf_counter()
             after, scores = train_step(run, state)
             tally = tally.plus(scores)
-            means = tally.means() if tally.due(after.step) else None
+            means = tally.means() if tally.due(after.step, run.device) else None
             state = replace(after, seconds=state.seconds + time.perf_counter() - start)
             if means is not None:
                 report(state, *means)
-                tally = Tally.empty()
+                tally = Tally()
             if saved is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
                 save_checkpoint(saved, state)
                 written = time.monotonic()

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import cv2
 import torch
-from jaxtyping import Float, Int, Integer, UInt8
+from jaxtyping import Float, Integer, UInt8
 from torch import Tensor
 
 from stylesplat.scene.cache import GIB, Cache
@@ -26,8 +26,8 @@ class View(NamedTuple):
     """In 0..1, over black."""
     alpha: Float[Tensor, "H W 1"] | None
     """How opaque it is; None if it is everywhere."""
-    classes: Int[Tensor, "H W"] | None
-    """The class of each pixel; None without a label map."""
+    classes: Integer[Tensor, "H W"] | None
+    """The class of each pixel, in the smallest type; None without a label map."""
 
 
 Views = Callable[[int, int], View]
@@ -125,9 +125,9 @@ def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> View:
     assert photo is not None
     return View(
         camera=camera,
-        photo=photo.float() / 255,
-        alpha=None if alpha is None else alpha[..., None].float() / 255,
-        classes=None if classes is None else classes.long(),
+        photo=photo.float().div_(255),
+        alpha=None if alpha is None else alpha[..., None].float().div_(255),
+        classes=classes,
     )
 
 
