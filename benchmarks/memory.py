@@ -20,7 +20,6 @@ import tyro
 from bench import MIB, machine, peak_memory
 from PIL import Image
 
-from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.scene.cameras import Cameras
@@ -28,6 +27,7 @@ from stylesplat.scene.poses import look_at
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
+from stylesplat.verbs.load import load
 
 OBJECTS = 6
 BLOCK = 100  # pixels of a label

@@ -9,17 +9,17 @@ import torch
 from ball_photos import write_cut_outs
 from balls import CAMERAS, enlarged
 from stylesplat.evaluation.photos import evaluate_views
-from stylesplat.io.captures.capture_folder import load
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.training import loop
 from stylesplat.training.gradients import _behind
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import View, split_views
+from stylesplat.verbs.load import load
 
 CONFIG = TrainConfig(steps=250, max_gaussians=400)
 
@@ -59,7 +59,7 @@ def test_nothing_is_where_photos_are_transparent(cut_outs: Capture, splats: Spla
 
 
 def test_there_is_an_object_to_select(cut_outs: Capture, splats: Splats):
-    picked = select(splats, object_id=1)
+    picked = pick(splats, object_id=1)
     assert picked.float().mean() > 0.5
     _, coverage, _ = rasterize(splats[picked], cut_outs.cameras[0])
     alpha = cut_outs.alpha(0)

@@ -68,8 +68,6 @@ class Train:
         capture = open_capture(self.capture, masks=self.masks).at(self.downscale)
         if self.restart:
             shutil.rmtree(partial, ignore_errors=True)
-        elif checkpoint.exists():
-            say("There is an interrupted run; --restart would begin anew.")
         scene = train(
             capture, config, segment=self.segment, device=self.device, checkpoint=checkpoint
         )

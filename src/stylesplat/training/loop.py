@@ -111,7 +111,7 @@ def _continued(saved: Checkpoint | None, device: torch.device) -> State | None:
     state = load_checkpoint(saved, device) if saved.path.exists() else None
     remove_leftovers(saved.path)
     if state is not None:
-        say(f"Continuing from {saved.path}, after {state.step:,} steps.")
+        say(f"Continuing from {saved.path}, after {state.step:,} steps. `--restart` begins anew.")
     return state
 
 
