@@ -36,7 +36,7 @@ from tqdm import tqdm
 
 import stylesplat as ss
 from stylesplat.evaluation.measure import object_nnfm
-from stylesplat.evaluation.style import LENGTH, measure_painted
+from stylesplat.evaluation.style_metrics import LENGTH, measure_painted
 from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.kernels import blend, blend_backward, vecs

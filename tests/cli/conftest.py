@@ -38,7 +38,7 @@ def style(tmp_path: Path) -> Path:
 @pytest.fixture
 def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
     """Objects are compared with their styles at a size that takes less time."""
-    monkeypatch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
+    monkeypatch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ NEEDS_NONE = {"content_ssim", "short_range_rmse", "outside_psnr", "changed_gauss
 def quickly() -> Iterator[None]:
     """Objects are compared with their styles at a size that takes less time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
+        patch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
         yield
 
 

@@ -21,7 +21,7 @@ QUICK = ("--features", "compact", "--steps", 1, "--pattern", "large", "--max-gro
 
 @pytest.fixture(autouse=True)
 def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
+    monkeypatch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
 
 
 def run(*arguments: object) -> int:
@@ -86,8 +86,8 @@ def test_masks_with_names_that_cannot_be(
     imported = tmp_path / "imported"
     assert run("import", tmp_path / "splat.ply", photos, "-o", imported, "--device", "cpu") == 0
     said = capsys.readouterr().err
-    assert "Object 4 is not called '3'. `stylesplat select` names it." in said
-    assert "Object 5 is not called 'a=b'." in said
+    assert "Object 4 is not called '3': numbers are label ids." in said
+    assert "Object 5 is not called 'a=b': names must not contain '='" in said
     named = scene_folder.open(imported)
     assert [*named.objects] == ["cup"]
     select(named, "pot", id=(4,))

@@ -12,7 +12,7 @@ import torch
 
 from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.cli import main
-from stylesplat.evaluation import style as report
+from stylesplat.evaluation import style_metrics as report
 from stylesplat.io import scene_folder
 from stylesplat.io.files import strict_json
 from stylesplat.verbs import evaluate as verb

@@ -218,7 +218,7 @@ def test_continuing_says_so(capture: Capture, config: TrainConfig, tmp_path: Pat
         fit(capture, config, checkpoint=path, on_progress=stopped_at(10))
     assert said == []
     fit(capture, config, checkpoint=path)
-    assert said == [f"Continuing from {path}, after 10 steps."]
+    assert said == [f"Continuing from {path}, after 10 steps. `--restart` begins anew."]
 
 
 def test_a_finished_run_is_not_run_again(capture: Capture, config: TrainConfig, tmp_path: Path):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from stylesplat.evaluation import style as report
+from stylesplat.evaluation import style_metrics as report
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,6 @@ class Demo:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.demo.run import run_demo
+        from stylesplat.demo.demo_run import run_demo
 
         return run_demo(self.output, overwrite=self.overwrite)

@@ -63,9 +63,9 @@ def fit(
         KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written.
 
     Example:
-        >>> from stylesplat.io.captures.capture_folder import load
+        >>> import stylesplat as ss
         >>> from stylesplat.training.train_config import TrainConfig
-        >>> state = fit(load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
+        >>> state = fit(ss.load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
         >>> splats = state.splats.detach()  # doctest: +SKIP
     """
     device = torch.device(device)

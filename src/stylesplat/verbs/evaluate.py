@@ -8,8 +8,13 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.photos import evaluate_views
-from stylesplat.evaluation.style import measure_changes, measure_look, measure_style, showing
+from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.style_metrics import (
+    measure_changes,
+    measure_look,
+    measure_style,
+    showing,
+)
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras

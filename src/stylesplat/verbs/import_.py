@@ -10,7 +10,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.fit import CLOSER, frame_fits
-from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.style import measure_painted
+from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.paintings import Painting, Source

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture

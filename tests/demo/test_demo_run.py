@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 import stylesplat as ss
-from stylesplat.demo import run
+from stylesplat.demo import demo_run as run
 from stylesplat.demo.demo_capture import MARKER, write_demo_capture
-from stylesplat.demo.run import run_demo
+from stylesplat.demo.demo_run import run_demo
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.train import train

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
@@ -129,8 +129,12 @@ def test_transparent_photos_are_compared_over_black(capture):
     alphas = [(255 * a[..., 0]).round().to(torch.uint8) for a in coverage]
     cut_out = replace(capture, alphas=alphas)
     assert evaluate_views(SPLATS, cut_out, [0]) == evaluate_views(SPLATS, capture, [0])
-    everywhere = replace(SPLATS, means=SPLATS.means.index_fill(0, torch.tensor([0]), 0.0))
-    everywhere.scales[0] = 3.0
+    first = torch.tensor([0])
+    everywhere = replace(
+        SPLATS,
+        means=SPLATS.means.index_fill(0, first, 0.0),
+        scales=SPLATS.scales.index_fill(0, first, 3.0),
+    )
     assert evaluate_views(everywhere, cut_out, [0])["psnr"] < 30
 
 

@@ -10,8 +10,8 @@ import torch
 
 from balls import CAMERAS
 from striped_balls import FAST, GROWN, SCENE, ball, with_settings
-from stylesplat.evaluation import style
-from stylesplat.evaluation.style import measure_painted
+from stylesplat.evaluation import style_metrics as style
+from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization import paint_objects as painting
