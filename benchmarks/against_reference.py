@@ -40,8 +40,12 @@ def main() -> None:
             width, height = camera.size
             rows.append(
                 [
-                    *(f"{count:,}", f"{width}x{height}", 19 if identities else 3),
-                    *(f"{reference:.0f}", f"{cpu:.2f}", f"{reference / cpu:.0f}"),
+                    f"{count:,}",
+                    f"{width}x{height}",
+                    19 if identities else 3,
+                    f"{reference:.0f}",
+                    f"{cpu:.2f}",
+                    f"{reference / cpu:.0f}",
                 ]
             )
     print(table(["Gaussians", "image", "channels", "reference ms", "CPU ms", "ratio"], rows))

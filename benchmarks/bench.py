@@ -16,15 +16,12 @@ import numba
 import torch
 
 import stylesplat as ss
-from stylesplat.io.scene_folder import Scene, read_scene, write_scene
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import load_vgg
-from stylesplat.training.config import TrainConfig
-from stylesplat.verbs.train import train_scene
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 STYLES = DATA / "styles"
@@ -47,18 +44,16 @@ def trained_fox(gaussians: int = 50_000, seconds: float = 60.0) -> Splats:
     folder = OUT / f"fox_{gaussians}"
     if not folder.exists():
         fox = capture("fox", 2)
-        splats = ss.train(fox, max_seconds=seconds, max_gaussians=gaussians)
-        write_scene(Scene(splats=splats, cameras=fox.cameras), folder)
-    return read_scene(folder).splats
+        ss.save(ss.train(fox, max_seconds=seconds, max_gaussians=gaussians), folder)
+    return ss.open(folder).splats
 
 
 def trained_scene(name: str, *, downscale: float, gaussians: int, seconds: float = 200.0) -> Path:
     """A real scene with its objects, trained once and kept in `benchmarks/out`."""
     folder = OUT / f"{name}_{downscale:g}_{gaussians}"
     if not folder.exists():
-        capture(name)  # exits where the data are absent
-        config = TrainConfig(max_seconds=seconds, max_gaussians=gaussians)
-        train_scene(DATA / name, folder, config=config, downscale=downscale)
+        photos = capture(name, downscale)
+        ss.save(ss.train(photos, max_seconds=seconds, max_gaussians=gaussians), folder)
     return folder
 
 

@@ -31,23 +31,22 @@ from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.io.scene_folder import Scene, read_scene
+import stylesplat as ss
+from stylesplat.evaluation.style_metrics import measure_style
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.selection.pick import select
-from stylesplat.stylization.config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.scene.sampling import evenly
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
-from stylesplat.stylization.loop import open_studio
 from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.paint_objects import open_studio
 from stylesplat.stylization.repaint import StyleJob, object_views, repaint, see_object
-from stylesplat.stylization.report import measure_style
+from stylesplat.stylization.style_config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import resize, style_features
-from stylesplat.stylization.views import ObjectView, evenly
-from stylesplat.verbs.recipe import StyledObject
-from stylesplat.verbs.stylize import stylize_scene, working_views
 
 FOX = 1  # label id
 MEDIUM = float(SIZES["medium"] or 0)  # pixels of an object when its style is matched last
@@ -73,12 +72,12 @@ class Bench:
     compact: FeatureNetwork
     vgg19: Vgg
     to_vgg19: Sequence[Tensor]
-    scene: Scene
+    scene: ss.Scene
     paintings: dict[str, Tensor]
 
     def job(self, painting: str) -> StyleJob:
         """The fox in a painting."""
-        picked = select(self.scene.splats, object_id=FOX)
+        picked = pick(self.scene.splats, object_id=FOX)
         return StyleJob(painting, picked, (self.paintings[painting],), StyleConfig())
 
 
@@ -90,7 +89,7 @@ def photos(scene: str) -> list[Tensor]:
 
 def fox_views(bench: Bench, length: float) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the fox at some size, and their renders."""
-    training, _ = working_views(bench.scene)
+    training, _ = bench.scene.working_views()
     studio = open_studio(bench.scene.splats, training, bench.vgg19)
     job = bench.job(next(iter(bench.paintings)))
     views = evenly(object_views(studio, job, see_object(studio, job, training), length), VIEWS)
@@ -167,7 +166,7 @@ def _reached(
 
 def equivalence(bench: Bench) -> str:
     """VGG19's loss of the fox before, styled with either network, and the share of the way."""
-    training, held_out = working_views(bench.scene)
+    training, held_out = bench.scene.working_views()
     rows = []
     for name in bench.paintings:
         job, losses = bench.job(name), {}
@@ -240,11 +239,13 @@ def _ratio(what: str, ours: float, theirs: float) -> list[str]:
 
 
 def _styling_seconds(bench: Bench, features: Network, weights: Path) -> float:
-    fox = StyledObject(str(FOX), (STYLES / f"{next(iter(bench.paintings))}.jpg",), StyleConfig())
+    painting = STYLES / f"{next(iter(bench.paintings))}.jpg"
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         path = trained_scene("fox", downscale=1, gaussians=100_000)
-        stylize_scene(path, Path(folder) / "s", [fox], features=features, weights=weights)
+        scene = ss.open(path)
+        styled = ss.stylize(scene, {str(FOX): painting}, features=features, weights=weights)
+        ss.save(styled, Path(folder) / "styled")
         return time.perf_counter() - start
 
 
@@ -256,7 +257,7 @@ def main(options: Options) -> None:
         compact=load_weights("compact", options.weights),
         vgg19=style_network(),
         to_vgg19=[tensors[f"block{block}.to_vgg19"].float() for block in BLOCKS],
-        scene=read_scene(trained_scene("fox", downscale=1, gaussians=100_000)),
+        scene=ss.open(trained_scene("fox", downscale=1, gaussians=100_000)),
         paintings={path.stem: read_style(path) for path in sorted(STYLES.glob("*.jpg"))},
     )
     print(f"{machine()}, calibration {calibration_ms():.0f} ms\n")

@@ -32,19 +32,25 @@ def main(options: Options) -> None:
     """Train in a process of its own and print the table."""
     capture("fox")
     with tempfile.TemporaryDirectory() as folder:
-        command = [
-            *(str(Path(sys.executable).with_name("stylesplat")), "train", str(DATA / "fox")),
-            *("-o", f"{folder}/scene", "--json", "--max-seconds", str(options.seconds)),
-            *("--max-gaussians", str(options.max_gaussians)),
-        ]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        command = Path(sys.executable).with_name("stylesplat")
+        bounds = f"--max-seconds {options.seconds} --max-gaussians {options.max_gaussians}".split()
+        done = subprocess.run(
+            [command, "train", DATA / "fox", "-o", f"{folder}/scene", "--json", *bounds],
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
     metrics = json.loads(done.stdout)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
     print(f"fox 540x960, {machine()}")
     heads = ["Gaussians", "steps", "training", "held-out PSNR", "SSIM", "mIoU", "peak memory"]
     line = [
-        *(f"{metrics['gaussians']:,}", metrics["steps"], f"{metrics['seconds']:.0f} s"),
-        *(f"{metrics['psnr']:.2f} dB", f"{metrics['ssim']:.3f}", f"{metrics['miou']:.3f}"),
+        f"{metrics['gaussians']:,}",
+        metrics["steps"],
+        f"{metrics['seconds']:.0f} s",
+        f"{metrics['psnr']:.2f} dB",
+        f"{metrics['ssim']:.3f}",
+        f"{metrics['miou']:.3f}",
         f"{peak:.2f} GB",
     ]
     print(table(heads, [line]))

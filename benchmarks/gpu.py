@@ -141,10 +141,10 @@ def frame_rate() -> float:
 def train_fox(path: Path) -> None:
     """Print time and quality of 7000 joint steps."""
     import stylesplat as ss
-    from stylesplat.evaluation.metrics import evaluate_views
-    from stylesplat.training.config import TrainConfig
+    from stylesplat.evaluation.photo_metrics import evaluate_views
     from stylesplat.training.loop import fit
-    from stylesplat.training.views import split_views
+    from stylesplat.training.train_config import TrainConfig
+    from stylesplat.training.training_views import split_views
 
     fox = ss.load(path)
     state = fit(fox, TrainConfig(steps=7000, identity_every=1), device="cuda")

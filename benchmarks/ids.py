@@ -15,18 +15,17 @@ from dataclasses import replace
 
 import torch
 from bench import OUT, calibration_ms, machine, table
-from jaxtyping import Int
-from torch import Tensor
+from faulty_segmenter import Mistakes, faulty_segmenter
+from right_ids import right_ids
 
 import stylesplat as ss
-from stylesplat.demo.capture import demo_capture
+from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.faults import FaultConfig
-from stylesplat.demo.segmenter import Mistakes, faulty_segmenter
-from stylesplat.evaluation.right_ids import right_ids
-from stylesplat.masks.associate import to_labels
-from stylesplat.masks.repair import repair
-from stylesplat.masks.track import Segmenter, State, stretches, track
-from stylesplat.scene.capture import BACKGROUND, Capture
+from stylesplat.masks.ids.repair import repair
+from stylesplat.masks.models.associate import to_labels
+from stylesplat.masks.models.track import Segmenter, State, stretches, track
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.training.loop import fit
 from stylesplat.verbs.working import QUICK
 
@@ -38,10 +37,11 @@ MISTAKES = {
     "usual": Mistakes(),
     "harsh": Mistakes(
         FaultConfig(border=6.0, missing=0.25, merged=0.35, fragments=0.5),
-        *(0.3, 0.25, 0.25),
+        halved=0.3,
+        lost=0.25,
+        swapped=0.25,
     ),
 }
-Labels = Int[Tensor, "H W"]
 
 
 def tracked(capture: Capture, segmenter: Segmenter) -> list[Labels]:

@@ -19,19 +19,18 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 import stylesplat as ss
-from stylesplat.io.scene_folder import read_scene
+from stylesplat.evaluation.measure import changes
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.loop import StyleJob, stylize_objects
-from stylesplat.stylization.measure import changes
 from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.paint_objects import open_studio, paint_objects
+from stylesplat.stylization.repaint import StyleJob
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import style_features
-from stylesplat.verbs.stylize import working_views
 
 SCENES = {"fox": (1.0, 100_000), "desk": (2.0, 80_000)}  # downscale and Gaussians
 OBJECT_ID = 1
@@ -85,8 +84,8 @@ def masked_in_2d(
 def compare(name: str, steps: int) -> list[list[object]]:
     """Both ways on one scene."""
     downscale, gaussians = SCENES[name]
-    scene = read_scene(trained_scene(name, downscale=downscale, gaussians=gaussians))
-    training, held_out = working_views(scene)
+    scene = ss.open(trained_scene(name, downscale=downscale, gaussians=gaussians))
+    training, held_out = scene.working_views()
     assert held_out is not None
     loaded = ss.load(DATA / name, downscale=downscale)
     rows = [loaded.cameras.index(view) for view in training.names]
@@ -94,9 +93,10 @@ def compare(name: str, steps: int) -> list[list[object]]:
     maps = [loaded.label_maps[row] for row in rows]
     network = style_network()
     style = read_style(STYLES / "van_gogh_starry_night_1024.jpg")
-    picked = select(scene.splats, object_id=OBJECT_ID)
+    picked = pick(scene.splats, object_id=OBJECT_ID)
     job = StyleJob(name, picked, (style,), StyleConfig(steps=steps, max_growth=1.0))
-    ours, _ = stylize_objects(scene.splats, training, [job], network, held_out=held_out)
+    studio = open_studio(scene.splats, training, network, held_out=held_out)
+    ours, _ = paint_objects(studio, [job])
     theirs = masked_in_2d(scene.splats, (training, maps), style, network, steps)
     return [
         _row(f"{name}, {how}", changes(scene.splats, styled, held_out, picked))

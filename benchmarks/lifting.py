@@ -27,21 +27,19 @@ from bench import (
 )
 
 import stylesplat as ss
-from stylesplat.demo.capture import demo_capture
-from stylesplat.evaluation.metrics import evaluate_views
-from stylesplat.io.scene_folder import read_scene
-from stylesplat.io.splat_ply import write_splat_ply
+from stylesplat.demo.demo_capture import demo_capture
+from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.io.splats.splat_ply import write_splat_ply
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.lifting import lift
-from stylesplat.training.views import split_views
-from stylesplat.verbs.import_splat import import_splat
+from stylesplat.training.lifting import lift
+from stylesplat.training.training_views import split_views
 
 GAUSSIANS, MANY = 50_000, 1_000_000
 
 
 def fox_splats() -> Splats:
     """Fox at full size, trained once."""
-    return read_scene(trained_scene("fox", downscale=1, gaussians=100_000)).splats
+    return ss.open(trained_scene("fox", downscale=1, gaussians=100_000)).splats
 
 
 def speed() -> str:
@@ -61,8 +59,10 @@ def quality() -> str:
     folder = demo_capture(OUT / "demo")
     given, exact = ss.load(folder), ss.load(folder, masks=folder / "object_mask_exact")
     rows, held_out = split_views(given, 8)
-    joint = ss.train(given, max_seconds=150.0, max_gaussians=GAUSSIANS)
-    apart = ss.train(replace(given, label_maps=None), max_seconds=100.0, max_gaussians=GAUSSIANS)
+    joint, apart = (
+        ss.train(photos, max_seconds=seconds, max_gaussians=GAUSSIANS).splats
+        for photos, seconds in ((given, 150.0), (replace(given, label_maps=None), 100.0))
+    )
     lines = []
     for name, splats in (
         ("joint training, 150 s", joint),
@@ -83,7 +83,9 @@ def import_large() -> str:
         write_splat_ply(replace(resized(splats, MANY), identities=None, classifier=None), path)
         del splats
         start = time.perf_counter()
-        memory = peak_memory(lambda: import_splat(path, Path(folder) / "scene", device="cpu"))
+        memory = peak_memory(
+            lambda: ss.save(ss.import_(path, device="cpu"), Path(folder) / "scene")
+        )
         seconds = time.perf_counter() - start
     return f"import of {MANY:,} Gaussians: {seconds:.1f} s, {memory / MIB:.0f} MB at most"
 

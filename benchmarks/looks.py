@@ -15,18 +15,18 @@ import torch
 import tyro
 from bench import OUT, STYLES, style_network, trained_scene
 
-from stylesplat.evaluation.pictures import to_uint8
+import stylesplat as ss
+from stylesplat.drawing.pictures import to_uint8
 from stylesplat.io.images import write_image
-from stylesplat.io.scene_folder import read_scene
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
-from stylesplat.stylization.config import PRESETS
-from stylesplat.stylization.loop import stylize
-from stylesplat.stylization.pictures import read_style
-from stylesplat.stylization.views import Box, crop, find_boxes
-from stylesplat.verbs.stylize import working_views
+from stylesplat.selection.pick import pick
+from stylesplat.stylization.object_views import Box, find_boxes
+from stylesplat.stylization.paint_objects import paint
+from stylesplat.stylization.style_config import PRESETS
+from stylesplat.stylization.style_images import read_style
 
 PAINTINGS = ("van_gogh_starry_night_1024", "kandinsky_composition_vii_1071")
 PAINTINGS += ("hassam_south_ledges_1070",)
@@ -66,9 +66,9 @@ def main(options: Options) -> None:
     network = style_network()
     paper = replace(PRESETS["paper"], steps=options.paper_steps)
     for name, (folder, object_id) in scenes.items():
-        scene = read_scene(folder)
-        training, held_out = working_views(scene)
-        picked = select(scene.splats, object_id=object_id)
+        scene = ss.open(folder)
+        training, held_out = scene.working_views()
+        picked = pick(scene.splats, object_id=object_id)
         box = max(
             find_boxes(scene.splats, held_out or training, picked), key=lambda each: each.length
         )
@@ -77,7 +77,7 @@ def main(options: Options) -> None:
             cells = [cut_out(scene.splats, box.camera, box)]
             for config in (paper, PRESETS["default"]):
                 style = read_style(painting)
-                styled = stylize(
+                styled = paint(
                     scene.splats, training, picked, style, config=config, network=network
                 )
                 cells.append(cut_out(styled, box.camera, box))

@@ -14,8 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from bench import calibration_ms, capture, machine, median_ms, resized, step, table, trained_fox
 
-from stylesplat.rendering.kernels import tiles
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering import cpu
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.rasterize import activated
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -27,15 +28,10 @@ BLOCK_PIXELS = 16
 
 def pairs(splats: Splats, camera: Cameras) -> int:
     """How many times a Gaussian meets a pixel's block in the tile lists."""
-    _, _, info = rasterize(splats, camera)
-    depths, radii = info["depths"][0].numpy(), info["radii"][0].numpy()
-    order = tiles.depth_order(depths, radii)
-    rows = np.zeros((len(order), tiles.row_stride(3)), np.float32)
-    arrays = (info["means2d"][0], info["conics"][0], splats.opacities.sigmoid(), splats.means)
-    means2d, conics, opacities, colors = (t.detach().contiguous().numpy() for t in arrays)
-    tiles.pack_rows(order, means2d, conics, opacities, colors, rows)
-    _, _, masks = tiles.tile_lists(order, rows.reshape(-1), rows.shape[1], radii, *camera.size, 1)
-    return BLOCK_PIXELS * int(np.bitwise_count(masks).sum())
+    projected = cpu.project_gaussians(activated(splats), views_of(camera)[0])
+    opacities, colors = splats.opacities.sigmoid(), splats.means
+    tiled = cpu.sort_into_tiles(projected, opacities, colors, camera.size)
+    return BLOCK_PIXELS * int(np.bitwise_count(tiled.lists.masks).sum())
 
 
 def measure(splats: Splats, camera: Cameras) -> tuple[float, int]:

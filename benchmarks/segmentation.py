@@ -14,11 +14,12 @@ import tyro
 from bench import OUT, machine, table
 
 import stylesplat as ss
-from stylesplat.demo.capture import demo_capture
-from stylesplat.evaluation.metrics import LabelPairs, evaluate_views, object_iou
+from stylesplat.demo.demo_capture import demo_capture
+from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.io.files import read_json
+from stylesplat.metrics.iou import LabelPairs, object_iou
 from stylesplat.scene.capture import Capture
-from stylesplat.training.views import split_views
+from stylesplat.training.training_views import split_views
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,10 @@ def main(options: Options) -> None:
     folder = demo_capture(OUT / "demo")
     names = {int(id): name for id, name in read_json(folder / "object_names.json").items()}
     given, exact = ss.load(folder), ss.load(folder, masks=folder / "object_mask_exact")
-    splats = ss.train(given, max_seconds=options.seconds, max_gaussians=options.max_gaussians)
+    scene = ss.train(given, max_seconds=options.seconds, max_gaussians=options.max_gaussians)
     _, held_out = split_views(given, 8)
     pairs = list(label_pairs(given, exact, held_out))
-    metrics = evaluate_views(splats, exact, held_out)
+    metrics = evaluate_views(scene.splats, exact, held_out)
     before, before_boundary = object_iou(pairs), object_iou(pairs, boundary=True)
     columns = before, metrics["iou"], before_boundary, metrics["boundary_iou"]
     rows = [

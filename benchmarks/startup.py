@@ -15,17 +15,24 @@ import tempfile
 from bench import machine, table
 
 START = """
-import json, time
+import json, sys, time
 begin = time.perf_counter()
 import torch
 imported_torch = time.perf_counter()
 import stylesplat as ss
 from stylesplat.demo.still_life import dome_cameras
 from stylesplat.rendering.kernels.compiling import announce_compilation
+from stylesplat.progress import Silence, listen
 from stylesplat.scene.capture import Capture
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.loop import fit
 imported = time.perf_counter()
+
+class Lines(Silence):
+    def say(self, line):
+        print(line, file=sys.stderr)
+
+listen(Lines())
 announce_compilation()
 capture = Capture(
     cameras=dome_cameras(2, 128, 96),

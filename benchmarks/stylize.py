@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 from unittest.mock import patch
 
 import torch
@@ -33,26 +34,27 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
-from stylesplat.io.scene_folder import read_scene
+import stylesplat as ss
+from stylesplat.evaluation.measure import object_nnfm
+from stylesplat.evaluation.style_metrics import LENGTH, measure_painted
 from stylesplat.rendering import cpu
-from stylesplat.rendering.contributions import contributions
-from stylesplat.rendering.kernels import blend, blend_backward
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.kernels import blend, blend_backward, vecs
+from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.rasterize import activated, rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import select
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.loop import stylize_live, stylize_objects
 from stylesplat.stylization.matching import StyleIndex, nearest
-from stylesplat.stylization.measure import object_nnfm
 from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
+from stylesplat.stylization.paint_objects import Styled, open_studio, paint_live, paint_objects
 from stylesplat.stylization.repaint import Studio, StyleJob, repaint
-from stylesplat.stylization.report import LENGTH
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import style_features
-from stylesplat.stylization.views import cut_views, evenly, find_boxes, typical_length
-from stylesplat.verbs.stylize import working_views
 
 FOX, SHIELD = 1, 2  # label ids
 NAIVE_STYLE = 512  # pixels of the style image, 13,000 features
@@ -80,7 +82,7 @@ class Bench:
 
     def job(self, object_id: int, **settings: object) -> StyleJob:
         """One object in the style."""
-        picked = select(self.splats, object_id=object_id)
+        picked = pick(self.splats, object_id=object_id)
         config = replace(StyleConfig(), **settings)
         return StyleJob(str(object_id), picked, (self.style,), config)
 
@@ -121,27 +123,19 @@ def _rasterized(splats: Splats, camera: Cameras) -> Tensor:
 
 def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[], None]:
     """What is left of rasterising with projection, order and tile lists stored."""
-    opacities = torch.sigmoid(splats.opacities)
-    matrices = camera.viewmats[0].to(splats.means), camera.Ks[0].to(splats.means)
-    geometry = (splats.means, splats.quats, splats.scales.exp(), opacities)
-    means2d, conics, depths, radii = cpu.project_gaussians(*geometry, *matrices, camera.size)
-    colors = torch.rand_like(splats.means)
-    drawn = cpu.draw(means2d, conics, opacities, colors, depths, radii, camera.size)
-    rows, pixels = drawn.rows, (drawn.image, drawn.alphas, v_image, torch.zeros_like(drawn.alphas))
-    flat = tuple(t.reshape(-1).numpy() for t in pixels)
-    threads, stride = get_num_threads(), blend_backward.gradient_stride(3)
-    lists = drawn.lists
-    flat_rows, row_stride = rows.view(-1).numpy(), rows.shape[1]
-    width, height = camera.size
+    gaussians = activated(splats)
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    drawn = cpu.draw(projected, gaussians.opacities, torch.rand_like(splats.means), camera.size)
+    picture = cpu.picture_of(drawn.image, drawn.alphas)
+    v_picture = cpu.picture_of(v_image, torch.zeros_like(drawn.alphas))
+    order, rows, lists = drawn.tiled
+    colors, channels = vecs.channels(3), blend_backward.split_channels(3, 0)
+    stride = blend_backward.gradient_stride(3)
 
     def work() -> None:
-        blend.blend(
-            *((0, 0, 0), flat_rows, row_stride, lists, width, height, flat[0], flat[1], threads)
-        )
-        partial = rows.new_zeros(threads, len(rows) * stride)
-        blend_backward.blend_backward(
-            *((0, 0, 0), (), (), flat_rows, row_stride, lists, width, height, flat, partial.numpy())
-        )
+        blend.blend(colors, rows, lists, picture, get_num_threads())
+        partial = cpu.partial_sums(len(order), stride).flatten(1).numpy()
+        blend_backward.blend_backward(channels, rows, lists, picture, v_picture, partial)
 
     return work
 
@@ -157,7 +151,7 @@ def shortcuts(bench: Bench) -> str:
         name: str, dtype: torch.dtype, room: float, *, compressed: bool
     ) -> tuple[str, float, float]:
         cameras = bench.training
-        studio = Studio(bench.splats, cameras, cameras, bench.network, dtype, room, "auto")
+        studio = Studio(bench.splats, cameras, cameras, bench.network, dtype, room)
         search = StyleIndex.nearest if compressed else exhaustive
         with patch.object(StyleIndex, "nearest", search):
             start = time.perf_counter()
@@ -183,7 +177,7 @@ def naive(bench: Bench, steps: int) -> tuple[float, Splats]:
     """Seconds per step of the naive loop, and what it makes."""
     job = bench.job(FOX, max_growth=1.0)
     config = replace(job.config, lr=1e-9)
-    start = next(stylize_live(*_arguments(bench, job), config=config, network=bench.network))
+    start = next(paint_live(*_arguments(bench, job), config=config, network=bench.network))
     rows = job.picked.nonzero()[:, 0]
     sh0 = start.splats.sh0[rows].requires_grad_()
     optimizer = torch.optim.Adam([sh0], lr=job.config.lr, eps=1e-15)
@@ -219,22 +213,33 @@ def _arguments(bench: Bench, job: StyleJob) -> tuple[Splats, Cameras, Tensor, Te
     return bench.splats, bench.training, job.picked, bench.style
 
 
+class Run(NamedTuple):
+    """Objects that were painted, as `stylize` does it."""
+
+    styled: Styled
+    seconds: float
+    """With measuring."""
+    painting: dict[str, float]
+    """Seconds of each object."""
+
+
+def _styled(bench: Bench, *jobs: StyleJob) -> Run:
+    start = time.perf_counter()
+    studio = open_studio(bench.splats, bench.training, bench.network, held_out=bench.held_out)
+    styled, painting = paint_objects(studio, jobs)
+    measure_painted(studio, jobs, styled.splats, held_out=bench.held_out)
+    return Run(styled, time.perf_counter() - start, painting)
+
+
 def speed(bench: Bench, naive_steps: int) -> str:
     """Ours against the naive loop, one object and two."""
     one, other = bench.job(FOX), bench.job(SHIELD)
-    common = (bench.splats, bench.training)
-    results = {}
-
-    def styled(*jobs: StyleJob) -> None:
-        results[len(jobs)] = stylize_objects(*common, jobs, bench.network, held_out=bench.held_out)
-
-    styled(replace(one, config=replace(one.config, steps=2)))  # compiles
-    memory = peak_memory(lambda: styled(one))
-    styled(one, other)
-    ours, both = results[1][1]["seconds"], results[2][1]["seconds"]
-    painted = results[1][0]
-    optimising = results[1][1]["objects"][one.name]["seconds"]
-    step = optimising / one.config.steps
+    results: list[Run] = []
+    _styled(bench, replace(one, config=replace(one.config, steps=2)))  # compiles
+    memory = peak_memory(lambda: results.append(_styled(bench, one)))
+    results.append(_styled(bench, one, other))
+    painted, (ours, both) = results[0].styled, (run.seconds for run in results)
+    step = results[0].painting[one.name] / one.config.steps
     naive_step, by_naive = naive(bench, naive_steps)
     ratio = f"{naive_step / step:.0f} times faster"
     size = max(bench.training.size)
@@ -255,8 +260,8 @@ def speed(bench: Bench, naive_steps: int) -> str:
 
 def main(options: Options) -> None:
     """Print the tables."""
-    scene = read_scene(trained_scene("fox", downscale=1, gaussians=100_000))
-    training, held_out = working_views(scene)
+    scene = ss.open(trained_scene("fox", downscale=1, gaussians=100_000))
+    training, held_out = scene.working_views()
     assert held_out is not None
     style = read_style(STYLES / "van_gogh_starry_night_1024.jpg")
     bench = Bench(scene.splats, training, held_out, style_network(), style)

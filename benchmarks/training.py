@@ -13,12 +13,12 @@ from time import perf_counter
 import tyro
 from bench import calibration_ms, capture, machine, table
 
-from stylesplat.evaluation.metrics import evaluate_views
+from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.scene.capture import Capture
-from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
-from stylesplat.training.views import split_views
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import split_views
 
 
 @dataclass(frozen=True)

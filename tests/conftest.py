@@ -1,6 +1,6 @@
 """Set-up of the whole suite."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import stylesplat  # noqa: F401  (first: it sets up threading before torch loads)
@@ -8,10 +8,26 @@ import stylesplat  # noqa: F401  (first: it sets up threading before torch loads
 import pytest  # isort: skip
 import torch  # isort: skip
 
+from stylesplat.progress import Silence, observed
+from tiny_network import network, stripes  # noqa: F401  (fixtures)
+
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("cuda") and not torch.cuda.is_available():
         pytest.skip("needs an NVIDIA GPU, and torch sees none")
+
+
+@pytest.fixture
+def said() -> Iterator[list[str]]:
+    """What the library tells the user in the course of a test."""
+    lines: list[str] = []
+
+    class Listener(Silence):
+        def say(self, line: str) -> None:
+            lines.append(line)
+
+    with observed(Listener()):
+        yield lines
 
 
 @pytest.fixture(scope="session")

@@ -1,72 +1,25 @@
 """StyleSplat: repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 
-Eight verbs over three nouns (`Capture`, `Cameras`, `Splats`)::
+A handful of verbs over four nouns (`Capture`, `Cameras`, `Splats`, `Scene`)::
 
     import stylesplat as ss
-    capture = ss.load("garden/")                 # posed photos
-    capture = ss.mask(capture)                   # + one label map per photo
-    splats = ss.train(capture)                   # Gaussians + identities
-    picked = ss.select(splats, object_id=3)      # [N] bool
-    styled = ss.stylize(splats, capture, picked, style="wave.jpg")
-    ss.export(styled, "garden.ply"); ss.view(styled)
-    render_colors, render_alphas, info = ss.render(styled, capture.cameras[:1])
+    capture = ss.load("garden/")                                        # posed photos
+    capture = ss.mask(capture, boxes={"vase": ("IMG_0007.jpg", (500, 300, 800, 700))})
+    scene = ss.train(capture)                                           # Gaussians, objects
+    scene = ss.select(scene, "pot", point=("IMG_0007.jpg", 640, 420))
+    styled = ss.stylize(scene, {"vase": "wave.jpg", "pot": ss.Style("night.jpg", scale=2)})
+    styled = ss.adjust(styled, intensity=0.7)
+    ss.export(styled, "garden.ply"); ss.view(styled); ss.save(styled, "garden-wave")
+
+Nouns are never changed: every verb takes them and returns others. Only `load`, `open`, `save` and
+`export` touch the disk.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import lazy_loader
 
 from stylesplat.runtime import tune_runtime
 
-if TYPE_CHECKING:
-    from stylesplat.errors import StyleSplatError
-    from stylesplat.exporter import export
-    from stylesplat.io.load import load
-    from stylesplat.masks.attach import mask
-    from stylesplat.rendering.rasterize import rasterize as render
-    from stylesplat.scene.cameras import Cameras
-    from stylesplat.scene.capture import Capture
-    from stylesplat.scene.splats import Splats
-    from stylesplat.selection.pick import select
-    from stylesplat.stylization.loop import stylize
-    from stylesplat.training.loop import train
-    from stylesplat.viewer.view import view
-
-__all__ = [
-    "Cameras",
-    "Capture",
-    "Splats",
-    "StyleSplatError",
-    "export",
-    "load",
-    "mask",
-    "render",
-    "select",
-    "stylize",
-    "train",
-    "view",
-]
-
 tune_runtime()
 
-# Imported on first use, so that `stylesplat --help` need not wait for torch.
-_HOMES = {
-    "Cameras": "scene.cameras",
-    "Capture": "scene.capture",
-    "Splats": "scene.splats",
-    "StyleSplatError": "errors",
-    "export": "exporter",
-    "load": "io.load",
-    "mask": "masks.attach",
-    "render": "rendering.rasterize",
-    "select": "selection.pick",
-    "stylize": "stylization.loop",
-    "train": "training.loop",
-    "view": "viewer.view",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"{__name__}.{_HOMES[name]}")
-    return getattr(module, "rasterize" if name == "render" else name)
+# Imported on first use, so that `stylesplat --help` need not wait for torch; see __init__.pyi
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,7 +6,9 @@ from PIL import Image
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from stylesplat.io.scene_folder import Scene, write_scene
+from command_line import QUICK, run
+from stylesplat.io.scene_folder import save
+from stylesplat.scene.scene import Scene
 
 
 @pytest.fixture(scope="session")
@@ -18,9 +20,8 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """The balls as a scene that is trained, with the first view held out."""
-    info = {"test_views": [CAMERAS.names[0]], "settings": {"downscale": 1.0}}
     folder = tmp_path / "scene"
-    write_scene(Scene(SPLATS, CAMERAS, info=info, metrics={"psnr": 30.0}), folder)
+    save(Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], metrics={"psnr": 30.0}), folder)
     return folder
 
 
@@ -32,3 +33,18 @@ def style(tmp_path: Path) -> Path:
     path = tmp_path / "stripes.png"
     Image.fromarray(pixels[:, None].expand(96, 96, 3).numpy()).save(path)
     return path
+
+
+@pytest.fixture
+def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Objects are compared with their styles at a size that takes less time."""
+    monkeypatch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
+
+
+@pytest.fixture
+def styled(scene: Path, style: Path, small_measurements: None) -> Path:
+    """Two balls in stripes, at half intensity."""
+    out = scene.with_name("styled")
+    styles = ("--style", f"3={style}", "--style", f"7={style}")
+    assert run("stylize", scene, "-o", out, "--steps", 2, "--intensity", 0.5, *QUICK, *styles) == 0
+    return out

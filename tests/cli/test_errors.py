@@ -5,19 +5,12 @@ from pathlib import Path
 import pytest
 
 from balls import CAMERAS
+from command_line import complaint
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_box, parse_point, parse_style
 from stylesplat.errors import StyleSplatError
 
 VIEW = CAMERAS.names[0]
-
-
-def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([str(a) for a in arguments]) == 1
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert lines[-1].startswith("stylesplat: ")
-    assert not any("Traceback" in line for line in lines)
-    return lines[-1]
 
 
 @pytest.mark.parametrize(
@@ -27,8 +20,8 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         (["train", "{tmp}/none", "-o", "{tmp}/x"], "none"),
         (["select", "{scene}", "--name", "x", "--id", "99"], "99 does not exist"),
         (["select", "{scene}", "--name", "x", "--id", "0"], "background"),
-        (["select", "{scene}", "--name", "x"], "Say what with --id"),
-        (["select", "{scene}", "--name", "5", "--id", "3"], "must not be numbers"),
+        (["select", "{scene}", "--name", "x"], "Say it with --id"),
+        (["select", "{scene}", "--name", "5", "--id", "3"], "numbers are label ids"),
         (["select", "{scene}", "--name", "x", "--point", "7,8"], "VIEW:x,y"),
         (["select", "{scene}", "--name", "x", "--point", VIEW + ":99,3"], "outside"),
         (["select", "{scene}", "--name", "x", "--point", VIEW + ":0,0"], "no object at"),
@@ -107,17 +100,3 @@ def test_a_comma_may_belong_to_a_pictures_name(tmp_path: Path):
     assert parse_style(f"vase={both}") == ("vase", (both,))
     many = ",".join(["picture.jpg"] * 99)  # longer than names of files may be
     assert len(parse_style(f"vase={many}")[1]) == 99
-
-
-def test_a_wrong_capture_costs_no_checkpoint(tmp_path: Path, capsys):
-    checkpoint = tmp_path / "scene" / "checkpoint.pt"
-    checkpoint.parent.mkdir()
-    checkpoint.write_bytes(b"hours of work")
-    complaint(capsys, "train", tmp_path / "typo", "-o", checkpoint.parent, "--overwrite")
-    assert checkpoint.read_bytes() == b"hours of work"
-
-
-def test_a_folder_with_other_files_is_not_continued(capture: Path, tmp_path: Path, capsys):
-    (tmp_path / "checkpoint.pt").touch()
-    (tmp_path / "thesis.tex").touch()
-    assert "--overwrite" in complaint(capsys, "train", capture, "-o", tmp_path)

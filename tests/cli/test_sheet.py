@@ -8,21 +8,17 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS
-from stylesplat.cli import main
+from command_line import complaint, run
+from stylesplat.drawing.grid import CAPTION, HEAD
+from stylesplat.drawing.object_sheet import CELL, MARGIN
+from stylesplat.drawing.style_sheet import plan_sheet
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.grid import CAPTION, HEAD
-from stylesplat.evaluation.sheet import CELL, MARGIN
-from stylesplat.io.photos import read_image
-from stylesplat.stylization.config import PRESETS
-from stylesplat.verbs import sheet as verb
-from stylesplat.verbs.settings import parse_variation
-from stylesplat.verbs.sheet import plan_sheet
+from stylesplat.io.captures.photos import read_image
+from stylesplat.stylization.recipe import parse_variation
+from stylesplat.stylization.style_config import PRESETS
 
+REPAINT = "stylesplat.verbs.sheet.repaint"
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 @pytest.fixture
@@ -107,15 +103,15 @@ def test_the_view_is_chosen_or_named(draw, style: Path):
 
 def test_settings_start_from_the_preset():
     kinds = parse_variation("preset=paper,default")
-    plan = plan_sheet([("3", (Path("a.png"),))], [kinds], settings={"preset": "default"})
-    assert [config for _, config in plan.rows[0].cells] == [PRESETS["paper"], PRESETS["default"]]
+    plan = plan_sheet([(Path("a.png"),)], [kinds], settings={"preset": "default"})
+    configs = [style.config for _, style in plan.rows[0].cells]
+    assert configs == [PRESETS["paper"], PRESETS["default"]]
     settings = {"preset": "paper", "steps": 9}
-    plan = plan_sheet([("3", (Path("a.png"),))], [("seed", (1, 2))], settings=settings)
-    assert [(c.steps, c.seed, c.color) for _, c in plan.rows[0].cells] == [
-        *((9, seed, "free") for seed in (1, 2)),
-    ]
+    plan = plan_sheet([(Path("a.png"),)], [("seed", (1, 2))], settings=settings)
+    configs = [style.config for _, style in plan.rows[0].cells]
+    assert [(c.steps, c.seed, c.color) for c in configs] == [(9, seed, "free") for seed in (1, 2)]
     plan = plan_sheet(
-        [("3", (Path("a.png"), Path("b.png")))],
+        [(Path("a.png"), Path("b.png"))],
         [("layers", ((3,), (2, 3))), ("view_dependence", ("keep",))],
         settings={"preset": "default"},
     )
@@ -150,14 +146,12 @@ def test_settings_start_from_the_preset():
 def test_refusals_come_before_any_repainting(
     arguments: list[str], expected: str, scene: Path, style: Path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(verb, "repaint", lambda *_: pytest.fail("it started to repaint"))
+    monkeypatch.setattr(REPAINT, lambda *_: pytest.fail("it started to repaint"))
     places = {"style": style, "tmp": scene.parent}
     files = sorted(scene.parent.rglob("*"))
     filled = [argument.format(**places) for argument in arguments]
     output = [] if "-o" in filled else ["-o", scene.parent / "sheet.png"]
-    assert run("sheet", scene, *output, *FAST[:2], *filled) == 1
-    last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert last.startswith("stylesplat: ") and expected in last
+    assert expected in complaint(capsys, "sheet", scene, *output, *FAST[:2], *filled)
     assert sorted(scene.parent.rglob("*")) == files
 
 
@@ -167,7 +161,7 @@ def test_a_failure_keeps_the_sheet_before(scene: Path, style: Path, tmp_path: Pa
 
     out = tmp_path / "sheet.png"
     out.write_bytes(b"mine")
-    monkeypatch.setattr(verb, "repaint", fail)
+    monkeypatch.setattr(REPAINT, fail)
     arguments = ("--style", f"3={style}", "--overwrite", *FAST)
     assert run("sheet", scene, "-o", out, *arguments) == 1
     assert out.read_bytes() == b"mine"

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 import torch
 
-from stylesplat.demo.cloud import surface_points, unproject
-from stylesplat.demo.shapes import BOUNDS, NAMES, distance
+from stylesplat.demo.cloud import surface_points
+from stylesplat.demo.solids import BOUNDS, NAMES, distance
 from stylesplat.demo.still_life import OBJECT_NAMES, View, arrange, dome_cameras, photograph
 from stylesplat.demo.surroundings import BACKDROP_RADIUS, TABLE_RADIUS
 from stylesplat.demo.tracer import HIT
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import pixel_centres, project, unproject
 
 CAMERAS = dome_cameras(24, 64, 48)[[0, 1, 6, 12]]
 
@@ -15,13 +15,6 @@ CAMERAS = dome_cameras(24, 64, 48)[[0, 1, 6, 12]]
 @pytest.fixture(scope="module")
 def views() -> list[View]:
     return list(photograph(CAMERAS, seed=0))
-
-
-def project(points: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, torch.Tensor]:
-    """Pixel positions and depths of world points in the first camera."""
-    points_c = points @ cameras.viewmats[0, :3, :3].T + cameras.viewmats[0, :3, 3]
-    depths = points_c[..., 2]
-    return (points_c @ cameras.Ks[0].T)[..., :2] / depths[..., None], depths
 
 
 def object_distances(points: np.ndarray, layout: np.ndarray) -> np.ndarray:
@@ -58,20 +51,23 @@ def test_photos_have_light_and_shade(views: list[View]):
         assert (view.photo.amax(-1) == 255).float().mean() < 0.02  # hardly any burnt-out pixels
 
 
+def surface(view: View, row: int) -> torch.Tensor:
+    """Where in the world the pixels of a view lie."""
+    return unproject(pixel_centres(64, 48), view.depth.flatten(), CAMERAS[row])
+
+
 def test_unprojected_depth_projects_back_to_its_pixel(views: list[View]):
     for i, view in enumerate(views):
-        pixels, depths = project(unproject(view.depth, CAMERAS[i]), CAMERAS[i])
-        rows, columns = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
-        centres = torch.stack([columns + 0.5, rows + 0.5], dim=-1)
+        pixels, depths = project(surface(view, i), CAMERAS[i])
         # float32 at a distance of 10
-        torch.testing.assert_close(pixels, centres, atol=1e-3, rtol=0)
-        torch.testing.assert_close(depths, view.depth, atol=1e-4, rtol=0)
+        torch.testing.assert_close(pixels, pixel_centres(64, 48), atol=1e-3, rtol=0)
+        torch.testing.assert_close(depths, view.depth.flatten(), atol=1e-4, rtol=0)
 
 
 def test_depth_lands_on_the_surface_that_the_label_names(views: list[View]):
     layout = arrange(0)
     for i, view in enumerate(views):
-        points = unproject(view.depth, CAMERAS[i]).reshape(-1, 3).double().numpy()
+        points = surface(view, i).double().numpy()
         labels = view.labels.flatten().numpy()
         on_object = labels > 0
         distances = object_distances(points[on_object], layout)
@@ -87,12 +83,12 @@ def test_depth_lands_on_the_surface_that_the_label_names(views: list[View]):
 
 def test_a_point_has_the_same_label_in_every_view_that_sees_it(views: list[View]):
     for i, j in ((0, 1), (0, 3), (3, 1)):
-        pixels, depths = project(unproject(views[i].depth, CAMERAS[i]), CAMERAS[j])
+        pixels, depths = project(surface(views[i], i), CAMERAS[j])
         columns, rows = pixels.floor().long().unbind(-1)
         inside = (columns >= 0) & (columns < 64) & (rows >= 0) & (rows < 48)
         columns, rows = columns[inside], rows[inside]
         visible = (views[j].depth[rows, columns] - depths[inside]).abs() < 0.02
-        agree = views[i].labels[inside] == views[j].labels[rows, columns]
+        agree = views[i].labels.flatten()[inside] == views[j].labels[rows, columns]
         assert visible.sum() > 300
         assert agree[visible].float().mean() > 0.98  # a pixel straddles two objects now and then
 

@@ -6,6 +6,7 @@ from string import ascii_lowercase, digits
 import pytest
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io import files
 from stylesplat.io.files import (
     atomic_path,
     claim_directory,
@@ -138,6 +139,7 @@ def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path, monkeypatch: pyt
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", second_fails)
+    monkeypatch.setattr(files, "_exchanged", lambda one, other: False)
     with (
         pytest.raises(StyleSplatError, match="Input/output error"),
         claim_directory(target, overwrite=True, marker=MARKER) as folder,

@@ -7,6 +7,8 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.photos import Photo
 from stylesplat.io.label_maps import (
     NAMES,
     match_label_maps,
@@ -15,8 +17,6 @@ from stylesplat.io.label_maps import (
     write_label_map,
     write_names,
 )
-from stylesplat.io.lens import Lens
-from stylesplat.io.photos import Photo
 
 SMALL = Lens("PINHOLE", 8, 6, (9.0, 9.0, 4.0, 3.0))
 BARREL = Lens("OPENCV", 64, 48, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))

@@ -7,11 +7,8 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.label_maps import read_label_map, write_label_map
-from stylesplat.io.load import load
+from stylesplat.io.label_maps import write_label_map
 from stylesplat.masks.foreign import decode_rle, foreign_label_maps, overlaid
-from stylesplat.verbs.mask import import_masks
-from tiny_captures import HEIGHT, WIDTH, write_capture
 
 NAMES = ("001.png", "002.png", "003.png")
 SHAPE = (6, 8)
@@ -36,7 +33,7 @@ def test_pictures_of_ids_in_a_sub_folder(tmp_path: Path):
     write_label_map(labels, tmp_path / "Annotations" / "video" / "002.png")
     found = foreign_label_maps(tmp_path, NAMES)
     assert found.maps.keys() == {"002.png"}
-    assert torch.equal(found.maps["002.png"](), labels)
+    assert torch.equal(found.maps["002.png"].read(), labels)
 
 
 @pytest.mark.parametrize(("folders", "ids"), [(("pot", "vase"), (1, 2)), (("7", "30"), (7, 30))])
@@ -50,7 +47,7 @@ def test_a_folder_of_binary_masks_per_object(
     found = foreign_label_maps(tmp_path, NAMES)
     assert found.maps.keys() == {"001.png", "003.png"}
     expected = torch.where(SMALL, second, torch.where(LARGE, first, 0))
-    assert torch.equal(found.maps["001.png"](), expected)
+    assert torch.equal(found.maps["001.png"].read(), expected)
 
 
 def test_the_smaller_mask_lies_on_top_in_either_order():
@@ -111,16 +108,16 @@ def coco(tmp_path: Path, **changes: object) -> Path:
 
 def test_coco(tmp_path: Path):
     found = foreign_label_maps(coco(tmp_path), NAMES)
-    assert torch.equal(found.maps["002.png"](), 9 * LARGE.long())
+    assert torch.equal(found.maps["002.png"].read(), 9 * LARGE.long())
     found = foreign_label_maps(coco(tmp_path, track_id=4), NAMES)
-    assert torch.equal(found.maps["002.png"](), 4 * LARGE.long())
+    assert torch.equal(found.maps["002.png"].read(), 4 * LARGE.long())
 
 
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"category_id": 0}, "the id 0 is not within 1 to 65535"),
-        ({"category_id": 65_536}, "the id 65536 is not"),
+        ({"category_id": 0}, "the id 0 is not within 1 to 16777215"),
+        ({"category_id": 2**24}, "the id 16777216 is not"),
         ({"image_id": 77}, "KeyError"),
         ({"segmentation": [[1, 2, 3, 4]]}, "Polygons are not understood"),
         ({"segmentation": {"size": [6, 8], "counts": [3, 4]}}, "its runs hold 7 pixels of 6x8"),
@@ -129,7 +126,7 @@ def test_coco(tmp_path: Path):
 )
 def test_coco_that_is_damaged(tmp_path: Path, changes: dict, expected: str):
     with pytest.raises(StyleSplatError, match=expected):
-        foreign_label_maps(coco(tmp_path, **changes), NAMES).maps["002.png"]()
+        foreign_label_maps(coco(tmp_path, **changes), NAMES).maps["002.png"].read()
 
 
 def test_masks_of_another_capture(tmp_path: Path):
@@ -140,10 +137,11 @@ def test_masks_of_another_capture(tmp_path: Path):
         foreign_label_maps(tmp_path / "none", NAMES)
 
 
-def test_ids_that_are_colours(tmp_path: Path):
+def test_ids_of_three_bytes(tmp_path: Path):
+    """What `object_mask/` may hold, other programs' pictures may."""
     write_label_map(LARGE.long() * 70_000 + SMALL.long(), tmp_path / "001.png")
-    with pytest.raises(StyleSplatError, match=r"label id 70001; ids go up to 65535"):
-        foreign_label_maps(tmp_path, NAMES).maps["001.png"]()
+    labels = foreign_label_maps(tmp_path, NAMES).maps["001.png"].read()
+    assert 70_001 in labels.unique().tolist()
 
 
 def test_two_kinds_of_pictures(tmp_path: Path):
@@ -151,32 +149,6 @@ def test_two_kinds_of_pictures(tmp_path: Path):
         write_label_map(3 * LARGE.long() + SMALL.long(), tmp_path / kind / "001.png")
     with pytest.raises(StyleSplatError, match="Give the folder of one kind"):
         foreign_label_maps(tmp_path, NAMES)
-
-
-def test_a_capture_gets_its_label_maps(tmp_path: Path):
-    capture = write_capture(tmp_path / "capture")
-    mask = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
-    mask[5:20, 9:30] = True
-    save_binary(mask, tmp_path / "masks" / "cup" / "001.png")
-    save_binary(mask, tmp_path / "masks" / "cup" / "003.png")
-    found = import_masks(capture, tmp_path / "masks")
-    assert (found["photos"], found["of"], found["ids"]) == (2, 3, [1])
-    assert torch.equal(read_label_map(capture / "object_mask" / "003.png") == 1, mask)
-    with pytest.raises(StyleSplatError, match="--overwrite"):
-        import_masks(capture, tmp_path / "masks")
-    (capture / "object_mask/001.png").write_bytes(b"damaged")
-    again = import_masks(capture, tmp_path / "masks", overwrite=True)
-    assert again["ids"] == found["ids"]
-    load(capture)  # they are whole again
-
-
-def test_masks_of_another_shape_leave_nothing(tmp_path: Path):
-    capture = write_capture(tmp_path / "capture")
-    save_binary(LARGE, tmp_path / "masks" / "cup" / "001.png")
-    save_binary(torch.ones(40, 9, dtype=torch.bool), tmp_path / "masks" / "cup" / "002.png")
-    with pytest.raises(StyleSplatError, match="not the shape of its photo"):
-        import_masks(capture, tmp_path / "masks")
-    assert not (capture / "object_mask").exists()
 
 
 @pytest.mark.parametrize(
@@ -195,4 +167,67 @@ def test_tracks_without_categories(tmp_path: Path):
         each.pop("category_id", None)
     path.write_text(json.dumps(content))
     found = foreign_label_maps(path, NAMES)
-    assert set(found.maps["002.png"]().unique().tolist()) <= {0, 5} and not found.names
+    assert set(found.maps["002.png"].read().unique().tolist()) <= {0, 5} and not found.names
+
+
+TWO_CAMERAS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
+
+
+def maps_of(folder: Path, names: tuple[str, ...]) -> dict[str, list[int]]:
+    """The ids by photo."""
+    maps = foreign_label_maps(folder, names).maps
+    return {name: sorted(drawn.read().unique().tolist()) for name, drawn in maps.items()}
+
+
+def test_photos_in_folders_are_told_by_their_paths(tmp_path: Path):
+    for id, key in enumerate(("cam0/001", "cam1/001", "cam1/002"), start=1):
+        labels = 9 * LARGE.long() + id * SMALL.long()
+        write_label_map(labels, tmp_path / "deva" / "ids" / f"{key}.png")
+        write_label_map(id * LARGE.long(), tmp_path / "one" / f"{key}.png")
+    expected = {"cam0/001.jpg": [0, 9, 10], "cam1/001.jpg": [0, 9, 11], "cam1/002.jpg": [0, 9, 12]}
+    assert maps_of(tmp_path / "deva", TWO_CAMERAS) == expected
+    # Folders of photos are no objects, even of binary masks
+    expected = {"cam0/001.jpg": [0, 1], "cam1/001.jpg": [0, 2], "cam1/002.jpg": [0, 3]}
+    assert maps_of(tmp_path / "one", TWO_CAMERAS) == expected
+
+
+def test_a_folder_of_binary_masks_per_object_with_the_folders_of_the_photos(tmp_path: Path):
+    for key in ("pot/cam0/001", "pot/cam1/001", "vase/cam1/002"):
+        save_binary(LARGE, tmp_path / f"{key}.png")
+    found = foreign_label_maps(tmp_path, TWO_CAMERAS)
+    assert found.names == {1: "pot", 2: "vase"}
+    expected = {"cam0/001.jpg": [0, 1], "cam1/001.jpg": [0, 1], "cam1/002.jpg": [0, 2]}
+    assert maps_of(tmp_path, TWO_CAMERAS) == expected
+
+
+def test_bare_names_tell_where_only_one_photo_has_them(tmp_path: Path):
+    write_label_map(LARGE.long(), tmp_path / "002.png")
+    assert maps_of(tmp_path, TWO_CAMERAS) == {"cam1/002.jpg": [0, 1]}
+    write_label_map(3 * LARGE.long() + SMALL.long(), tmp_path / "001.png")
+    with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1/001\.jpg"):
+        foreign_label_maps(tmp_path, TWO_CAMERAS)
+
+
+def test_names_that_could_be_many_do_no_harm_where_nobody_needs_them(tmp_path: Path):
+    for id, key in enumerate(("001", "cam0/001", "cam1/001"), start=1):
+        write_label_map(id * LARGE.long(), tmp_path / f"{key}.png")
+    assert maps_of(tmp_path, TWO_CAMERAS) == {"cam0/001.jpg": [0, 2], "cam1/001.jpg": [0, 3]}
+    assert maps_of(tmp_path, ("001.jpg", *TWO_CAMERAS))["001.jpg"] == [0, 1]
+
+
+def test_a_photo_that_was_not_posed_lends_its_mask_to_no_other(tmp_path: Path):
+    write_label_map(LARGE.long(), tmp_path / "cam0" / "002.png")
+    write_label_map(LARGE.long(), tmp_path / "cam0" / "001.png")
+    assert maps_of(tmp_path, TWO_CAMERAS) == {"cam0/001.jpg": [0, 1]}
+
+
+def test_coco_of_photos_in_folders(tmp_path: Path):
+    path = coco(tmp_path)
+    content = json.loads(path.read_text())
+    content["images"] = [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]
+    path.write_text(json.dumps(content))
+    assert maps_of(path, TWO_CAMERAS) == {"cam1/001.jpg": [0, 9]}, "nothing is drawn on the other"
+    content["annotations"][0]["image_id"] = 6
+    path.write_text(json.dumps(content))
+    with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1"):
+        foreign_label_maps(path, TWO_CAMERAS)

@@ -1,5 +1,6 @@
 """What holds for any picture of any splat."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,9 @@ from scenes import BACKENDS, random_splats, two_cameras
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb, sh_basis
+from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb, sh_basis, sh_colors
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
 ANY = ["reference", *BACKENDS]
@@ -17,9 +20,48 @@ ROUNDING = 1e-4  # float32 sums in another order; one alpha cut that flips is 1/
 
 
 def render(splats: Splats, backend: Backend, cameras=None, **options) -> torch.Tensor:
+    return both(splats, backend, cameras, **options)[0]
+
+
+def both(
+    splats: Splats, backend: Backend, cameras: Cameras | None = None, **options
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Image and coverage."""
     device = "cuda" if backend == "cuda" else "cpu"
     cameras = two_cameras() if cameras is None else cameras
-    return rasterize(splats.to(device), cameras, backend=backend, **options)[0].cpu()
+    image, alphas, _ = rasterize(splats.to(device), cameras, backend=backend, **options)
+    return image.cpu(), alphas.cpu()
+
+
+def assert_same_picture(image: torch.Tensor, other: torch.Tensor) -> None:
+    """Up to float32 positions that differ in the last digits, which blur and cuts depend on."""
+    difference = (image - other).abs()
+    assert difference.mean() < ROUNDING
+    assert difference.max() < 2 / 255
+
+
+def together(*parts: Splats) -> Splats:
+    """One scene of several."""
+    columns = zip(*(part.tensors().items() for part in parts), strict=True)
+    return replace(parts[0], **{c[0][0]: torch.cat([t for _, t in c]) for c in columns})
+
+
+def single(mean: tuple[float, float, float], *, opacity: float, scale: float, rgb=(0.2, 0.4, 0.8)):
+    """One round Gaussian of a colour."""
+    return Splats(
+        means=torch.tensor([mean]),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        scales=torch.full((1, 3), math.log(scale)),
+        opacities=torch.logit(torch.tensor([opacity])),
+        sh0=sh0_from_rgb(torch.tensor([[rgb]])),
+        shN=torch.zeros(1, 0, 3),
+    )
+
+
+def standing(size: tuple[int, int] = (40, 30)) -> Cameras:
+    """A camera at the origin that looks along z."""
+    K = torch.tensor([[40.0, 0.0, size[0] / 2], [0.0, 40.0, size[1] / 2], [0.0, 0.0, 1.0]])
+    return Cameras(torch.eye(4)[None], K[None], torch.tensor([size]), ("view.png",))
 
 
 @pytest.mark.parametrize("backend", ANY)
@@ -40,10 +82,7 @@ def test_moving_world_and_cameras_together_keeps_the_image(backend: Backend):
     inverse = torch.eye(4)
     inverse[:3, :3], inverse[:3, 3] = rotation.T, -rotation.T @ shift
     cameras_moved = replace(cameras, viewmats=cameras.viewmats @ inverse)
-    # Blur and cuts depend on float32 positions that now differ in the last digits.
-    difference = render(splats, backend) - render(moved, backend, cameras_moved)
-    assert difference.abs().mean() < ROUNDING
-    assert difference.abs().max() < 2 / 255
+    assert_same_picture(render(splats, backend), render(moved, backend, cameras_moved))
 
 
 @pytest.mark.parametrize("backend", ANY)
@@ -60,16 +99,8 @@ def test_one_gaussian_has_the_peak_that_its_opacity_says(backend: Backend):
     camera = two_cameras()[:1]
     depth = float(camera.viewmats[0, 2, 3])
     pixel = torch.tensor([10.5, 20.5])  # the centre of column 10, row 20
-    ray = (pixel - camera.Ks[0, :2, 2]) / camera.Ks[0, [0, 1], [0, 1]]
-    mean = torch.tensor([[*(ray * depth).tolist(), 0.0]])
-    splats = Splats(
-        means=mean,
-        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        scales=torch.full((1, 3), -3.0),
-        opacities=torch.logit(torch.tensor([0.6])),
-        sh0=sh0_from_rgb(torch.tensor([[[0.2, 0.4, 0.8]]])),
-        shN=torch.zeros(1, 0, 3),
-    )
+    x, y = ((pixel - camera.Ks[0, :2, 2]) / camera.Ks[0, [0, 1], [0, 1]] * depth).tolist()
+    splats = single((x, y, 0.0), opacity=0.6, scale=math.exp(-3))
     image = render(splats, backend, camera)[0]
     assert (image[20, 10] - 0.6 * torch.tensor([0.2, 0.4, 0.8])).abs().max() < 1e-5
     assert image[..., 0].argmax() == 20 * 70 + 10
@@ -79,6 +110,233 @@ def test_one_gaussian_has_the_peak_that_its_opacity_says(backend: Backend):
 def test_nothing_to_see_is_an_empty_image(backend: Backend):
     nothing = random_splats(5)[torch.zeros(5, dtype=torch.bool)]
     assert not render(nothing, backend).any()
+
+
+@pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("factor", [0.2, 7.0])
+def test_scaling_world_and_cameras_together_keeps_the_image(backend: Backend, factor: float):
+    splats, cameras = random_splats(), two_cameras()
+    larger = replace(splats, means=factor * splats.means, scales=splats.scales + math.log(factor))
+    farther = replace(cameras, viewmats=cameras.viewmats.clone())
+    farther.viewmats[:, :3, 3] *= factor
+    assert_same_picture(render(splats, backend), render(larger, backend, farther))
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_a_mirrored_world_has_the_mirrored_image(backend: Backend):
+    splats, cameras = random_splats(sh_degree=0), two_cameras()
+    flip = torch.tensor([-1.0, 1.0, 1.0])
+    mirrored = replace(
+        splats, means=splats.means * flip, quats=splats.quats * torch.tensor([1, 1, -1, -1])
+    )
+    turned = replace(cameras, viewmats=cameras.viewmats.clone(), Ks=cameras.Ks.clone())
+    turned.viewmats[:, 0, 3] *= -1
+    turned.Ks[:, 0, 2] = cameras.size[0] - cameras.Ks[:, 0, 2]
+    assert_same_picture(render(splats, backend), render(mirrored, backend, turned).flip(2))
+
+
+@pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("corner", [(0, 0), (17, 9), (-8, 30)])
+def test_a_crop_is_a_part_of_the_whole(backend: Backend, corner: tuple[int, int]):
+    # Small Gaussians: of larger ones beside the image the shape is approximate, by its size.
+    splats = random_splats()
+    splats = replace(splats, scales=splats.scales - 2.5)
+    camera, (left, top) = two_cameras()[1:], corner
+    part = render(splats, backend, crop(camera, corner, (40, 30)))
+    height = camera.size[1]
+    whole = torch.nn.functional.pad(render(splats, backend, camera), (0, 0, 40, 40, 40, 40))
+    whole = whole[:, 40 + top :, 40 + left :][:, :30, :40]
+    rows, columns = slice(0, min(30, height - top)), slice(max(0, -left), 40)
+    assert part[:, rows, columns].abs().max() > 0.5
+    assert_same_picture(part[:, rows, columns], whole[:, rows, columns])
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_the_norm_and_the_sign_of_a_quaternion_mean_nothing(backend: Backend):
+    splats = random_splats()
+    factors = torch.linspace(-3, 7, len(splats))[:, None]
+    other = replace(splats, quats=splats.quats * factors)
+    assert_same_picture(render(splats, backend), render(other, backend))
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_a_quaternion_of_zero_turns_nothing(backend: Backend):
+    splats = random_splats(30)
+    upright = replace(splats, quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(30, 1))
+    nought = replace(splats, quats=torch.zeros(30, 4))
+    assert torch.equal(render(upright, backend), render(nought, backend))
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_what_is_behind_the_camera_is_invisible(backend: Backend):
+    splats = random_splats(50)
+    behind = replace(splats, means=splats.means - torch.tensor([0.0, 0.0, 9.0]))
+    difference = render(splats, backend) - render(together(splats, behind), backend)
+    assert difference.abs().max() < ROUNDING
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_what_is_behind_two_walls_is_invisible(backend: Backend):
+    # One wall lets through 1 - MAX_ALPHA, a thousandth; behind the second a pixel is finished.
+    wall = single((0.0, 0.0, 1.0), opacity=0.99999, scale=20.0)
+    walls = together(wall, replace(wall, means=wall.means + 0.1))
+    camera = standing()
+    cloud = replace(random_splats(50, sh_degree=0), identities=None)
+    cloud = replace(cloud, means=cloud.means + torch.tensor([0.0, 0.0, 6.0]))
+    assert render(cloud, backend, camera).abs().max() > 0.1
+    hidden = together(cloud, walls)
+    difference = render(walls, backend, camera) - render(hidden, backend, camera)
+    assert difference.abs().max() < 1e-6  # rounding: a thousandth of a thousandth is cut off
+    through_one = render(together(cloud, wall), backend, camera) - render(wall, backend, camera)
+    assert 0 < through_one.abs().max() < 0.01
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_the_nearer_of_two_hides_the_other(backend: Backend):
+    def pair(red_at: float, blue_at: float) -> torch.Tensor:
+        red = single((0.0, 0.0, red_at), opacity=0.9, scale=red_at, rgb=(1.0, 0.0, 0.0))
+        blue = single((0.0, 0.0, blue_at), opacity=0.9, scale=blue_at, rgb=(0.0, 0.0, 1.0))
+        return render(together(red, blue), backend, standing())[0, 15, 20]
+
+    # at the middle the first has its opacity, the other that of what is left
+    expected = torch.tensor([0.9, 0.0, 0.09])
+    for found in (pair(1.0, 2.0), pair(2.0, 1.0).flip(0)):
+        assert (found - expected).abs().max() < 1e-3  # the middle is half a pixel off the centre
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_two_in_one_place_let_through_the_square(backend: Backend):
+    one = single((0.1, -0.1, 2.0), opacity=0.7, scale=0.3)
+    image, alphas = both(one, backend, standing())
+    twice, covered = both(together(one, one), backend, standing())
+    assert alphas.max() > 0.5
+    # rounding: both are products of the same float32 alphas
+    torch.testing.assert_close(covered, 1 - (1 - alphas) ** 2, atol=1e-6, rtol=0)
+    torch.testing.assert_close(twice, image * (2 - alphas), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_the_near_plane_is_not_seen_and_what_follows_is(backend: Backend):
+    for depth, visible in ((-0.01, False), (0.0, False), (0.01, False), (0.0101, True)):
+        gaussian = single((0.0, 0.0, depth), opacity=0.9, scale=0.001)
+        _, alphas = both(gaussian, backend, standing())
+        assert bool(alphas.any()) == visible, depth
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_a_point_is_as_wide_as_the_low_pass_filter(backend: Backend):
+    # a Gaussian without extent has variance EPS2D = 0.3 in the image
+    point = single((0.0125, 0.0125, 1.0), opacity=0.9, scale=1e-9)  # the centre of pixel 20, 15
+    _, alphas = both(point, backend, standing())
+    row = alphas[0, 15, :, 0]
+    assert row[20] == pytest.approx(0.9, abs=1e-4)
+    assert float(row[21] / row[20]) == pytest.approx(math.exp(-0.5 / 0.3), rel=1e-3)
+    assert float(row[22]) == 0  # 0.9 exp(-2 / 0.3) is below 1/255
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_the_background_shines_through_what_is_left(backend: Backend):
+    splats, behind = random_splats(), torch.tensor([0.3, 0.6, 0.9])
+    image, alphas = both(splats, backend)
+    over, covered = both(splats, backend, background=behind)
+    assert torch.equal(alphas, covered)
+    torch.testing.assert_close(over, image + (1 - alphas) * behind, atol=1e-6, rtol=0)  # rounding
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_the_image_is_linear_in_the_features(backend: Backend):
+    splats = random_splats()
+    one, other = torch.randn(2, len(splats), 16, generator=torch.Generator().manual_seed(2))
+    images = [render(splats, backend, features=f)[..., 3:] for f in (one, other, one - 3 * other)]
+    # float32 sums of up to 200 terms of size 4
+    torch.testing.assert_close(images[2], images[0] - 3 * images[1], atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_features_do_not_change_the_colours_or_each_other(backend: Backend):
+    splats = random_splats()
+    features = torch.randn(len(splats), 16, generator=torch.Generator().manual_seed(2))
+    image, alphas = both(splats, backend)
+    more, covered = both(splats, backend, features=features)
+    turned, _ = both(splats, backend, features=features.roll(1, dims=1))
+    # rounding: another number of channels is another program
+    torch.testing.assert_close(more[..., :3], image, atol=1e-5, rtol=0)
+    torch.testing.assert_close(covered, alphas, atol=1e-6, rtol=0)
+    torch.testing.assert_close(more[..., 3:].roll(1, dims=-1), turned[..., 3:], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_coverage_is_the_image_of_ones_and_a_share(backend: Backend):
+    splats = random_splats()
+    image, alphas = both(splats, backend, features=torch.ones(len(splats), 16))
+    torch.testing.assert_close(
+        image[..., 3:], alphas.expand_as(image[..., 3:]), atol=1e-5, rtol=0
+    )  # sums of the same weights by two ways
+    assert alphas.min() >= 0 and alphas.max() <= 1
+    assert alphas.max() > 0.9 and alphas.min() < 0.1
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_colours_without_light_are_never_negative(backend: Backend):
+    splats = random_splats()
+    dark = replace(splats, sh0=splats.sh0 - 100, shN=0 * splats.shN)
+    assert not render(dark, backend).any()
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_a_batch_of_cameras_is_its_views(backend: Backend):
+    splats, cameras = random_splats(), two_cameras()
+    image, alphas = both(splats, backend, features=splats.identities)
+    for row in range(2):
+        one, covered = both(splats, backend, cameras[row], features=splats.identities)
+        assert torch.equal(image[row], one[0]) and torch.equal(alphas[row], covered[0])
+
+
+@pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_a_degree_leaves_the_higher_bands_out(backend: Backend, degree: int):
+    splats = random_splats()
+    shN = splats.shN.clone()
+    shN[:, (degree + 1) ** 2 - 1 :] = 0
+    expected = render(replace(splats, shN=shN), backend)
+    torch.testing.assert_close(render(splats, backend, sh_degree=degree), expected)
+    assert (render(splats, backend) - expected).abs().max() > 0.01
+
+
+@pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("size", [(1, 1), (3, 50), (16, 16), (17, 15), (33, 1)])
+def test_any_size_is_the_part_of_a_larger_image(backend: Backend, size: tuple[int, int]):
+    splats = random_splats()
+    splats = replace(splats, scales=splats.scales - 2.5)  # see `test_a_crop_is_...`
+    camera, corner = two_cameras()[1:], (30, 20)
+    width, height = size
+    whole = render(splats, backend, crop(camera, corner, (40, 60)))
+    part = render(splats, backend, crop(camera, corner, size))
+    assert part.shape == (1, height, width, 3)
+    near = slice(0, min(height, 4)), slice(0, min(width, 4))  # see the margin of the Jacobian
+    assert_same_picture(part[0][near], whole[0][near])
+
+
+@pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("scale", [-30.0, 3.0, 8.0])
+def test_no_size_of_gaussians_gives_numbers_that_are_none(backend: Backend, scale: float):
+    splats = random_splats(40)
+    splats = replace(splats, scales=torch.full_like(splats.scales, scale))
+    image, alphas = both(splats, backend)
+    assert image.isfinite().all() and alphas.isfinite().all()
+    assert 0 <= alphas.min() and alphas.max() <= 1 and alphas.any()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_gradients_of_spherical_harmonics(degree: int):
+    generator = torch.Generator().manual_seed(0)
+
+    def normal(*shape: int) -> torch.Tensor:
+        drawn = torch.randn(*shape, generator=generator, dtype=torch.float64)
+        return drawn.requires_grad_()
+
+    inputs = normal(4, 3), normal(4, 1, 3), normal(4, 15, 3)
+    assert torch.autograd.gradcheck(lambda *t: sh_colors(degree, *t), inputs)
 
 
 def test_sh_basis_is_orthonormal():

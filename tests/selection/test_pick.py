@@ -7,8 +7,8 @@ from balls import CAMERAS, CLASSIFIER, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import class_probabilities, object_ids, render_labels
-from stylesplat.selection.pick import resolve_ids, select
+from stylesplat.selection.identities import class_probabilities, object_ids, render_labels
+from stylesplat.selection.pick import pick, resolve_ids
 
 
 def project(camera: Cameras, point: tuple[float, float, float]) -> tuple[float, float]:
@@ -31,13 +31,13 @@ def test_background_is_no_object():
 
 
 def test_by_id_finds_the_ball():
-    picked = select(SPLATS, object_id=300, remove_outliers=False)
+    picked = pick(SPLATS, object_id=300, remove_outliers=False)
     assert torch.equal(picked, own_class(SPLATS, 3))
 
 
 def test_several_ids_are_the_union():
-    union = select(SPLATS, object_id=3) | select(SPLATS, object_id=300)
-    assert torch.equal(select(SPLATS, object_id=[3, 300]), union)
+    union = pick(SPLATS, object_id=3) | pick(SPLATS, object_id=300)
+    assert torch.equal(pick(SPLATS, object_id=[3, 300]), union)
 
 
 def test_a_floater_is_removed_unless_asked():
@@ -45,8 +45,8 @@ def test_a_floater_is_removed_unless_asked():
     row = int(own_class(SPLATS, 1).nonzero()[0])
     means[row] = torch.tensor([40.0, 40.0, 40.0])
     splats = replace(SPLATS, means=means)
-    assert not select(splats, object_id=3)[row]
-    assert select(splats, object_id=3, remove_outliers=False)[row]
+    assert not pick(splats, object_id=3)[row]
+    assert pick(splats, object_id=3, remove_outliers=False)[row]
 
 
 def test_a_higher_threshold_picks_a_subset():
@@ -54,7 +54,7 @@ def test_a_higher_threshold_picks_a_subset():
     assert SPLATS.identities is not None
     splats = replace(SPLATS, identities=SPLATS.identities + 0.4 * noise)
     loose, strict = (
-        select(splats, object_id=7, threshold=t, remove_outliers=False) for t in (0.1, 0.99)
+        pick(splats, object_id=7, threshold=t, remove_outliers=False) for t in (0.1, 0.99)
     )
     assert strict.sum() < loose.sum()
     assert not (strict & ~loose).any()
@@ -66,8 +66,8 @@ def test_point_and_box_agree_with_the_id(id, centre):
         camera = CAMERAS[row]
         x, y = project(camera, centre)
         assert resolve_ids(SPLATS, point=(x, y), camera=camera) == (id,)
-        picked = select(SPLATS, box=(x - 4, y - 4, x + 4, y + 4), camera=camera)
-        assert torch.equal(picked, select(SPLATS, object_id=id))
+        picked = pick(SPLATS, box=(x - 4, y - 4, x + 4, y + 4), camera=camera)
+        assert torch.equal(picked, pick(SPLATS, object_id=id))
 
 
 def test_box_takes_what_shows_most_not_what_is_behind():
@@ -93,58 +93,58 @@ def test_label_map_is_background_where_coverage_is_low():
 def test_without_identities():
     splats = replace(SPLATS, identities=None, classifier=None)
     with pytest.raises(StyleSplatError, match="Train from a capture with label maps"):
-        select(splats, object_id=3)
+        pick(splats, object_id=3)
 
 
 @pytest.mark.parametrize("id", [4, -1, 301])
 def test_unknown_id_names_the_known(id: int):
     with pytest.raises(StyleSplatError, match=rf"Object {id} does not exist.*: 3, 7, 300\."):
-        select(SPLATS, object_id=id)
+        pick(SPLATS, object_id=id)
 
 
 def test_background_cannot_be_selected():
     with pytest.raises(StyleSplatError, match="Object 0 is background"):
-        select(SPLATS, object_id=[3, 0])
+        pick(SPLATS, object_id=[3, 0])
 
 
 @pytest.mark.parametrize("ways", [{}, {"object_id": 3, "point": (1.0, 1.0)}])
 def test_exactly_one_way(ways: dict):
     with pytest.raises(StyleSplatError, match="exactly one"):
-        select(SPLATS, **ways)
+        pick(SPLATS, **ways)
 
 
 def test_empty_list_of_ids():
     with pytest.raises(StyleSplatError, match="list is empty"):
-        select(SPLATS, object_id=[])
+        pick(SPLATS, object_id=[])
 
 
 def test_point_needs_one_camera():
     for camera in (None, CAMERAS):
         with pytest.raises(StyleSplatError, match="needs the one view"):
-            select(SPLATS, point=(1.0, 1.0), camera=camera)
+            pick(SPLATS, point=(1.0, 1.0), camera=camera)
 
 
 @pytest.mark.parametrize("point", [(48.0, 1.0), (1.0, 36.0), (-1.0, 1.0), (float("nan"), 1.0)])
 def test_point_outside(point):
     with pytest.raises(StyleSplatError, match=r"outside 0000\.jpg, which is 48x36"):
-        select(SPLATS, point=point, camera=CAMERAS[0])
+        pick(SPLATS, point=point, camera=CAMERAS[0])
 
 
 def test_point_on_nothing():
     with pytest.raises(StyleSplatError, match=r"no object at 1,1 in 0000\.jpg"):
-        select(SPLATS, point=(1.0, 1.0), camera=CAMERAS[0])
+        pick(SPLATS, point=(1.0, 1.0), camera=CAMERAS[0])
 
 
 def test_point_on_the_table():
     table = project(CAMERAS[0], (0.0, -0.9, 0.0))
     with pytest.raises(StyleSplatError, match="no object at"):
-        select(SPLATS, point=table, camera=CAMERAS[0])
+        pick(SPLATS, point=table, camera=CAMERAS[0])
 
 
 @pytest.mark.parametrize("box", [(5.0, 5.0, 5.0, 9.0), (9.0, 5.0, 5.0, 9.0), (5.0, 9.0, 9.0, 5.0)])
 def test_box_empty(box):
     with pytest.raises(StyleSplatError, match="is empty"):
-        select(SPLATS, box=box, camera=CAMERAS[0])
+        pick(SPLATS, box=box, camera=CAMERAS[0])
 
 
 @pytest.mark.parametrize(
@@ -152,14 +152,14 @@ def test_box_empty(box):
 )
 def test_box_outside(box):
     with pytest.raises(StyleSplatError, match="reaches outside"):
-        select(SPLATS, box=box, camera=CAMERAS[0])
+        pick(SPLATS, box=box, camera=CAMERAS[0])
 
 
 def test_box_on_nothing():
     with pytest.raises(StyleSplatError, match="no object inside 0,0,4,4"):
-        select(SPLATS, box=(0.0, 0.0, 4.0, 4.0), camera=CAMERAS[0])
+        pick(SPLATS, box=(0.0, 0.0, 4.0, 4.0), camera=CAMERAS[0])
 
 
 def test_nothing_passes_the_threshold():
     with pytest.raises(StyleSplatError, match=r"No Gaussian is object 3 .*Lower the threshold"):
-        select(SPLATS, object_id=3, threshold=1.0)
+        pick(SPLATS, object_id=3, threshold=1.0)

@@ -4,10 +4,10 @@ import torch
 from balls import BALL_RADIUS, BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.selection.pick import select
+from stylesplat.selection.pick import pick
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 
-RED = select(SPLATS, object_id=3, remove_outliers=False)
+RED = pick(SPLATS, object_id=3, remove_outliers=False)
 CENTRE = torch.tensor(BALLS[3][0])
 
 
@@ -17,7 +17,7 @@ def test_a_box_and_a_sphere_around_a_ball_hold_it_alone():
     assert torch.equal(in_sphere(SPLATS, CENTRE + above, reach + 0.01) & RED, RED)
     box = in_box(SPLATS, CENTRE - reach, CENTRE + reach)
     assert torch.equal(box & RED, RED)
-    others = select(SPLATS, object_id=[7, 300], remove_outliers=False)
+    others = pick(SPLATS, object_id=[7, 300], remove_outliers=False)
     assert not (box & others).any()
 
 

@@ -12,9 +12,10 @@ from balls import CAMERAS, SPLATS
 from color_detector import NOTHING, ColorDetector
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import far_apart
 from stylesplat.selection.detector import Detections, Detector, load_detector
-from stylesplat.selection.labels import render_labels
-from stylesplat.selection.text import clear_winner, rank_objects, spread_rows, tally
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.text import clear_winner, rank_objects, tally
 
 Models = Callable[[str], Path]
 Box = tuple[float, float, float, float]
@@ -138,15 +139,15 @@ def ring(angles: Sequence[float]) -> Cameras:
 
 def test_views_are_spread_whatever_their_order():
     cameras = ring([0.0, 1.0, 2.0, 3.0, 90.0, 91.0, 180.0, 181.0, 270.0, 271.0])
-    chosen = sorted(float(cameras.names[row]) // 90 for row in spread_rows(cameras, 4))
+    chosen = sorted(float(cameras.names[row]) // 90 for row in far_apart(cameras, 4))
     assert chosen == [0, 1, 2, 3]
 
 
 def test_no_view_is_taken_twice():
     same_place = ring([0.0] * 5)
-    assert sorted(spread_rows(same_place, 5)) == [0, 1, 2, 3, 4]
-    assert len(spread_rows(same_place, 8)) == 5
-    assert len(set(spread_rows(CAMERAS, 3))) == 3
+    assert sorted(far_apart(same_place, 5)) == [0, 1, 2, 3, 4]
+    assert len(far_apart(same_place, 8)) == 5
+    assert len(set(far_apart(CAMERAS, 3))) == 3
 
 
 @pytest.mark.parametrize(("phrase", "id"), [("red", 3), ("green", 7), ("blue", 300)])

@@ -8,12 +8,13 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import SH_C0
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
+from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
 from stylesplat.stylization.objective import Objective, total_variation
 from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.views import COVERED, ObjectView, coverage, cut_views, find_boxes
+from stylesplat.stylization.style_config import StyleConfig
 
 PICKED = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
 SCENE = replace(
@@ -34,7 +35,7 @@ def views(request: pytest.FixtureRequest, network: FeatureNetwork) -> list[Objec
 def objective(network: FeatureNetwork) -> Objective:
     style = torch.rand(200, 12, generator=torch.Generator().manual_seed(1))
     index = build_index(style, torch.float32)
-    return Objective(network, [index], SCENE, CONFIG, "auto")
+    return Objective(network, [index], SCENE, CONFIG)
 
 
 def optimised(objective: Objective, views: list[ObjectView], **settings: float) -> torch.Tensor:

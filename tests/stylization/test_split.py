@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from stylesplat.rendering.contributions import contributions
+from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
 from stylesplat.stylization.split import COUNTS, Split, screen_sizes, split_large
-from stylesplat.stylization.views import ObjectView, coverage, cut_views, find_boxes
 
 TABLE, BALL = 200, 80  # Gaussians before the balls, and of each
 LARGE = 40  # of the first ball's, which are stretched

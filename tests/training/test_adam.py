@@ -1,6 +1,9 @@
+import pytest
 import torch
 
-from stylesplat.training.adam import BETA1, BETA2, EPS, Moments, _step_cpu, _step_torch, adam_step
+from stylesplat.training.adam import BETA1, BETA2, EPS, Moments, adam_step
+
+SEEN = torch.tensor([True, False, True, False, False, True])
 
 
 def gradients(count: int) -> list[torch.Tensor]:
@@ -8,39 +11,84 @@ def gradients(count: int) -> list[torch.Tensor]:
     return [torch.randn(6, 2, 3, generator=generator) for _ in range(count)]
 
 
+def leaf() -> torch.Tensor:
+    return torch.ones(6, 2, 3, requires_grad=True)
+
+
+def stepped(
+    grads: list[torch.Tensor], seen: torch.Tensor | None = None, rate: float = 0.1
+) -> tuple[torch.Tensor, Moments]:
+    param = leaf()
+    moments = Moments.zeros({"x": param})
+    for step, gradient in enumerate(grads, start=1):
+        param.grad = gradient.clone()
+        adam_step({"x": param}, moments, {"x": rate}, step, seen)
+    return param.detach(), moments
+
+
 def test_matches_torch():
-    start = torch.ones(6, 2, 3)
-    ours, theirs = start.clone().requires_grad_(), start.clone().requires_grad_()
+    ours, theirs = stepped(gradients(5))[0], leaf()
     optimizer = torch.optim.Adam([theirs], lr=0.1, betas=(BETA1, BETA2), eps=EPS)
-    params = {"x": ours}
-    moments = Moments.zeros(params)
-    for step, gradient in enumerate(gradients(5), start=1):
-        ours.grad, theirs.grad = gradient.clone(), gradient.clone()
-        adam_step(params, moments, {"x": 0.1}, step)
+    for gradient in gradients(5):
+        theirs.grad = gradient.clone()
         optimizer.step()
     assert torch.allclose(ours, theirs, atol=1e-5)
 
 
-def test_rows_that_are_not_seen_stay():
-    param = torch.ones(6, 2, 3, requires_grad=True)
-    moments = Moments.zeros({"x": param})
-    param.grad = gradients(1)[0]
-    seen = torch.tensor([True, False, True, False, False, True])
-    adam_step({"x": param}, moments, {"x": 0.1}, 1, seen)
-    assert torch.equal(param[~seen], torch.ones(3, 2, 3))
-    assert not moments.first["x"][~seen].any()
-    assert (param[seen] != 1).all()
+def test_rows_that_are_seen_match_torch_whatever_the_others_do():
+    some, every = stepped(gradients(5), SEEN)[0], stepped(gradients(5))[0]
+    assert torch.equal(some[SEEN], every[SEEN])
 
 
-def test_both_implementations_agree():
-    seen = torch.tensor([True, True, False, True, False, True])
-    results = []
-    for step in (_step_cpu, _step_torch):
-        tensors = tuple(t.clone() for t in (*gradients(3), gradients(4)[3] ** 2))
-        step(tensors, 0.05, 0.3, seen)
-        results.append(tensors)
-    for one, other in zip(*results, strict=True):
-        assert torch.allclose(one, other, atol=1e-6)
+def test_rows_that_are_not_seen_are_bit_equal():
+    param, moments = stepped(gradients(3), SEEN)
+    assert torch.equal(param[~SEEN], torch.ones(3, 2, 3))
+    assert not moments.first["x"][~SEEN].any() and not moments.second["x"][~SEEN].any()
+    assert (param[SEEN] != 1).all()
+
+
+def test_rows_do_not_mix():
+    order = torch.randperm(6, generator=torch.Generator().manual_seed(1))
+    plain, shuffled = stepped(gradients(4))[0], stepped([g[order] for g in gradients(4)])[0]
+    assert torch.equal(plain[order], shuffled)
+
+
+def test_seen_concerns_tensors_of_as_many_rows_only():
+    weight = torch.ones(3, 16, requires_grad=True)
+    weight.grad = torch.ones(3, 16)
+    adam_step({"w": weight}, Moments.zeros({"w": weight}), {"w": 0.1}, 1, SEEN)
+    assert (weight != 1).all()
+
+
+def test_the_first_step_is_the_rate_whatever_the_gradient():
+    param, _ = stepped([torch.logspace(-6, 3, 36).view(6, 2, 3)])
+    assert torch.allclose(1 - param, torch.tensor(0.1), atol=1e-6)  # rounding of 1 - 0.1
+
+
+def test_steps_are_proportional_to_the_rate():
+    one, other = stepped(gradients(4), rate=0.01)[0], stepped(gradients(4), rate=0.02)[0]
+    assert torch.allclose(2 * (one - 1), other - 1, atol=1e-6)
+
+
+def test_the_scale_of_the_loss_is_irrelevant():
+    one, other = stepped(gradients(4))[0], stepped([1000 * g for g in gradients(4)])[0]
+    assert torch.allclose(one, other, atol=1e-5)
+
+
+def test_without_a_gradient_nothing_moves():
+    param, other = leaf(), leaf()
+    moments = Moments.zeros({"x": param, "y": other})
+    param.grad = torch.ones(6, 2, 3)
+    adam_step({"x": param, "y": other}, moments, {"x": 0.1, "y": 0.1}, 1)
+    assert torch.equal(other, leaf()) and not torch.equal(param, leaf())
+
+
+def test_numbers_of_one_row_and_of_vectors():
+    for shape in ((4,), (4, 1, 3), (1, 3)):
+        param = torch.zeros(shape, requires_grad=True)
+        param.grad = torch.ones(shape)
+        adam_step({"x": param}, Moments.zeros({"x": param}), {"x": 0.5}, 1)
+        assert torch.allclose(param, torch.tensor(-0.5))
 
 
 def test_taken_rows_keep_their_state_and_fresh_ones_are_zero():
@@ -49,3 +97,11 @@ def test_taken_rows_keep_their_state_and_fresh_ones_are_zero():
     assert taken.first["x"].tolist() == [2, 0, 0]
     assert taken.second["x"].tolist() == [1, 0, 1]
     assert taken.first["y"] is moments.first["y"]
+
+
+@pytest.mark.parametrize("which", ["first", "second"])
+def test_copies_share_nothing(which: str):
+    _, moments = stepped(gradients(1))
+    copy = moments.clone()
+    getattr(copy, which)["x"][:] = 7
+    assert not (getattr(moments, which)["x"] == 7).any()

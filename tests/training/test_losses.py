@@ -1,8 +1,11 @@
+import math
+
 import pytest
 import torch
 
 from stylesplat.scene.splats import Classifier
 from stylesplat.training.losses import (
+    NEIGHBOR_WEIGHT,
     identity_loss,
     neighbor_loss,
     photometric_loss,
@@ -64,3 +67,112 @@ def test_neighbor_loss_is_zero_where_labels_agree(classifier: Classifier):
     same = identities[:, None].expand(-1, 5, -1)
     assert neighbor_loss(identities, same, classifier).abs() < 1e-6
     assert neighbor_loss(identities, same.flip(0), classifier) > 0.1
+
+
+def features(count: int = 200, seed: int = 0) -> torch.Tensor:
+    return torch.randn(count, 16, generator=torch.Generator().manual_seed(seed))
+
+
+def labels(count: int = 200) -> torch.Tensor:
+    return torch.randint(3, (count,), generator=torch.Generator().manual_seed(1))
+
+
+def test_photometric_loss_of_equal_images_has_no_gradient(images):
+    image = images[0].clone().requires_grad_()
+    loss, error = photometric_loss(image, images[0])
+    loss.backward()
+    assert image.grad is not None and error == 0
+    # An image differs from itself by rounding; 1e-4 is of the gradient of two that differ.
+    other = images[0].clone().requires_grad_()
+    photometric_loss(other, images[1])[0].backward()
+    assert other.grad is not None and image.grad.norm() < 1e-3 * other.grad.norm()
+
+
+def test_photometric_loss_of_a_constant_difference():
+    # L1 is the difference; both images are flat, so SSIM is that of their luminance, inside.
+    image, target = torch.full((60, 60, 3), 0.6), torch.full((60, 60, 3), 0.5)
+    luminance = (2 * 0.6 * 0.5 + 1e-4) / (0.36 + 0.25 + 1e-4)
+    loss, error = photometric_loss(image, target)
+    assert error.item() == pytest.approx(0.01, rel=1e-4)
+    # The frame of zeros lowers SSIM near the border, a third of the pixels.
+    assert loss.item() == pytest.approx(0.8 * 0.1 + 0.2 * (1 - luminance), abs=0.02)
+
+
+def test_photometric_loss_is_mirrored_with_the_images(images):
+    plain, _ = photometric_loss(*images)
+    for axis in (0, 1):
+        mirrored, _ = photometric_loss(*(each.flip(axis).contiguous() for each in images))
+        assert mirrored.item() == pytest.approx(plain.item(), abs=1e-6)
+
+
+def test_photometric_loss_does_not_mix_channels(images):
+    image, target = images
+    turned, _ = photometric_loss(image.flip(2).contiguous(), target.flip(2).contiguous())
+    assert turned.item() == pytest.approx(photometric_loss(image, target)[0].item(), abs=1e-6)
+
+
+def test_photometric_loss_grows_with_the_error(images):
+    image, target = images
+    losses = [photometric_loss(target + s * (image - target), target)[0] for s in (0.0, 0.3, 1.0)]
+    assert losses[0] < losses[1] < losses[2]
+
+
+def test_the_error_is_of_the_clamped_image(images):
+    target = images[0]
+    loud = target + torch.where(target > 0.5, 5.0, -5.0)
+    _, error = photometric_loss(loud, target)
+    expected = torch.where(target > 0.5, 1 - target, target).square().mean()
+    assert error.item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+def test_identity_loss_has_no_order(classifier: Classifier):
+    order = torch.randperm(200, generator=torch.Generator().manual_seed(2))
+    plain = identity_loss(features(), labels(), classifier)
+    assert identity_loss(features()[order], labels()[order], classifier) == pytest.approx(
+        plain.item(), rel=1e-5
+    )
+
+
+def test_identity_loss_does_not_depend_on_what_classes_are_called(classifier: Classifier):
+    swap = torch.tensor([2, 0, 1])
+    renamed = Classifier(classifier.weight[swap], classifier.bias[swap], ids=(5, 6, 7))
+    places = torch.argsort(swap)  # where each class went
+    plain = identity_loss(features(), labels(), classifier)
+    other = identity_loss(features(), places[labels()], renamed)
+    assert other.item() == pytest.approx(plain.item(), rel=1e-5)
+
+
+def test_one_class_costs_nothing():
+    alone = Classifier(torch.ones(1, 16), torch.zeros(1), ids=(0,))
+    assert identity_loss(features(), torch.zeros(200, dtype=torch.long), alone) == 0
+
+
+def test_neighbor_loss_is_never_negative(classifier: Classifier):
+    for seed in range(5):
+        neighbors = features(1000, seed=seed + 1).view(200, 5, 16)
+        assert neighbor_loss(features(seed=seed), neighbors, classifier) > 0
+
+
+def test_neighbor_loss_does_not_depend_on_the_order_of_neighbours(classifier: Classifier):
+    neighbors = features(1000, seed=1).view(200, 5, 16)
+    plain = neighbor_loss(features(), neighbors, classifier).item()
+    assert neighbor_loss(features(), neighbors.flip(1), classifier).item() == pytest.approx(plain)
+
+
+def test_neighbor_loss_sees_labels_only(classifier: Classifier):
+    # The classifier looks at three of sixteen numbers.
+    neighbors = features(1000, seed=1).view(200, 5, 16)
+    other = neighbors.clone()
+    other[..., 3:] += 5
+    plain = neighbor_loss(features(), neighbors, classifier).item()
+    assert neighbor_loss(features(), other, classifier).item() == pytest.approx(plain)
+
+
+def test_neighbor_loss_by_hand():
+    # Two classes, of which one Gaussian gives the first 3/4 and its neighbour a half.
+    plain = Classifier(torch.eye(2, 16), torch.zeros(2), ids=(0, 1))
+    own, other = torch.zeros(1, 16), torch.zeros(1, 1, 16)
+    own[0, 0] = math.log(3)
+    divergence = 0.75 * math.log(0.75 / 0.5) + 0.25 * math.log(0.25 / 0.5)
+    expected = NEIGHBOR_WEIGHT * divergence / 2
+    assert neighbor_loss(own, other, plain).item() == pytest.approx(expected, rel=1e-5)

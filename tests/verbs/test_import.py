@@ -7,22 +7,23 @@ import torch
 from ball_photos import write_ball_capture
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.exporter import export
-from stylesplat.io import load as load_module
-from stylesplat.io.scene_folder import read_scene
+from stylesplat.io import scene_folder
+from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
-from stylesplat.selection.pick import select
-from stylesplat.verbs.evaluate import evaluate_scene
-from stylesplat.verbs.import_splat import import_splat
-from stylesplat.verbs.objects import list_objects
-from stylesplat.verbs.select import Choice, select_object
+from stylesplat.selection.pick import pick
+from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.export import export
+from stylesplat.verbs.import_ import import_
+from stylesplat.verbs.load import load
+from stylesplat.verbs.objects import objects
+from stylesplat.verbs.select import select
 
 PLAIN = replace(SPLATS, identities=None, classifier=None, shN=SPLATS.shN[:, :0])
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_ball_capture(tmp_path_factory.mktemp("capture"))
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    return load(write_ball_capture(tmp_path_factory.mktemp("capture")))
 
 
 @pytest.fixture
@@ -31,12 +32,14 @@ def splat(tmp_path: Path) -> Path:
     return tmp_path / "splat.ply"
 
 
-def test_with_photos_and_label_maps(capture: Path, splat: Path, tmp_path: Path):
-    metrics = import_splat(splat, tmp_path / "scene", capture_path=capture, device="cpu")
+def test_with_photos_and_label_maps(capture: Capture, splat: Path, tmp_path: Path):
+    imported = import_(splat, capture, device="cpu")
+    metrics = imported.metrics
     assert metrics["psnr"] > 30
     assert metrics["miou"] > 0.9
     assert metrics["gaussians"] == len(PLAIN)
-    scene = read_scene(tmp_path / "scene")
+    scene_folder.save(imported, tmp_path / "scene")
+    scene = scene_folder.open(tmp_path / "scene")
     for name in ("means", "quats", "scales", "opacities", "sh0"):
         assert torch.equal(getattr(scene.splats, name), getattr(PLAIN, name))
     assert scene.splats.classifier is not None
@@ -45,40 +48,45 @@ def test_with_photos_and_label_maps(capture: Path, splat: Path, tmp_path: Path):
     assert scene.splats.confidence is not None
     seen = scene.splats.confidence[scene.splats.confidence > 0]
     assert metrics["confidence"] == pytest.approx(float(seen.mean()))
-    listed = list_objects(tmp_path / "scene")["objects"]
-    for each in listed:
-        picked = select(scene.splats, object_id=each["id"])
+    for each in objects(scene):
+        picked = pick(scene.splats, object_id=each["id"])
         mean = float(scene.splats.confidence[picked].mean())
         assert each["confidence"] == pytest.approx(mean, abs=1e-3) and 0.7 < mean <= 1
-    found = select_object(tmp_path / "scene", "red", Choice(ids=(3,)))
-    assert found["gaussians"] > 60
-    again = evaluate_scene(tmp_path / "scene", device="cpu")
+    assert select(scene, "red", id=3).objects["red"].how["gaussians"] > 60
+    assert scene.info["splat"] == str(splat) and capture.path == scene.capture
+    again = evaluate(scene, capture, device="cpu")
     assert again["psnr"] == pytest.approx(metrics["psnr"])
 
 
-def test_a_capture_is_read_once(
-    capture: Path, splat: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    reads, real = [], load_module.read_transforms
-    monkeypatch.setattr(load_module, "read_transforms", lambda f: reads.append(f) or real(f))
-    import_splat(splat, tmp_path / "scene", capture_path=capture, device="cpu")
-    assert reads == [capture]
+def test_splats_that_are_in_memory(capture: Capture, splat: Path):
+    one, other = (import_(each, capture, device="cpu") for each in (PLAIN, splat))
+    for name, tensor in one.splats.tensors().items():
+        if name != "shN":  # a file has all bands
+            assert torch.equal(tensor, other.splats.tensors()[name]), name
+    assert one.info["splat"] is None
 
 
-def test_without_photos(splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "scene"
-    metrics = import_splat(splat, out, up="z", device="cpu")
-    assert metrics.keys() == {"gaussians", "seconds"}
-    assert "36 views around the content" in capsys.readouterr().err
-    scene = read_scene(out)
-    assert len(scene.cameras) == 36
-    select_object(out, "red", Choice(box3d=(-1.1, -0.4, 0.02, -0.3, 0.4, 0.7)))
-    assert read_scene(out).picks["red"].sum() >= 79  # its ball, to rounding
+def test_without_photos(splat: Path, said: list[str]):
+    scene = import_(splat, up="z", device="cpu")
+    assert scene.metrics.keys() == {"gaussians", "seconds"}
+    assert "36 views around the content" in "\n".join(said)
+    assert len(scene.cameras) == 36 and scene.capture is None
+    scene = select(scene, "red", box3d=(-1.1, -0.4, 0.02, -0.3, 0.4, 0.7))
+    assert scene.objects["red"].picked.sum() >= 79  # its ball, to rounding
     with pytest.raises(StyleSplatError, match="no identities"):
-        select_object(out, "green", Choice(ids=(7,)))
+        select(scene, "green", id=7)
 
 
-def test_a_splat_in_nerfstudios_frame(capture: Path, tmp_path: Path):
+def test_up_turns_the_circles(splat: Path):
+    upright, sideways = (import_(splat, up=up, device="cpu") for up in ("z", "x"))
+    assert not torch.equal(upright.cameras.viewmats, sideways.cameras.viewmats)
+    assert torch.equal(
+        import_(splat, device="cpu").cameras.viewmats,
+        import_(splat, up="-y", device="cpu").cameras.viewmats,
+    )
+
+
+def test_a_splat_in_nerfstudios_frame(capture: Capture, tmp_path: Path):
     frame = known_frames(CAMERAS)["nerfstudio"]
     assert frame.shift is not None
     there = replace(
@@ -86,44 +94,26 @@ def test_a_splat_in_nerfstudios_frame(capture: Path, tmp_path: Path):
         means=frame.scale * PLAIN.means @ frame.rotation.T + frame.shift,
         scales=PLAIN.scales + torch.tensor(frame.scale).log(),
     )
-    export(there, tmp_path / "splat.ply")
     with pytest.raises(StyleSplatError, match=r"frame of another program. Pass --frame nerfstudio"):
-        import_splat(tmp_path / "splat.ply", tmp_path / "scene", capture_path=capture, device="cpu")
-    assert not (tmp_path / "scene").exists()
-    metrics = import_splat(
-        tmp_path / "splat.ply",
-        tmp_path / "scene",
-        capture_path=capture,
-        frame="nerfstudio",
-        device="cpu",
-    )
-    assert metrics["psnr"] > 25
-    scene = read_scene(tmp_path / "scene")
+        import_(there, capture, device="cpu")
+    imported = import_(there, capture, frame="nerfstudio", device="cpu")
+    assert imported.metrics["psnr"] > 25
+    scene_folder.save(imported, tmp_path / "scene")
+    scene = scene_folder.open(tmp_path / "scene")
     assert torch.equal(scene.splats.means, there.means), "the splat stays where it is"
-    again = evaluate_scene(tmp_path / "scene", device="cpu")
-    assert again["psnr"] == pytest.approx(metrics["psnr"])
+    again = evaluate(scene, capture, device="cpu")
+    assert again["psnr"] == pytest.approx(imported.metrics["psnr"])
 
 
-def test_a_splat_of_something_else(capture: Path, tmp_path: Path):
+def test_a_splat_of_something_else(capture: Capture):
     generator = torch.Generator().manual_seed(0)
     strange = replace(PLAIN, means=torch.rand(len(PLAIN), 3, generator=generator) * 9 - 4)
-    export(strange, tmp_path / "splat.ply")
     with pytest.raises(StyleSplatError, match="Give the capture that it was made from"):
-        import_splat(tmp_path / "splat.ply", tmp_path / "scene", capture_path=capture, device="cpu")
+        import_(strange, capture, device="cpu")
 
 
-def test_options_that_would_change_nothing(capture: Path, splat: Path, tmp_path: Path):
-    with pytest.raises(StyleSplatError, match="need the capture"):
-        import_splat(splat, tmp_path / "scene", frame="nerfstudio")
+def test_options_that_would_change_nothing(capture: Capture, splat: Path):
+    with pytest.raises(StyleSplatError, match="needs the capture"):
+        import_(splat, frame="nerfstudio")
     with pytest.raises(StyleSplatError, match=r"without photos\. Leave it out"):
-        import_splat(splat, tmp_path / "scene", capture_path=capture, up="z")
-
-
-def test_what_is_there_stays(splat: Path, tmp_path: Path):
-    import_splat(splat, tmp_path / "scene", device="cpu")
-    before = (tmp_path / "scene" / "cameras.json").read_bytes()
-    with pytest.raises(StyleSplatError, match="--overwrite"):
-        import_splat(splat, tmp_path / "scene", up="x", device="cpu")
-    assert (tmp_path / "scene" / "cameras.json").read_bytes() == before
-    import_splat(splat, tmp_path / "scene", up="x", device="cpu", overwrite=True)
-    assert (tmp_path / "scene" / "cameras.json").read_bytes() != before
+        import_(splat, capture, up="z")

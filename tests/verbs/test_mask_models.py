@@ -4,18 +4,22 @@ from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
+from right_ids import right_ids
 from torch import Tensor
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.right_ids import right_ids
-from stylesplat.io.load import load
-from stylesplat.io.scene_folder import Scene, write_scene
-from stylesplat.masks.associate import to_masks
-from stylesplat.selection.labels import render_labels
+from stylesplat.io.scene_folder import save
+from stylesplat.masks.models.associate import to_masks
+from stylesplat.masks.models.sam import Method
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.identities import render_labels
 from stylesplat.verbs import mask_models
-from stylesplat.verbs.mask_models import mask_with_model
+from stylesplat.verbs.load import load
+from stylesplat.verbs.mask import mask
 from stylesplat.verbs.mask_progress import Progress
 
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
@@ -63,7 +67,7 @@ def capture(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    write_scene(Scene(PLAIN, CAMERAS), tmp_path / "scene")
+    save(Scene(PLAIN, CAMERAS), tmp_path / "scene")
     return tmp_path / "scene"
 
 
@@ -75,6 +79,11 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
     return model
 
 
+def run_model(capture: Path, method: Method, scene: Path | None, model: str | None = None) -> dict:
+    """`stylesplat mask CAPTURE --method METHOD`."""
+    return Mask(capture, method, model=model, scene=scene, device="cpu").run()
+
+
 def found_maps(capture: Path) -> list[Tensor]:
     maps = load(capture).label_maps
     assert maps is not None
@@ -82,45 +91,65 @@ def found_maps(capture: Path) -> list[Tensor]:
 
 
 def test_objects_get_ids_that_all_photos_share(capture: Path, scene: Path, scripted: Scripted):
-    found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    found = run_model(capture, "sam2", scene)
     assert found["ids"] == [1, 2, 3] and found["photos"] == 8
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
     assert not (capture / "object_mask.partial").exists()
     with pytest.raises(StyleSplatError, match="--overwrite"):
-        mask_with_model(capture, "sam2", scene=scene)
+        run_model(capture, "sam2", scene)
+
+
+def test_in_memory_with_and_without_a_folder_for_progress(
+    capture: Path, tmp_path: Path, scripted: Scripted
+):
+    balls, scene = load(capture), Scene(PLAIN, CAMERAS)
+    nowhere = replace(balls, path=None)  # photos in memory, no folder for anything
+    masked = mask(nowhere, method="sam2", scene=scene, device="cpu")
+    assert masked.label_maps is not None and not masked.object_names
+    found = [labels for labels in masked.label_maps if labels is not None]
+    assert right_ids(found, TRUTH).right_pixels > 0.9
+    asked, progress = len(scripted.asked), tmp_path / "progress"
+    mask(balls, method="sam2", scene=scene, device="cpu", progress=progress)
+    assert len(scripted.asked) == 2 * asked
+    again = mask(balls, method="sam2", scene=scene, device="cpu", progress=progress)
+    assert len(scripted.asked) == 2 * asked, "all was found before"
+    assert again.label_maps is not None
+    for one, other in zip(masked.label_maps, again.label_maps, strict=True):
+        assert one is not None and other is not None and torch.equal(one, other)
 
 
 def test_without_a_follower_the_splat_carries_masks(
     capture: Path, scene: Path, scripted: Scripted, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(mask_models, "load_follower", lambda *_: pytest.fail("sam has none"))
-    mask_with_model(capture, "sam", scene=scene, device="cpu")
-    print(right_ids(found_maps(capture), TRUTH))
+    run_model(capture, "sam", scene)
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.8
 
 
-def test_an_interrupted_run_goes_on(capture: Path, scene: Path, scripted: Scripted, capsys):
+def test_an_interrupted_run_goes_on(
+    capture: Path, scene: Path, scripted: Scripted, said: list[str]
+):
     scripted.stop_after = 4  # in the second stretch: the first asks about three photos
     with pytest.raises(KeyboardInterrupt):
-        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+        run_model(capture, "sam2", scene)
     assert not (capture / "object_mask").exists()
     before, scripted.asked, scripted.stop_after = scripted.asked, [], 10**6
-    found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
-    assert "Continuing from" in capsys.readouterr().err
+    found = run_model(capture, "sam2", scene)
+    assert "Continuing from" in "\n".join(said)
     assert found["ids"] == [1, 2, 3]
     assert not set(before) & set(scripted.asked), "proposals are found once"
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
 
 
 def test_a_run_with_other_settings_begins_anew(
-    capture: Path, scene: Path, scripted: Scripted, capsys
+    capture: Path, scene: Path, scripted: Scripted, said: list[str]
 ):
     scripted.stop_after = 4
     with pytest.raises(KeyboardInterrupt):
-        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+        run_model(capture, "sam2", scene)
     scripted.asked, scripted.stop_after = [], 10**6
-    mask_with_model(capture, "edgetam", scene=scene, device="cpu")
-    assert "beginning anew" in capsys.readouterr().err
+    run_model(capture, "edgetam", scene)
+    assert "beginning anew" in "\n".join(said)
     assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked
 
 
@@ -128,14 +157,14 @@ def test_a_folder_of_the_user_is_in_the_way(capture: Path, scene: Path, scripted
     (capture / "object_mask.partial").mkdir()
     (capture / "object_mask.partial" / "mine.txt").write_text("mine")
     with pytest.raises(StyleSplatError, match="in the way"):
-        mask_with_model(capture, "sam2", scene=scene)
+        run_model(capture, "sam2", scene)
     assert (capture / "object_mask.partial" / "mine.txt").read_text() == "mine"
 
 
 def test_nothing_found(capture: Path, scene: Path, scripted: Scripted, monkeypatch):
     monkeypatch.setattr(scripted, "propose", lambda _: [])
     with pytest.raises(StyleSplatError, match=r"found no object.*--box"):
-        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+        run_model(capture, "sam2", scene)
     assert not (capture / "object_mask").exists()
 
 
@@ -144,7 +173,7 @@ def test_a_model_that_cannot_be_had_is_said_before_any_work(
 ):
     monkeypatch.setattr(mask_models, "with_splat", lambda *_: pytest.fail("trained"))
     with pytest.raises(StyleSplatError, match="none"):
-        mask_with_model(capture, "sam2", model=str(tmp_path / "none"))
+        run_model(capture, "sam2", None, model=str(tmp_path / "none"))
     assert not (capture / "object_mask.partial").exists()
 
 
@@ -157,9 +186,7 @@ def test_a_real_model(capture: Path, scene: Path, tiny_model, monkeypatch: pytes
 
     monkeypatch.setattr(mask_models, "load_proposer", lenient)
     try:
-        found = mask_with_model(
-            capture, "sam2", model=str(tiny_model("sam2")), scene=scene, device="cpu"
-        )
+        found = run_model(capture, "sam2", scene, model=str(tiny_model("sam2")))
     except StyleSplatError as error:
         assert "found no object" in str(error)  # it came to the end
     else:
@@ -170,7 +197,7 @@ def interrupted(capture: Path, scene: Path, scripted: Scripted) -> Path:
     """A run that stopped in its second stretch; the folder it left."""
     scripted.stop_after = 4
     with pytest.raises(KeyboardInterrupt):
-        mask_with_model(capture, "sam2", scene=scene, device="cpu")
+        run_model(capture, "sam2", scene)
     scripted.asked, scripted.stop_after = [], 10**6
     return capture / "object_mask.partial"
 
@@ -183,15 +210,17 @@ def test_damaged_results_are_found_again(capture: Path, scene: Path, scripted: S
     damaged.write_bytes(damaged.read_bytes()[:9])
     if name == "proposals_0.npz":
         (folder / "state.json").unlink()
-    found = mask_with_model(capture, "sam2", scene=scene, device="cpu")
+    found = run_model(capture, "sam2", scene)
     assert found["ids"] == [1, 2, 3]
 
 
-def test_other_photos_begin_anew(capture: Path, scene: Path, scripted: Scripted, capsys):
+def test_other_photos_begin_anew(capture: Path, scene: Path, scripted: Scripted, said: list[str]):
     interrupted(capture, scene, scripted)
-    (capture / "images" / CAMERAS.names[0]).touch()
-    mask_with_model(capture, "sam2", scene=scene, device="cpu")
-    assert "beginning anew" in capsys.readouterr().err and 0 in scripted.asked
+    photo = capture / "images" / CAMERAS.names[0]
+    Image.eval(Image.open(photo), lambda value: 255 - value).save(photo)
+    scripted.rows |= Scripted(capture).rows
+    run_model(capture, "sam2", scene)
+    assert "beginning anew" in "\n".join(said) and 0 in scripted.asked
 
 
 def test_photos_without_proposals_are_asked_once(tmp_path: Path):

@@ -9,16 +9,20 @@ import torch
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from stylesplat.exporter import export
+from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_names
-from stylesplat.io.scene_folder import Scene, read_scene
-from stylesplat.selection.pick import select
-from stylesplat.training.config import TrainConfig
-from stylesplat.verbs.import_splat import import_splat
-from stylesplat.verbs.objects import can_be_called, find_object, list_objects, with_names
-from stylesplat.verbs.train import train_scene
+from stylesplat.scene.scene import Scene, can_be_called
+from stylesplat.selection.choose import find_object
+from stylesplat.selection.naming import with_names
+from stylesplat.selection.pick import pick
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.verbs.import_ import import_
+from stylesplat.verbs.load import load
+from stylesplat.verbs.objects import objects
+from stylesplat.verbs.train import train
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
+SCENE = Scene(SPLATS, CAMERAS)
 
 
 @pytest.fixture
@@ -28,53 +32,69 @@ def capture(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def splat(tmp_path: Path) -> Path:
-    export(PLAIN, tmp_path / "splat.ply")
-    return tmp_path / "splat.ply"
-
-
-def check_names(folder: Path, said: str) -> None:
-    scene = read_scene(folder)
-    assert [*scene.picks] == ["vase"] and scene.picks["vase"].any()
-    assert torch.equal(scene.picks["vase"], select(scene.splats, object_id=7))
+def check_names(scene: Scene, folder: Path, said: str) -> None:
+    scene_folder.save(scene, folder)
+    scene = scene_folder.open(folder)
+    assert [*scene.objects] == ["vase"] and scene.objects["vase"].picked.any()
+    assert torch.equal(scene.objects["vase"].picked, pick(scene.splats, object_id=7))
     assert torch.equal(find_object(scene, "vase"), find_object(scene, "7"))
     how = json.loads((folder / "objects.json").read_text())["vase"]
-    assert how["ids"] == [7] and how["gaussians"] == scene.picks["vase"].sum()
-    names = {each["id"]: each["names"] for each in list_objects(folder)["objects"]}
+    assert how["ids"] == [7] and how["gaussians"] == scene.objects["vase"].picked.sum()
+    names = {each["id"]: each["names"] for each in objects(scene)}
     assert names == {3: [], 7: ["vase"], 300: []}
-    assert "Object 300 is not called '3'. `stylesplat select` names it." in said
+    assert "Object 300 is not called '3'" in said and "`stylesplat select` names it." in said
 
 
-def test_an_imported_splat(
-    capture: Path, splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    import_splat(splat, tmp_path / "scene", capture_path=capture, device="cpu")
-    check_names(tmp_path / "scene", capsys.readouterr().err)
+def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
+    scene = import_(PLAIN, load(capture), device="cpu")
+    check_names(scene, tmp_path / "scene", "\n".join(said))
 
 
-def test_a_trained_scene(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_trained_scene(capture: Path, tmp_path: Path, said: list[str]):
     config = TrainConfig(steps=100, max_gaussians=1000)
-    train_scene(capture, tmp_path / "scene", config=config, segment="lift", device="cpu")
-    check_names(tmp_path / "scene", capsys.readouterr().err)
+    scene = train(load(capture), config, segment="lift", device="cpu")
+    check_names(scene, tmp_path / "scene", "\n".join(said))
 
 
 def test_a_scene_without_objects_needs_no_names():
-    plain = Scene(PLAIN, CAMERAS)
-    named = with_names(plain, {3: "vase"})
-    assert named.picks == {} and named.objects == {}
+    assert with_names(Scene(PLAIN, CAMERAS), {3: "vase"}).objects == {}
 
 
-def test_names_of_nothing_are_left_out(capsys: pytest.CaptureFixture[str]):
-    named = with_names(Scene(SPLATS, CAMERAS), {0: "background", 3: "vase", 99: "lost"})
-    assert [*named.picks] == ["vase"]
-    assert capsys.readouterr().err == "", "no photo shows what no label map has"
+def test_names_of_nothing_are_left_out(said: list[str]):
+    named = with_names(SCENE, {0: "background", 3: "vase", 99: "lost"})
+    assert [*named.objects] == ["vase"]
+    assert said == [], "no photo shows what no label map has"
 
 
-def test_a_name_of_two_objects_is_that_of_the_first(capsys: pytest.CaptureFixture[str]):
-    named = with_names(Scene(SPLATS, CAMERAS), {3: "cup", 7: "cup"})
-    assert named.objects["cup"]["ids"] == [3]
-    assert "Object 7 is not called 'cup'" in capsys.readouterr().err
+def test_a_name_of_two_objects_is_that_of_the_first(said: list[str]):
+    named = with_names(SCENE, {3: "cup", 7: "cup"})
+    assert named.objects["cup"].how["ids"] == [3]
+    assert "Object 7 is not called 'cup'" in "\n".join(said)
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("__metadata__", "use that name for themselves"),
+        ("a/b", "slashes"),
+        ("a\nb", "control characters"),
+        ("x" * 101, "at most 100 characters"),
+        ("  ", "must not be empty"),
+        ("42", "numbers are label ids"),
+        ("a=b", "'='"),
+    ],
+)
+def test_names_that_cannot_be_leave_objects_unnamed(
+    name: str, fault: str, capture: Path, tmp_path: Path, said: list[str]
+):
+    write_names({3: "cup", 7: name}, capture / "object_mask")
+    scene = import_(PLAIN, load(capture), device="cpu")
+    assert [*scene.objects] == ["cup"]
+    scene_folder.save(scene, tmp_path / "scene")
+    assert [*scene_folder.open(tmp_path / "scene").objects] == ["cup"]
+    (line,) = (line for line in said if line.startswith("Object "))
+    assert line.startswith("Object 7 is not called '") and fault in line
+    assert line.endswith("`stylesplat select` names it.") and line.isprintable() and len(line) < 250
 
 
 def test_names_that_can_be_and_cannot():

@@ -10,8 +10,10 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import write_json
-from stylesplat.stylization.config import PRESETS, Network, StyleConfig
-from stylesplat.verbs.recipe import TOP_KEYS, Recipe, read_recipe
+from stylesplat.scene.paintings import Source
+from stylesplat.stylization.recipe import SHARED, read_recipe
+from stylesplat.stylization.style import Recipe
+from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
 
 DEFAULTS = StyleConfig(steps=7, seed=5)
 
@@ -38,7 +40,7 @@ def read(folder: Path) -> Read:
 
 
 def config_of(recipe: Recipe) -> StyleConfig:
-    return recipe.objects[0].config
+    return recipe.objects[0].style.config
 
 
 def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path):
@@ -56,19 +58,21 @@ def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path)
     )
     vase, pear = recipe.objects
     assert (vase.name, pear.name) == ("vase", "pear")
-    assert vase.styles == (folder / "wave.jpg", folder / "night.jpg")
-    assert pear.styles == (folder / "night.jpg",)
-    assert vase.config == replace(DEFAULTS, steps=20, scale=3.0)
-    assert isinstance(vase.config.scale, float)
-    assert pear.config == replace(DEFAULTS, steps=30, layers=(2, 3))
-    assert recipe.features == "vgg19"
-    assert recipe.weights == folder / "nets" / "vgg19.safetensors"
+    assert vase.style.pictures == (folder / "wave.jpg", folder / "night.jpg")
+    assert pear.style.pictures == (folder / "night.jpg",)
+    assert vase.style.config == replace(DEFAULTS, steps=20, scale=3.0)
+    assert isinstance(vase.style.config.scale, float)
+    assert pear.style.config == replace(DEFAULTS, steps=30, layers=(2, 3))
+    for each in recipe.objects:
+        assert each.features == "vgg19"
+        assert each.weights == Source(folder / "nets" / "vgg19.safetensors")
 
 
 def test_a_preset_takes_the_place_of_the_defaults(read: Read):
     recipe = read("{preset: paper, seed: 1, objects: {vase: {style: wave.jpg}}}")
     assert config_of(recipe) == replace(PRESETS["paper"], seed=1)
-    assert (recipe.features, recipe.weights) == (None, None)
+    (vase,) = recipe.objects
+    assert (vase.features, vase.weights, vase.intensity, vase.upon) == (None, None, None, None)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -89,9 +93,11 @@ def test_the_recipe_of_a_styled_scene_gives_its_settings(preset: str, folder: Pa
     write_json(content, folder / "styled" / "recipe.json")
     recipe = read_recipe(folder / "styled" / "recipe.json", defaults=DEFAULTS)
     assert [o.name for o in recipe.objects] == ["3", "pear"]
-    assert recipe.objects[0].config == replace(config, intensity=1.5)
-    assert recipe.objects[1].config == config
-    assert recipe.objects[1].styles == (picture, picture)
+    assert recipe.objects[0].style.config == replace(config, intensity=1.5)
+    assert recipe.objects[0].intensity == 1.5 and recipe.objects[1].intensity is None
+    assert all(each.features == "compact" for each in recipe.objects)
+    assert recipe.objects[1].style.config == config
+    assert recipe.objects[1].style.pictures == (picture, picture)
 
 
 @pytest.mark.parametrize("name", ["3", "no", "null", "2024-01-01", "1.50", "vase 2", "Brücke"])
@@ -112,8 +118,8 @@ def test_settings_may_be_shared_and_overridden(read: Read):
           pear: {<<: *vase, steps: 8}
         """
     )
-    assert recipe.objects[1].config == replace(DEFAULTS, steps=8, scale=1.5)
-    assert recipe.objects[1].styles == recipe.objects[0].styles
+    assert recipe.objects[1].style.config == replace(DEFAULTS, steps=8, scale=1.5)
+    assert recipe.objects[1].style.pictures == recipe.objects[0].style.pictures
 
 
 @pytest.mark.parametrize("field", [field.name for field in fields(StyleConfig)])
@@ -123,8 +129,8 @@ def test_every_setting_refuses_what_it_cannot_be(field: str, read: Read):
 
 
 def test_the_choices_of_a_recipe_are_those_of_the_code():
-    assert set(get_args(TOP_KEYS["preset"])) == set(PRESETS)
-    assert set(get_args(get_args(TOP_KEYS["features"])[0])) == set(get_args(Network))
+    assert set(get_args(SHARED["preset"])) == set(PRESETS)
+    assert set(get_args(get_args(SHARED["features"])[0])) == set(get_args(Network))
 
 
 OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
@@ -162,6 +168,15 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ("objects: {vase: {style: 3}}", "vase: style must be text or a list, each text, not 3."),
         ("objects: {vase: {steps: 3}}", "vase: it has no picture. Add `style: IMAGE`."),
         ("objects: {vase: {style: []}}", "vase: it has no picture. Add `style: IMAGE`."),
+        ("objects: {vase: {style: }}", "vase: it has no picture. Add `style: IMAGE`."),
+        (
+            "objects: {vase: {style: null, sha256: abc}}",
+            "vase: it was painted with colours that were never a file. Save them, add",
+        ),
+        (
+            "objects: {vase: {style: [wave.jpg, null], sha256: [abc, abd]}}",
+            "vase: it was painted with colours that were never a file. Save them, add",
+        ),
         ("objects: {vase: wave.jpg}", "vase must be KEY: VALUE. Write vase: {style: IMAGE}."),
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
         ("objects: {vase: {style: [wave.jpg, lost.jpg]}}", "vase: there is no picture "),
@@ -215,6 +230,6 @@ def test_files_that_are_no_recipe(folder: Path):
         read_recipe(folder / "night.jpg", defaults=DEFAULTS)
 
 
-def test_reading_a_recipe_does_not_load_torch():
-    code = "import stylesplat.verbs.recipe, sys; sys.exit('torch' in sys.modules)"
+def test_a_command_that_takes_recipes_is_parsed_without_torch():
+    code = "import stylesplat.cli.stylize, sys; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

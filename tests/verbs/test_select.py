@@ -1,144 +1,167 @@
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from jaxtyping import Bool
 
 from balls import BALLS, CAMERAS, SPLATS
 from color_detector import ColorDetector
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.photos import read_image
-from stylesplat.io.scene_folder import Scene, read_scene, write_scene
-from stylesplat.selection.labels import render_labels
-from stylesplat.selection.pick import select
+from stylesplat.io import scene_folder
+from stylesplat.scene.paintings import Colors, Painted, Painting
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.pick import pick
 from stylesplat.verbs import select as verb
-from stylesplat.verbs.objects import list_objects
-from stylesplat.verbs.select import Choice, select_object
+from stylesplat.verbs.objects import objects
+from stylesplat.verbs.select import select
 
 VIEW = CAMERAS.names[2]
+SCENE = Scene(SPLATS, CAMERAS)
 
 
-def place(id: int) -> tuple[str, tuple[float, float]]:
+def place(id: int) -> tuple[str, float, float]:
     """The middle of a ball in a view."""
     labels = render_labels(SPLATS, CAMERAS[2])
     y, x = (labels == id).nonzero().median(dim=0).values.tolist()
-    return VIEW, (float(x), float(y))
+    return VIEW, float(x), float(y)
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    write_scene(Scene(SPLATS, CAMERAS), tmp_path / "scene")
-    return tmp_path / "scene"
+def how(name: str = "it", scene: Scene = SCENE, **choice: Any) -> dict[str, Any]:
+    """How something was selected."""
+    return dict(select(scene, name, **choice).objects[name].how)
 
 
-def test_several_points_are_united(scene: Path):
-    found = select_object(scene, "two", Choice(points=(place(3), place(7))))
-    assert found["ids"] == [3, 7]
+def picked(scene: Scene, name: str) -> Bool[torch.Tensor, " N"]:
+    return scene.objects[name].picked
 
 
-def test_a_point_that_is_not_meant(scene: Path):
-    found = select_object(scene, "some", Choice(ids=(3, 7, 300), not_points=(place(7),)))
-    assert found["ids"] == [3, 300]
+def test_several_points_are_united():
+    assert how(point=[place(3), place(7)])["ids"] == [3, 7]
+
+
+def test_a_point_that_is_not_meant():
+    assert how(id=(3, 7, 300), not_point=place(7))["ids"] == [3, 300]
     with pytest.raises(StyleSplatError, match="--not-point only takes away"):
-        select_object(scene, "none", Choice(ids=(7,), not_points=(place(7),)))
-    around = Choice(box3d=(-3.0, -3.0, 0.02, 3.0, 3.0, 3.0), not_points=(place(7),))
-    select_object(scene, "all but green", around)
-    green = select(SPLATS, object_id=7)
-    assert not (read_scene(scene).picks["all but green"] & green).any()
+        select(SCENE, "none", id=7, not_point=place(7))
+    box = (-3.0, -3.0, 0.02, 3.0, 3.0, 3.0)
+    found = select(SCENE, "all but green", box3d=box, not_point=place(7))
+    assert not (picked(found, "all but green") & pick(SPLATS, object_id=7)).any()
 
 
-def test_union_and_difference_of_earlier_selections(scene: Path):
+def test_union_and_difference_of_earlier_selections():
+    scene = SCENE
     for id, name in ((3, "red"), (7, "green")):
-        select_object(scene, name, Choice(ids=(id,)))
-    select_object(scene, "both", Choice(plus=("red", "green")))
-    select_object(scene, "rest", Choice(plus=("both",), minus=("red",)))
-    picks = read_scene(scene).picks
-    assert torch.equal(picks["both"], picks["red"] | picks["green"])
-    assert torch.equal(picks["rest"], picks["green"])
-    with pytest.raises(StyleSplatError, match="Nothing is left of 'none'"):
-        select_object(scene, "none", Choice(plus=("red",), minus=("both",)))
+        scene = select(scene, name, id=id)
+    scene = select(scene, "both", plus=("red", "green"))
+    scene = select(scene, "rest", plus="both", minus="red")
+    assert torch.equal(picked(scene, "both"), picked(scene, "red") | picked(scene, "green"))
+    assert torch.equal(picked(scene, "rest"), picked(scene, "green"))
+    with pytest.raises(StyleSplatError, match="Nothing is left of the selection"):
+        select(scene, "none", plus="red", minus="both")
     with pytest.raises(StyleSplatError, match="no object 'blue'"):
-        select_object(scene, "x", Choice(plus=("blue",)))
+        select(scene, "x", plus="blue")
 
 
-def test_sphere_around_what_a_pixel_shows(scene: Path):
-    view, (x, y) = place(3)
-    found = select_object(scene, "ball", Choice(sphere=(view, (x, y, 0.65))))
-    mask = read_scene(scene).picks["ball"]
+def test_a_scene_is_never_changed():
+    once = select(SCENE, "it", id=3)
+    twice = select(once, "it", id=7)
+    assert not SCENE.objects and [*twice.objects] == ["it"]
+    assert torch.equal(picked(once, "it"), pick(SPLATS, object_id=3))
+    assert torch.equal(picked(twice, "it"), pick(SPLATS, object_id=7))
+
+
+def test_a_name_that_meant_something_else(said: list[str]):
+    once = select(SCENE, "it", id=3)
+    assert said == []
+    select(once, "it", id=7)
+    assert said == [f"'it' meant {picked(once, 'it').sum()} Gaussians before."]
+
+
+def test_sphere_around_what_a_pixel_shows():
+    view, x, y = place(3)
+    scene = select(SCENE, "ball", sphere=(view, x, y, 0.65))
     inside = (SPLATS.means - torch.tensor(BALLS[3][0])).norm(dim=1) < 0.31
-    assert (mask & inside).sum() > 0.8 * inside.sum()
-    assert found["sphere"][0] == view
+    assert (picked(scene, "ball") & inside).sum() > 0.8 * inside.sum()
+    assert scene.objects["ball"].how["sphere"][0] == view
 
 
-def test_grow_and_shrink_come_last(scene: Path):
-    whole = select_object(scene, "two", Choice(ids=(3, 7)))
-    half = Choice(ids=(3, 7), not_points=(place(7),), grow=0.2)
-    more = select_object(scene, "more", half)
+def test_sphere_in_the_world():
+    scene = select(SCENE, "ball", sphere=(*BALLS[3][0], 0.31))
+    inside = (SPLATS.means - torch.tensor(BALLS[3][0])).norm(dim=1) < 0.31
+    assert torch.equal(picked(scene, "ball"), inside)
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"point": (1.0, 2.0)}, r"Cannot select by point=\(1.0, 2.0\)\. Give the name of a view"),
+        ({"point": [(VIEW, 1.0)]}, "a view and 2 numbers"),
+        ({"not_point": (VIEW, 1, 2, 3)}, "Cannot select by not_point="),
+        ({"box": (VIEW, 1, 2, 3)}, "a view and 4 numbers"),
+        ({"sphere": (1.0, 2.0, 3.0)}, "Cannot select by sphere="),
+        ({"sphere": (VIEW, 1.0, 2.0)}, "Give x, y, z, radius; or a view"),
+        ({"box3d": (1.0, 2.0, 3.0)}, r"Cannot select by box3d=\(1.0, 2.0, 3.0\)\. Give x0"),
+        ({"point": ("lost.jpg", 1, 2)}, "No view is called 'lost.jpg'"),
+    ],
+)
+def test_places_that_are_none(choice: dict[str, Any], message: str):
+    with pytest.raises(StyleSplatError, match=message):
+        select(SCENE, "it", **choice)
+
+
+def test_grow_and_shrink_come_last():
+    scene = select(SCENE, "two", id=(3, 7))
+    scene = select(scene, "more", id=(3, 7), not_point=place(7), grow=0.2)
+    more = scene.objects["more"].how
     assert more["grow"] == 0.2 and "shrink" not in more
-    picks = read_scene(scene).picks
-    red, green = (select(SPLATS, object_id=id) for id in (3, 7))
-    assert picks["more"][red].all() and not picks["more"][green].any(), "what was taken stays away"
-    assert picks["more"].sum() > red.sum(), "the table under it is taken in"
-    less = select_object(scene, "less", Choice(plus=("more",), shrink=0.05))
+    red, green = (pick(SPLATS, object_id=id) for id in (3, 7))
+    grown = picked(scene, "more")
+    assert grown[red].all() and not grown[green].any(), "what was taken stays away"
+    assert grown.sum() > red.sum(), "the table under it is taken in"
+    scene = select(scene, "less", plus="more", shrink=0.05)
+    less = scene.objects["less"].how
     assert less["shrink"] == 0.05
-    assert 0 < less["gaussians"] < more["gaussians"] < whole["gaussians"]
-    assert read_scene(scene).objects["less"]["shrink"] == 0.05
+    assert 0 < less["gaussians"] < more["gaussians"] < scene.objects["two"].how["gaussians"]
 
 
-def test_a_grown_name_is_not_the_object(scene: Path):
-    select_object(scene, "red", Choice(ids=(3,)))
-    select_object(scene, "more", Choice(ids=(3,), grow=0.1))
-    select_object(scene, "less", Choice(ids=(3,), shrink=0.01))
-    names = {each["id"]: each["names"] for each in list_objects(scene)["objects"]}
+def test_how_it_was_selected_comes_back_from_disk(tmp_path: Path):
+    scene = select(SCENE, "more", id=(3, 7), not_point=place(7), grow=0.2)
+    scene = select(
+        scene, "less", plus="more", minus="more", box3d=(-2.0, -2.0, -1.0, 2.0, 2.0, 1.0)
+    )
+    scene_folder.save(scene, tmp_path / "scene")
+    found = scene_folder.open(tmp_path / "scene").objects
+    assert {name: each.how for name, each in found.items()} == {
+        name: json.loads(json.dumps(each.how)) for name, each in scene.objects.items()
+    }
+    assert all(torch.equal(each.picked, picked(scene, name)) for name, each in found.items())
+
+
+def test_a_grown_name_is_not_the_object():
+    scene = select(SCENE, "red", id=3)
+    scene = select(scene, "more", id=3, grow=0.1)
+    scene = select(scene, "less", id=3, shrink=0.01)
+    names = {each["id"]: each["names"] for each in objects(scene)}
     assert names[3] == ["red"]
 
 
-def test_grow_or_shrink_that_cannot_be(scene: Path):
+def test_grow_or_shrink_that_cannot_be():
     with pytest.raises(StyleSplatError, match="Pass --grow or --shrink"):
-        select_object(scene, "x", Choice(ids=(3,), grow=0.1, shrink=0.1))
+        select(SCENE, "x", id=3, grow=0.1, shrink=0.1)
     for share in (0.0, float("nan"), 2.0):
         with pytest.raises(StyleSplatError, match="at most 1"):
-            select_object(scene, "x", Choice(ids=(3,), grow=share))
+            select(SCENE, "x", id=3, grow=share)
     with pytest.raises(StyleSplatError, match="Shrink it less"):
-        select_object(scene, "x", Choice(ids=(3,), shrink=1.0))
-    assert not read_scene(scene).picks
+        select(SCENE, "x", id=3, shrink=1.0)
 
 
-def test_a_picture_of_it(scene: Path):
-    found = select_object(scene, "red", Choice(ids=(3,)))
-    assert found["picture"] == scene / "selections" / "red.png"
-    before = read_image(found["picture"])
-    assert "picture" not in read_scene(scene).objects["red"]
-    select_object(scene, "red", Choice(ids=(7,)))
-    assert (read_image(found["picture"]) != before).any(), "it shows the last one of that name"
-
-
-def test_no_two_names_share_a_picture(scene: Path):
-    names = ["vase", "Vase", "a/b", "a-b", "../a", ".", "..", "花瓶", "花", "x" * 300, "x" * 301]
-    pictures = [select_object(scene, name, Choice(ids=(3,)))["picture"] for name in names]
-    assert len({str(path).lower() for path in pictures}) == len(names)
-    assert {path.parent for path in pictures} == {scene / "selections"}
-    assert sorted(pictures) == sorted((scene / "selections").iterdir())
-    assert read_scene(scene).picks.keys() == set(names)
-
-
-def test_what_shows_in_no_view_has_no_picture(scene: Path, capsys: pytest.CaptureFixture[str]):
-    shown = select_object(scene, "red", Choice(ids=(3,)))
-    below = SPLATS.means.clone()
-    below[200:280] = torch.tensor([0.0, 0.0, 60.0])  # the red ball, above all cameras
-    write_scene(Scene(replace(SPLATS, means=below), CAMERAS), scene / "other")
-    (scene / "other" / "selections").mkdir()
-    old = scene / "other" / "selections" / "red.png"
-    old.write_bytes(shown["picture"].read_bytes())
-    found = select_object(scene / "other", "red", Choice(ids=(3,)))
-    assert found["picture"] is None and found["gaussians"] == 80
-    assert not old.exists(), "the picture of an earlier choice would be wrong"
-    assert "red shows in none of the views" in capsys.readouterr().err
-
-
-def test_nothing_said(scene: Path):
-    with pytest.raises(StyleSplatError, match="Say what with --id, --point"):
-        select_object(scene, "x", Choice())
+def test_nothing_said():
+    with pytest.raises(StyleSplatError, match="Say it with --id, --point"):
+        select(SCENE, "x")
 
 
 @pytest.fixture
@@ -148,51 +171,86 @@ def detector(monkeypatch: pytest.MonkeyPatch) -> ColorDetector:
     return detector
 
 
-def test_by_text(scene: Path, detector: ColorDetector):
-    found = select_object(scene, "it", Choice(text="the red one"))
+def test_by_text(detector: ColorDetector):
+    scene = select(SCENE, "it", text="the red one")
+    found = scene.objects["it"].how
     assert found["ids"] == [3] and found["text"] == "the red one"
     assert found["scores"].keys() == {3} and 0.5 < found["scores"][3] < 0.81
-    assert torch.equal(read_scene(scene).picks["it"], select(SPLATS, object_id=3))
-    assert read_scene(scene).objects["it"]["text"] == "the red one"
+    assert torch.equal(picked(scene, "it"), pick(SPLATS, object_id=3))
 
 
-def test_text_is_united_with_the_rest(scene: Path, detector: ColorDetector):
-    assert select_object(scene, "two", Choice(ids=(7,), text="red"))["ids"] == [7, 3]
-    assert select_object(scene, "one", Choice(ids=(3,), text="red"))["ids"] == [3]
-    select_object(scene, "red", Choice(ids=(3,)))
-    select_object(scene, "green", Choice(ids=(3, 7), text="green", minus=("red",)))
-    assert torch.equal(read_scene(scene).picks["green"], select(SPLATS, object_id=7))
+def test_text_is_united_with_the_rest(detector: ColorDetector):
+    assert how(id=7, text="red")["ids"] == [7, 3]
+    assert how(id=3, text="red")["ids"] == [3]
+    scene = select(SCENE, "red", id=3)
+    scene = select(scene, "green", id=(3, 7), text="green", minus="red")
+    assert torch.equal(picked(scene, "green"), pick(SPLATS, object_id=7))
 
 
-def test_text_that_means_several(scene: Path, detector: ColorDetector):
+def test_text_that_means_several(detector: ColorDetector):
     with pytest.raises(StyleSplatError, match=r"may mean several objects.* 3 \(0.*--id"):
-        select_object(scene, "it", Choice(text="red or green"))
-    assert read_scene(scene).picks == {}
-    found = select_object(scene, "it", Choice(text="red or green", not_points=(place(7),)))
+        select(SCENE, "it", text="red or green")
+    found = how(text="red or green", not_point=place(7))
     assert found["ids"] == [3] and found["scores"].keys() == {3}
 
 
-def test_text_that_means_nothing(scene: Path, detector: ColorDetector):
+def test_text_that_means_nothing(detector: ColorDetector):
     with pytest.raises(StyleSplatError, match="No object of the scene fits 'owl'"):
-        select_object(scene, "it", Choice(text="owl"))
+        select(SCENE, "it", text="owl")
     with pytest.raises(StyleSplatError, match="The text is empty"):
-        select_object(scene, "it", Choice(text=" "))
+        select(SCENE, "it", text=" ")
 
 
-def test_text_is_about_how_things_looked_before_styling(tmp_path: Path, detector: ColorDetector):
+def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector):
     """A red ball that was painted green is still the red one."""
-    colors = {name: getattr(SPLATS, name) for name in ("sh0", "shN")}
     painted = SPLATS.sh0.clone()
     assert SPLATS.identities is not None
     red, green = (SPLATS.identities[:, column] == 1 for column in (1, 2))
     painted[red], painted[green] = SPLATS.sh0[green], SPLATS.sh0[red]
-    styled = Scene(replace(SPLATS, sh0=painted), CAMERAS, base_colors=colors, style_colors=colors)
-    write_scene(styled, tmp_path / "styled")
-    assert select_object(tmp_path / "styled", "it", Choice(text="red"))["ids"] == [3]
+    splats = replace(SPLATS, sh0=painted)
+    record = Painting("3", red, (), {}, 1.0, "compact")
+    styled = Painted((record,), before=Colors.of(SPLATS), full=Colors.of(splats))
+    assert how(scene=Scene(splats, CAMERAS, painted=styled), text="red")["ids"] == [3]
 
 
-def test_text_needs_objects(tmp_path: Path, monkeypatch):
+def test_text_needs_objects(monkeypatch):
     monkeypatch.setattr(verb, "load_detector", lambda *_: pytest.fail("it is not needed"))
-    write_scene(Scene(replace(SPLATS, identities=None, classifier=None), CAMERAS), tmp_path / "s")
     with pytest.raises(StyleSplatError, match="no identities"):
-        select_object(tmp_path / "s", "it", Choice(text="red"))
+        select(Scene(replace(SPLATS, identities=None, classifier=None), CAMERAS), "it", text="red")
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("", "must not be empty"),
+        (" \u3000", "must not be empty"),
+        ("3", "numbers are label ids"),
+        ("007", "numbers are label ids"),
+        ("\u0663", "numbers are label ids"),
+        ("a=b", "must not contain '=', slashes or control characters"),
+        ("a/b", "must not contain"),
+        ("../a", "must not contain"),
+        ("a\\b", "must not contain"),
+        ("a\nb", "must not contain"),
+        ("a\0", "must not contain"),
+        ("a\x7f", "must not contain"),
+        ("a\x85b", "must not contain"),
+        ("a\u2028b", "must not contain"),
+        ("\ud800", "must not contain"),
+        ("__metadata__", "use that name for themselves"),
+        ("x" * 101, "at most 100 characters"),
+    ],
+)
+def test_names_that_cannot_be_kept_are_refused(name: str, fault: str):
+    with pytest.raises(StyleSplatError, match=fault) as caught:
+        select(SCENE, name, id=3)
+    line = str(caught.value)
+    assert line.startswith("Cannot call an object '") and line.endswith(". Choose another name.")
+    assert len(line) < 200 and line.isprintable()
+
+
+@pytest.mark.parametrize("name", ["x" * 100, "vase 2", "花瓶", ".", "-3", "3.5", "null", "👩‍🚀"])
+def test_names_that_can_be_kept_come_back(name: str, tmp_path: Path):
+    scene_folder.save(select(SCENE, name, id=3), tmp_path / "scene")
+    found = scene_folder.open(tmp_path / "scene")
+    assert torch.equal(picked(found, name), pick(SPLATS, object_id=3))

@@ -1,32 +1,44 @@
 """The command line: parse, call one verb, print."""
 
-import json
-import os
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 import tyro
 
-from stylesplat.cli import looking, making, selecting, styling
+from stylesplat.cli.adjust import Adjust
+from stylesplat.cli.bars import Bars
+from stylesplat.cli.demo import Demo
+from stylesplat.cli.evaluate import Evaluate
+from stylesplat.cli.export import Export
+from stylesplat.cli.import_ import Import
+from stylesplat.cli.mask import Mask
+from stylesplat.cli.objects import Objects
+from stylesplat.cli.render import Render
+from stylesplat.cli.select import Select
+from stylesplat.cli.sheet import Sheet
+from stylesplat.cli.stylize import Stylize
+from stylesplat.cli.train import Train
+from stylesplat.cli.view import View
 from stylesplat.errors import StyleSplatError
+from stylesplat.progress import observed
 
 INTERRUPTED = 130  # what shells report after Ctrl-C
 
 VERBS = {
-    "demo": making.Demo,
-    "mask": making.Mask,
-    "train": making.Train,
-    "import": making.Import,
-    "objects": looking.Objects,
-    "select": selecting.Select,
-    "stylize": styling.Stylize,
-    "adjust": styling.Adjust,
-    "sheet": styling.Sheet,
-    "render": looking.Render,
-    "export": looking.Export,
-    "evaluate": looking.Evaluate,
-    "view": looking.View,
+    "demo": Demo,
+    "mask": Mask,
+    "train": Train,
+    "import": Import,
+    "objects": Objects,
+    "select": Select,
+    "stylize": Stylize,
+    "adjust": Adjust,
+    "sheet": Sheet,
+    "render": Render,
+    "export": Export,
+    "evaluate": Evaluate,
+    "view": View,
 }
 
 
@@ -43,11 +55,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
         args=arguments,
     )
+    from stylesplat.io.files import strict_json
     from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
     announce_compilation()
     try:
-        result = command.run()
+        with observed(Bars()):
+            result = command.run()
     except StyleSplatError as error:
         print(f"stylesplat: {error}", file=sys.stderr)
         return 1
@@ -55,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("stylesplat: interrupted. `train` and `mask` go on when run again.", file=sys.stderr)
         return INTERRUPTED
     if command.json:
-        print(json.dumps(result, default=os.fspath))
+        print(strict_json(result))
     else:
         print(*_lines(result), sep="\n", file=sys.stderr)
     return 0

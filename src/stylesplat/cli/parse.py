@@ -136,8 +136,6 @@ def _split_name(text: str) -> tuple[str, str]:
     if "=" not in text:
         return "object", text
     name, _, place = text.partition("=")
-    if not name or name.isdecimal():
-        raise StyleSplatError(f"Cannot call an object {name!r}. Give NAME=VIEW:x0,y0,x1,y1.")
     return name, place
 
 

@@ -10,19 +10,10 @@ from torch import Tensor
 
 from stylesplat.demo.still_life import View
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import pixel_centres, unproject
 
 NOISE = 1.5e-3  # standard deviation of a point, as a fraction of its depth
 PLAIN = 0.15  # how likely a point is where the photo is plain, relative to its mean contrast
-
-
-def unproject(depth: Float[Tensor, "H W"], camera: Cameras) -> Float[Tensor, "H W 3"]:
-    """World positions of the pixels' centres at a depth along the camera's z axis."""
-    height, width = depth.shape
-    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    pixels = torch.stack([columns + 0.5, rows + 0.5, torch.ones_like(depth)], dim=-1)
-    points_c = depth[..., None] * (pixels @ torch.linalg.inv(camera.Ks[0]).T)
-    rotation = camera.viewmats[0, :3, :3]
-    return points_c @ rotation + camera.positions[0]
 
 
 def surface_points(
@@ -45,8 +36,9 @@ def surface_points(
         share = count * (i + 1) // len(views) - count * i // len(views)
         pixels = torch.from_numpy(_detailed_pixels(view.photo.numpy(), share, rng))
         noise = torch.from_numpy(rng.normal(0, NOISE, (share, 3)).astype(np.float32))
-        depth = view.depth.reshape(-1, 1)[pixels]
-        positions.append(unproject(view.depth, cameras[i]).reshape(-1, 3)[pixels] + noise * depth)
+        depths = view.depth.flatten()[pixels]
+        places = pixel_centres(*cameras[i].size)[pixels]
+        positions.append(unproject(places, depths, cameras[i]) + noise * depths[:, None])
         colors.append(view.photo.reshape(-1, 3)[pixels])
     return torch.cat(positions), torch.cat(colors)
 

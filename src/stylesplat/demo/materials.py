@@ -7,7 +7,7 @@ from math import atan2, cos, floor, pi, sin, sqrt
 from typing import no_type_check
 
 from stylesplat.demo.noise import fractal_noise, lattice, noise
-from stylesplat.demo.shapes import (
+from stylesplat.demo.solids import (
     BALL_PANELS,
     BLOCK,
     BLOCK_HALF,

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.demo.shapes import NAMES
+from stylesplat.demo.solids import NAMES
 from stylesplat.demo.tracer import render_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import look_at

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from stylesplat.demo.materials import albedo, gloss
-from stylesplat.demo.shapes import BOUNDS, NAMES, distance
+from stylesplat.demo.solids import BOUNDS, NAMES, distance
 from stylesplat.demo.surroundings import (
     NOWHERE,
     backdrop_albedo,

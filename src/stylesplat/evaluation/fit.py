@@ -5,29 +5,26 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from stylesplat.evaluation.metrics import psnr
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.metrics.psnr import psnr
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame, seen_from
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import evenly
 
 VIEWS = 5  # that are compared
 CLOSER = 2.0  # dB above a picture of one colour at which a splat shows what the photos do
 
 
 @torch.no_grad()
-def frame_fits(
-    splats: Splats, capture: Capture, frames: Mapping[str, Frame], *, backend: Backend = "auto"
-) -> dict[str, float]:
+def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) -> dict[str, float]:
     """How much closer to the photos renders are than their mean colour, in each frame.
 
     Args:
         splats: The scene.
         capture: Photos, small ones for speed.
         frames: By name, what turns the capture's world into the splat's.
-        backend: Of the rasteriser.
 
     Returns:
         The median over a few views of the gain in PSNR, in dB; more than `CLOSER` fits.
@@ -35,15 +32,15 @@ def frame_fits(
     rows = evenly(range(len(capture.cameras)), VIEWS)
     photos = [capture.photos[row].to(splats.means) / 255 for row in rows]
     return {
-        name: _gain(splats, seen_from(capture.cameras[rows], frame), photos, backend)
+        name: _gain(splats, seen_from(capture.cameras[rows], frame), photos)
         for name, frame in frames.items()
     }
 
 
-def _gain(splats: Splats, cameras: Cameras, photos: list[Tensor], backend: Backend) -> float:
+def _gain(splats: Splats, cameras: Cameras, photos: list[Tensor]) -> float:
     gains = []
     for row, photo in enumerate(photos):
-        image = rasterize(splats, cameras[row], backend=backend)[0][0].clamp(0, 1)
+        image = rasterize(splats, cameras[row])[0][0].clamp(0, 1)
         flat = photo.mean(dim=(0, 1)).expand_as(photo)
         gains.append(psnr(image, photo) - psnr(flat, photo))
     return float(torch.stack(gains).median())

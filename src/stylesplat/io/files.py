@@ -1,5 +1,6 @@
 """Files are written whole or not at all: to a temporary name beside the target, then renamed."""
 
+import ctypes
 import errno
 import hashlib
 import json
@@ -7,7 +8,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from uuid import uuid4
 from stylesplat.errors import StyleSplatError
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: paths as they are; swap two
+RENAME_SWAP = 2  # the same of macOS
 MAX_STEM = 48  # characters of a file name that are taken from a text
 PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
 
@@ -59,8 +62,7 @@ def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterat
             the disk is full or the place cannot be written to.
     """
     path = Path(path).resolve()
-    if path.is_file() or not overwrite:
-        refuse_occupied(path, marker=marker)
+    refuse_occupied(path, marker=marker, overwrite=overwrite)
     temporary = _beside(path)
     try:
         temporary.mkdir(parents=True)
@@ -75,25 +77,58 @@ def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterat
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def refuse_occupied(path: Path | str, *, marker: str) -> None:
-    """Check that a folder is free to be claimed, before the work that will fill it.
+@contextmanager
+def revised_directory(path: Path | str) -> Iterator[Path]:
+    """A copy of a folder to change, which takes its place if the block succeeds, else vanishes.
+
+    Files are linked, not copied, so replace them (as `atomic_path` does) and never write into one.
+
+    Raises:
+        StyleSplatError: If the disk is full or the place cannot be written to.
+    """
+    path = Path(path).resolve()
+    temporary = _beside(path)
+    try:
+        shutil.copytree(path, temporary, copy_function=_link)
+        yield temporary
+        _swap(temporary, path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -> None:
+    """Check that a folder can be claimed, before the work that will fill it.
 
     Args:
         path: The folder; it need not exist.
         marker: The file that tells a folder of our own.
+        overwrite: Whether it may hold something.
 
     Raises:
-        StyleSplatError: If `path` is a file or a folder that holds anything.
+        StyleSplatError: If `path` or a part of it is a file, it cannot be made or written to, or
+            it holds anything and may not.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
-    if path.exists() and any(path.iterdir()):
+    _refuse_unwritable(path)
+    if path.exists() and not overwrite and any(path.iterdir()):
         found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
         raise StyleSplatError(
             f"The folder {path} holds {found}. "
             "Choose another one, or replace it with `--overwrite`."
         )
+
+
+def _refuse_unwritable(path: Path) -> None:
+    """Raise a StyleSplatError if nothing can be made beside a path."""
+    there = next(parent for parent in path.absolute().parents if parent.exists())
+    if not there.is_dir():
+        raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise StyleSplatError(f"Cannot make {path}: {there} may not be written to by this user.")
 
 
 def read_json(path: Path | str) -> dict[str, Any]:
@@ -113,15 +148,25 @@ def read_json(path: Path | str) -> dict[str, Any]:
     return content
 
 
-def write_json(content: dict[str, Any], path: Path | str) -> None:
-    """Write strict JSON: paths become strings, and infinities and NaN, which it lacks, null.
+def write_json(content: Mapping[str, Any], path: Path | str) -> None:
+    """Write a JSON file; see `strict_json`.
 
     Raises:
         StyleSplatError: If the disk is full or the place cannot be written to.
     """
-    text = json.dumps(_strict(content), indent=2, allow_nan=False, default=os.fspath)
+    text = strict_json(content, indent=2)
     with atomic_path(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def strict_json(content: Any, *, indent: int | None = None) -> str:
+    """JSON as its standard has it: paths become strings, infinities and NaN, which it lacks, null.
+
+    Example:
+        >>> strict_json({"psnr": float("inf"), "file": Path("a.ply")})
+        '{"psnr": null, "file": "a.ply"}'
+    """
+    return json.dumps(_strict(content), indent=indent, allow_nan=False, default=os.fspath)
 
 
 def file_stem(name: str) -> str:
@@ -152,30 +197,73 @@ def _cannot_write(path: Path, error: OSError) -> StyleSplatError:
     return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.")
 
 
+def _link(source: str | Path, target: str | Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # not on every file system
+        shutil.copy2(source, target)
+
+
 def _swap(new: Path, path: Path) -> None:
+    """Give a folder the place of another, which is left in its own, or gone."""
     if not path.exists():
         new.rename(path)
-        return
+    elif Path.cwd().is_relative_to(path):
+        _refill(path, new)  # else whoever stands in it, such as a shell, would be left nowhere
+    elif not _exchanged(new, path):
+        old = _beside(path)
+        path.rename(old)
+        try:
+            new.rename(path)
+        except BaseException:
+            old.rename(path)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Swap two folders in one step; False where the system cannot."""
+    system, paths = ctypes.CDLL(None), (os.fsencode(one), os.fsencode(other))
+    if hasattr(system, "renameat2"):  # Linux
+        return system.renameat2(AT_FDCWD, paths[0], AT_FDCWD, paths[1], RENAME_EXCHANGE) == 0
+    return hasattr(system, "renamex_np") and system.renamex_np(*paths, RENAME_SWAP) == 0  # macOS
+
+
+def _refill(path: Path, new: Path) -> None:
+    """Give a folder the files of another, one by one; on failure its own again."""
     old = _beside(path)
-    path.rename(old)
     try:
-        new.rename(path)
-    except OSError:
-        old.rename(path)
-        raise
-    shutil.rmtree(old)
+        shutil.copytree(path, old, copy_function=_link)
+        try:
+            _mirror(new, path)
+        except BaseException:
+            _mirror(old, path)
+            raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _mirror(source: Path, path: Path) -> None:
+    """Make a folder hold what another does, and nothing else."""
+    _merge(source, path)
+    for file in sorted(path.rglob("*"), reverse=True):  # what is in a folder before the folder
+        if not (source / file.relative_to(path)).exists():
+            file.rmdir() if file.is_dir() else file.unlink()
 
 
 def _merge(new: Path, path: Path) -> None:
     for source in sorted(p for p in new.rglob("*") if p.is_file()):
         target = path / source.relative_to(new)
         target.parent.mkdir(parents=True, exist_ok=True)
-        source.replace(target)
+        with atomic_path(target) as temporary:
+            _link(source, temporary)
 
 
 def _strict(value: Any) -> Any:
-    if isinstance(value, dict):
+    if hasattr(value, "tolist"):  # of NumPy or torch
+        value = value.tolist()
+    if isinstance(value, Mapping):
         return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | set | frozenset):
         return [_strict(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,22 +1,23 @@
 """Label maps: pictures whose pixels are the ids of objects, 0 where there is none."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Int, Shaped
+from jaxtyping import Int
 from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
 from stylesplat.io.files import atomic_path, read_json, write_json
-from stylesplat.io.lazy import Lazy
-from stylesplat.io.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
+from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
+from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
-MAX_ID = 2**24 - 1
 NAMES = "names.json"  # beside the label maps: what objects are called, by id
 
 
@@ -51,6 +52,27 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         pixels = (ids[:, :, None] // RGB_CODE % 256).astype(np.uint8)
     with atomic_path(path) as temporary:
         Image.fromarray(pixels).save(temporary, format="PNG")
+
+
+@dataclass(frozen=True)
+class DrawnLabels:
+    """A label map as somebody drew it on a photo, which is read when it is asked for."""
+
+    size: tuple[int, int]
+    """Width and height."""
+    read: Callable[[], OwnLabels]
+    """What reads it."""
+    what: str
+    """What to call it where it does not fit."""
+
+    @classmethod
+    def on_disk(cls, path: Path) -> "DrawnLabels":
+        """That of a file, of which only the header is read.
+
+        Raises:
+            StyleSplatError: If there is no such file or it is no picture.
+        """
+        return cls(photo_sizes(path)[0], partial(read_label_map, path), str(path))
 
 
 def read_names(folder: Path) -> dict[int, str]:
@@ -103,35 +125,33 @@ def match_label_maps(
         )
     return Lazy(
         [
-            _fit(path, photo).read if path else _none
+            fit_labels(DrawnLabels.on_disk(path), photo) if path else _none
             for path, photo in zip(paths, photos, strict=True)
         ]
     )
 
 
-@dataclass(frozen=True)
-class _LabelMap:
-    path: Path
-    photo: Photo
-    distorted: bool
+def fit_labels(drawn: DrawnLabels, photo: Photo) -> Callable[[], OwnLabels]:
+    """What reads a label map as the pinhole camera of its photo sees it, at the photo's size.
 
-    def read(self) -> Int[Tensor, "H W"]:
-        ids = read_label_map(self.path).numpy()
-        if self.distorted:
-            ids = self.photo.lens.undistort(_resize(ids, self.photo.lens.size), nearest=True)
-        return torch.from_numpy(_resize(ids, self.photo.size))
-
-
-def _fit(path: Path, photo: Photo) -> _LabelMap:
-    size, _ = photo_sizes(path)
-    if size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
-        return _LabelMap(path, photo, distorted=False)
-    if not same_shape(size, photo.lens.size):
+    Raises:
+        StyleSplatError: If the label map is not of the photo's shape.
+    """
+    width, height = drawn.size
+    if drawn.size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
+        return lambda: resize_labels(drawn.read(), photo.size[::-1])
+    if not same_shape(drawn.size, photo.lens.size):
         raise StyleSplatError(
-            f"The label map {path} is {size[0]}x{size[1]}, which is not the shape of its photo "
+            f"The label map {drawn.what} is {width}x{height}, which is not the shape of its photo "
             f"({photo.lens.width}x{photo.lens.height}). Make it from that photo."
         )
-    return _LabelMap(path, photo, distorted=True)
+    return partial(_undistorted, drawn, photo)
+
+
+def _undistorted(drawn: DrawnLabels, photo: Photo) -> OwnLabels:
+    whole = resize_labels(drawn.read().int(), photo.lens.size[::-1]).numpy()
+    seen = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
+    return resize_labels(seen, photo.size[::-1])
 
 
 def _none() -> None:
@@ -147,13 +167,3 @@ def _ids(image: Image.Image) -> Int[np.ndarray, "H W"]:
         raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
     pixels = np.array(image).astype(np.int32)
     return pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE
-
-
-def _resize(ids: Shaped[np.ndarray, "h w"], size: tuple[int, int]) -> Shaped[np.ndarray, "H W"]:
-    """Nearest neighbour between pixel centres, which OpenCV's is not."""
-    height, width = ids.shape
-    if (width, height) == size:
-        return ids
-    columns = ((np.arange(size[0]) + 0.5) * width / size[0]).astype(int)
-    rows = ((np.arange(size[1]) + 0.5) * height / size[1]).astype(int)
-    return ids[rows[:, None], columns]

@@ -1,19 +1,21 @@
 """Scenes on disk: a folder with all that the verbs after `train` need."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import safetensors
-import safetensors.torch
 import torch
-from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, claim_directory, read_json, write_json
-from stylesplat.io.splat_ply import pad_bands, read_splat_ply, write_splat_ply
+from stylesplat.io.files import claim_directory, read_json, revised_directory, write_json
+from stylesplat.io.painted_files import read_painted, write_painted
+from stylesplat.io.recipe_files import within
+from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
+from stylesplat.io.tensors import check_rows, load_tensors, read_rows, write_tensors
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Classifier, Splats
 
 SCENE = "scene.json"
@@ -23,109 +25,41 @@ CAMERAS = "cameras.json"
 OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
-BASE_COLORS = "base_colors.safetensors"
-STYLE_COLORS = "style_colors.safetensors"
-UNSPLIT = "unsplit.safetensors"
-RECIPE = "recipe.json"
 VERSION = 1  # of the folder's layout
 
 
-@dataclass(frozen=True)
-class Unsplit:
-    """What it takes to undo a split, besides the colours before."""
-
-    count: int
-    """How many Gaussians there were; what follows them is new."""
-    rows: Int[Tensor, " R"]
-    """Those that were split."""
-    scales: Float[Tensor, "R 3"]
-    """Theirs before."""
-    opacities: Float[Tensor, " R"]
-    """Theirs before."""
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Splats with all that is known about them."""
-
-    splats: Splats
-    """Of degree 3 once they come from disk."""
-    cameras: Cameras
-    """All cameras of the capture, at the photos' full size."""
-    picks: dict[str, Bool[Tensor, " N"]] = field(default_factory=dict)
-    """The Gaussians of each named object."""
-    objects: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """How each object was picked."""
-    info: dict[str, Any] = field(default_factory=dict)
-    """Where the scene comes from: capture, held-out views, settings, timings, versions."""
-    metrics: dict[str, Any] = field(default_factory=dict)
-    """What was measured."""
-    base_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
-    """`sh0` and `shN` before styling; None if the scene is not styled."""
-    style_colors: dict[str, Float[Tensor, "N _ 3"]] | None = None
-    """`sh0` and `shN` at full intensity; None if the scene is not styled."""
-    unsplit: Unsplit | None = None
-    """The shapes of Gaussians that were split before styling; None if none were."""
-    recipe: dict[str, Any] | None = None
-    """How the scene was styled; None if it is not."""
-
-
-def write_scene(scene: Scene, path: Path | str, *, overwrite: bool = False) -> None:
+def save(scene: Scene, path: Path | str, *, overwrite: bool = False) -> None:
     """Write a scene, whole or not at all.
+
+    Args:
+        scene: What to write.
+        path: The folder to make.
+        overwrite: Whether a scene there may be replaced.
 
     Raises:
         StyleSplatError: If the folder holds something and `overwrite` is off, or it cannot be
             written.
     """
     with claim_directory(path, overwrite=overwrite, marker=SCENE) as folder:
-        write_splat_ply(scene.splats, folder / SPLATS)
-        _write_identities(scene.splats, folder)
-        _write_cameras(scene.cameras, folder)
-        _write_colors(scene.base_colors, folder / BASE_COLORS)
-        _write_colors(scene.style_colors, folder / STYLE_COLORS)
-        if scene.unsplit is not None:
-            tensors = {**vars(scene.unsplit), "count": torch.tensor(scene.unsplit.count)}
-            _write_tensors(tensors, folder / UNSPLIT)
-        if scene.recipe is not None:
-            write_json(scene.recipe, folder / RECIPE)
-        write_json({"version": VERSION, **scene.info}, folder / SCENE)
-        update_scene(folder, picks=scene.picks, objects=scene.objects, metrics=scene.metrics)
+        _write(scene, folder)
 
 
-def update_scene(
-    path: Path | str,
-    *,
-    picks: dict[str, Bool[Tensor, " N"]] | None = None,
-    objects: dict[str, dict[str, Any]] | None = None,
-    metrics: dict[str, Any] | None = None,
-) -> None:
-    """Replace the named objects or the metrics of a scene and leave the rest; None leaves too.
+def revise(before: Scene, after: Scene, path: Path | str) -> None:
+    """Write what differs between two scenes into the folder of the first, all of it or nothing.
+
+    Args:
+        before: As it is in the folder.
+        after: As it is to be.
+        path: The folder; other files in it stay.
 
     Raises:
         StyleSplatError: If the folder is no scene or cannot be written.
     """
-    folder = _scene_folder(path)
-    if picks is not None:
-        _write_tensors(picks, folder / PICKS)
-    if objects is not None:
-        write_json(objects, folder / OBJECTS)
-    if metrics is not None:
-        write_json(metrics, folder / METRICS)
+    with revised_directory(_scene_folder(path)) as folder:
+        _write(after, folder, before)
 
 
-def update_colors(scene: Scene, path: Path | str) -> None:
-    """Replace the colours of a styled scene, their recipe and metrics, and leave the rest.
-
-    Raises:
-        StyleSplatError: If the folder is no scene or cannot be written.
-    """
-    folder = _scene_folder(path)
-    write_splat_ply(scene.splats, folder / SPLATS)
-    write_json(scene.recipe or {}, folder / RECIPE)
-    update_scene(folder, metrics=scene.metrics)
-
-
-def read_scene(path: Path | str) -> Scene:
+def open(path: Path | str) -> Scene:
     """Read a scene.
 
     Raises:
@@ -140,27 +74,80 @@ def read_scene(path: Path | str) -> Scene:
             "it, or train again."
         )
     splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
-    count = len(splats)
-    recipe = folder / RECIPE
+    capture, held_out = info.pop("capture", None), info.pop("test_views", [])
+    with within(f"Cannot read {folder / SCENE}"):
+        downscale = _taken_downscale(info)
+    picks = read_rows(folder / PICKS, len(splats))
+    painted = read_painted(folder, picks, len(splats))
     return Scene(
         splats=splats,
         cameras=_read_cameras(folder / CAMERAS),
-        picks=_read_tensors(folder / PICKS, count),
-        objects=_read_objects(folder / OBJECTS),
+        held_out=tuple(map(str, held_out)),
+        downscale=downscale,
+        objects=_read_objects(folder / OBJECTS, picks),
+        painted=painted,
+        path=folder,
+        capture=Path(capture) if capture else None,
         info=info,
         metrics=read_json(folder / METRICS),
-        base_colors=_read_colors(folder / BASE_COLORS, count),
-        style_colors=_read_colors(folder / STYLE_COLORS, count),
-        unsplit=_read_unsplit(folder / UNSPLIT),
-        recipe=read_json(recipe) if recipe.exists() else None,
     )
 
 
-def _read_objects(path: Path) -> dict[str, dict[str, Any]]:
-    objects = read_json(path)
-    if not all(isinstance(how, dict) for how in objects.values()):
-        raise StyleSplatError(f"Cannot read {path}: expected an object per name. Select again.")
-    return objects
+def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
+    """Write what differs from what the folder holds already; everything if that is nothing."""
+
+    def differs(*names: str) -> bool:
+        return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
+
+    if differs("splats"):
+        write_splat_ply(scene.splats, folder / SPLATS)
+        _write_identities(scene.splats, folder)
+    if differs("cameras"):
+        _write_cameras(scene.cameras, folder)
+    if differs("objects"):
+        picks = {name: each.picked for name, each in scene.objects.items()}
+        write_tensors(picks, folder / PICKS)
+        write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
+    if differs("painted"):
+        write_painted(scene.painted, folder)
+    if differs("metrics"):
+        write_json(scene.metrics, folder / METRICS)
+    if differs("info", "capture", "held_out", "downscale"):
+        write_json(_info(scene), folder / SCENE)
+
+
+def _info(scene: Scene) -> dict[str, Any]:
+    settings = {**scene.info.get("settings", {}), "downscale": scene.downscale}
+    return {
+        **scene.info,
+        "version": VERSION,
+        "capture": scene.capture,
+        "test_views": scene.held_out,
+        "settings": settings,
+    }
+
+
+def _taken_downscale(info: dict[str, Any]) -> float:
+    """The downscale, which a file keeps among the settings, taken from there."""
+    settings = info.pop("settings", {})
+    if not isinstance(settings, dict):
+        raise StyleSplatError("settings must be KEY: VALUE. Train again.")
+    value = settings.pop("downscale", 1.0)
+    if settings:
+        info["settings"] = settings
+    if not isinstance(value, int | float) or not value > 0:
+        raise StyleSplatError(f"downscale is {value!r}, not a number above 0. Train again.")
+    return float(value)
+
+
+def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObject]:
+    hows = read_json(path)
+    for name, how in hows.items():
+        if not isinstance(how, dict):
+            raise StyleSplatError(f"Cannot read {path}: expected an object per name. Select again.")
+        if name not in picks:
+            raise StyleSplatError(f"{path} names {name!r}, but {PICKS} does not. Select it again.")
+    return {name: SceneObject(picks[name], how) for name, how in hows.items()}
 
 
 def _scene_folder(path: Path | str) -> Path:
@@ -175,6 +162,7 @@ def _scene_folder(path: Path | str) -> Path:
 
 def _write_identities(splats: Splats, folder: Path) -> None:
     if splats.identities is None or splats.classifier is None:
+        (folder / IDENTITIES).unlink(missing_ok=True)  # an earlier state's
         return
     tensors = {
         "identities": splats.identities,
@@ -184,38 +172,37 @@ def _write_identities(splats: Splats, folder: Path) -> None:
     }
     if splats.confidence is not None:
         tensors["confidence"] = splats.confidence
-    _write_tensors(tensors, folder / IDENTITIES)
+    write_tensors(tensors, folder / IDENTITIES)
 
 
 def _read_identities(splats: Splats, folder: Path) -> Splats:
     path = folder / IDENTITIES
     if not path.exists():
         return splats
-    tensors = _load_tensors(path)
+    tensors = load_tensors(path)
     missing = {"identities", "weight", "bias", "ids"} - tensors.keys()
     if missing:
         raise StyleSplatError(f"Cannot read {path}: it has no {min(missing)}. Train again.")
     classifier = Classifier(tensors["weight"], tensors["bias"], tuple(tensors["ids"].tolist()))
     rows = {name: tensors[name] for name in ("identities", "confidence") if name in tensors}
-    _check_rows(rows, path, len(splats))
+    check_rows(rows, path, len(splats))
     return replace(splats, **rows, classifier=classifier)
 
 
 def _write_cameras(cameras: Cameras, folder: Path) -> None:
     """As numbers of 64 bits, which hold those of 32 exactly."""
-    rows = zip(
-        *(cameras.names, cameras.sizes.tolist(), cameras.viewmats.tolist(), cameras.Ks.tolist()),
-        strict=True,
-    )
-    keys = ("name", "size", "viewmat", "K")
     dtype = torch.promote_types(cameras.viewmats.dtype, cameras.Ks.dtype)
-    write_json(
+    rows = [
         {
-            "dtype": str(dtype).removeprefix("torch."),
-            "cameras": [dict(zip(keys, row, strict=True)) for row in rows],
-        },
-        folder / CAMERAS,
-    )
+            "name": name,
+            "size": cameras.sizes[row].tolist(),
+            "viewmat": cameras.viewmats[row].tolist(),
+            "K": cameras.Ks[row].tolist(),
+        }
+        for row, name in enumerate(cameras.names)
+    ]
+    content = {"dtype": str(dtype).removeprefix("torch."), "cameras": rows}
+    write_json(content, folder / CAMERAS)
 
 
 def _read_cameras(path: Path) -> Cameras:
@@ -232,51 +219,3 @@ def _read_cameras(path: Path) -> Cameras:
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise StyleSplatError(f"Cannot read {path}: {reason}. Train again.") from error
-
-
-def _write_tensors(tensors: dict[str, Tensor], path: Path) -> None:
-    whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(safetensors.torch.save(whole))
-
-
-def _write_colors(colors: dict[str, Tensor] | None, path: Path) -> None:
-    if colors is not None:
-        _write_tensors({**colors, "shN": pad_bands(colors["shN"])}, path)
-
-
-def _read_colors(path: Path, count: int) -> dict[str, Tensor] | None:
-    return _read_tensors(path, count) if path.exists() else None
-
-
-def _read_unsplit(path: Path) -> Unsplit | None:
-    if not path.exists():
-        return None
-    tensors = _load_tensors(path)
-    try:
-        return Unsplit(count=int(tensors.pop("count")), **tensors)
-    except (KeyError, TypeError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. Style the scene again.") from error
-
-
-def _load_tensors(path: Path) -> dict[str, Tensor]:
-    try:
-        return safetensors.torch.load(path.read_bytes())
-    except (OSError, safetensors.SafetensorError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. Make the scene again.") from error
-
-
-def _read_tensors(path: Path, count: int) -> dict[str, Tensor]:
-    """Tensors with a row per Gaussian."""
-    tensors = _load_tensors(path)
-    _check_rows(tensors, path, count)
-    return tensors
-
-
-def _check_rows(tensors: dict[str, Tensor], path: Path, count: int) -> None:
-    for name, tensor in tensors.items():
-        if tensor.shape[:1] != (count,):
-            raise StyleSplatError(
-                f"Cannot read {path}: {name} has the shape {list(tensor.shape)}, but there are "
-                f"{count} Gaussians. The files belong to different scenes."
-            )

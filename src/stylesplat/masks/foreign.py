@@ -1,32 +1,30 @@
 """Masks of other programs, as label maps: pictures of ids, binary masks by object, COCO's RLE."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json
-from stylesplat.io.label_maps import read_label_map
+from stylesplat.io.label_maps import DrawnLabels, read_label_map
+from stylesplat.masks.photo_names import match_photos, photo_key
+from stylesplat.scene.labels import MAX_ID, Labels, Mask
 
 MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
-MAX_ID = 65_535  # of an object; what scenes, viewers and 16-bit pictures agree on
-
-Labels = Int[Tensor, "H W"]
+BAD_RLE = (KeyError, TypeError, ValueError, OverflowError)  # what damaged run lengths raise
 
 
 @dataclass(frozen=True)
 class Found:
     """Masks of photos among another program's output."""
 
-    maps: dict[str, Callable[[], Labels]]
-    """By photo a function that reads its label map; photos without one are left out."""
+    maps: dict[str, DrawnLabels]
+    """By photo its label map, read on access; photos without one are left out."""
     names: dict[int, str] = field(default_factory=dict)
     """What objects are called, by id, where that is known."""
 
@@ -44,54 +42,57 @@ def foreign_label_maps(source: Path, names: Sequence[str]) -> Found:
     Raises:
         StyleSplatError: If there is nothing of these photos, or the masks contradict each other.
     """
-    stems = {Path(name).stem: name for name in names}
-    if len(stems) < len(names):
-        raise StyleSplatError(
-            "Some photos differ in their folders or suffixes only, so masks cannot be told apart. "
-            "Put label maps into object_mask/ by hand, in the photos' folders."
-        )
     if source.suffix.lower() == ".json":
-        found = _coco(source, stems)
+        found = _coco(source, names)
     elif source.is_dir():
-        found = _by_object(source, stems) or _by_photo(source, stems)
+        found = _by_object(source, names) or _by_photo(source, names)
     else:
         raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
     if not found.maps:
         raise StyleSplatError(
             f"No mask in {source} belongs to a photo of this capture. Name them like the photos: "
-            f"{next(iter(stems))}.png."
+            f"{photo_key(names[0])}.png."
         )
     return found
 
 
-def _by_photo(source: Path, stems: Mapping[str, str]) -> Found:
+def _by_photo(source: Path, names: Sequence[str]) -> Found:
     """Pictures of ids, wherever they lie."""
-    found: dict[str, Path] = {}
-    for path in sorted(source.rglob("*.png")):
-        name = stems.get(path.stem)
-        if name in found:
-            raise StyleSplatError(
-                f"Both {found[name]} and {path} are named like {name}. Give the folder of one kind."
-            )
-        if name is not None:
-            found[name] = path
-    return Found({name: partial(_checked, path) for name, path in found.items()})
+    files = _pictures(source)
+    matches = match_photos(files, names)
+    return Found({photo: DrawnLabels.on_disk(files[key]) for key, photo in matches.items()})
 
 
-def _by_object(source: Path, stems: Mapping[str, str]) -> Found | None:
+def _by_object(source: Path, names: Sequence[str]) -> Found | None:
     """A sub-folder for each object, the masks in it named like the photos."""
     folders = sorted(path for path in source.iterdir() if path.is_dir())
-    masks = {f: {p.stem: p for p in sorted(f.glob("*.png")) if p.stem in stems} for f in folders}
+    tops = {PurePosixPath(name).parts[0] for name in names if "/" in name}
+    if any(folder.name in tops for folder in folders):
+        return None  # the folders of the photos
+    masks = {folder: _named_like(names, folder) for folder in folders}
     objects = {folder: files for folder, files in masks.items() if files}
     if not objects or not all(map(_is_binary, _some(objects))):
         return None
     called = _numbers([folder.name for folder in objects])
     found: dict[str, list[tuple[int, Path]]] = {}
     for number, files in zip(called, objects.values(), strict=True):
-        for stem, path in files.items():
-            found.setdefault(stems[stem], []).append((number, path))
-    names = {number: name for number, name in called.items() if not name.isdecimal()}
-    return Found({name: partial(_stacked, layers) for name, layers in found.items()}, names)
+        for photo, path in files.items():
+            found.setdefault(photo, []).append((number, path))
+    titles = {number: name for number, name in called.items() if not name.isdecimal()}
+    return Found({photo: _stack(layers) for photo, layers in found.items()}, titles)
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    """The pictures in a folder and below, by their path in it, without suffix."""
+    paths = sorted(folder.rglob("*.png"))
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
+
+
+def _named_like(names: Sequence[str], folder: Path) -> dict[str, Path]:
+    """The pictures in a folder by photo: those with a photo's path or, without folder, name."""
+    paths = {photo_key(name) for name in names}
+    own = {key: p for key, p in _pictures(folder).items() if key in paths or "/" not in key}
+    return {photo: own[key] for key, photo in match_photos(own, names).items()}
 
 
 def _some(objects: Mapping[Path, Mapping[str, Path]]) -> Iterator[Path]:
@@ -111,14 +112,9 @@ def _is_binary(path: Path) -> bool:
     return len(read_label_map(path).unique()) <= 2
 
 
-def _checked(path: Path) -> Labels:
-    labels = read_label_map(path)
-    if labels.numel() and int(labels.max()) > MAX_ID:
-        raise StyleSplatError(
-            f"{path} has the label id {int(labels.max())}; ids go up to {MAX_ID}. Save ids as 8- "
-            "or 16-bit grey pictures, not as colours."
-        )
-    return labels
+def _stack(layers: Sequence[tuple[int, Path]]) -> DrawnLabels:
+    first = DrawnLabels.on_disk(layers[0][1])
+    return replace(first, read=partial(_stacked, layers))
 
 
 def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
@@ -127,7 +123,7 @@ def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
     return overlaid(masks)
 
 
-def overlaid(masks: Sequence[tuple[int, Bool[Tensor, "H W"]]]) -> Labels:
+def overlaid(masks: Sequence[tuple[int, Mask]]) -> Labels:
     """A label map of masks by id; where they overlap the smaller one shows."""
     labels = torch.zeros(masks[0][1].shape, dtype=torch.int64)
     for number, mask in sorted(masks, key=lambda each: -int(each[1].sum())):
@@ -140,31 +136,38 @@ def overlaid(masks: Sequence[tuple[int, Bool[Tensor, "H W"]]]) -> Labels:
     return labels
 
 
-def _coco(source: Path, stems: Mapping[str, str]) -> Found:
+def _coco(source: Path, names: Sequence[str]) -> Found:
     """Annotations with RLE masks; an object is a track, or else a category."""
     content = read_json(source)
     try:
-        photos = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
+        files = {image["id"]: photo_key(image["file_name"]) for image in content["images"]}
         kinds = {kind["id"]: str(kind["name"]) for kind in content.get("categories", [])}
         tracked = any("track_id" in each for each in content["annotations"])
-        names: dict[int, str] = {}
+        titles: dict[int, str] = {}
         found: dict[str, list[tuple[int, Any]]] = {}
         for each in content["annotations"]:
-            stem = photos[each["image_id"]]
+            file = files[each["image_id"]]
             number = int(each["track_id"] if tracked else each["category_id"])
             if not tracked and number in kinds:
-                names[number] = kinds[number]
+                titles[number] = kinds[number]
             if not 0 < number <= MAX_ID:
                 raise ValueError(f"the id {number} is not within 1 to {MAX_ID}")
-            if stem in stems:
-                found.setdefault(stems[stem], []).append((number, each["segmentation"]))
+            found.setdefault(file, []).append((number, each["segmentation"]))
     except (KeyError, TypeError, ValueError) as error:
         raise StyleSplatError(
             f"Cannot read {source} as COCO annotations: {error!r}. Export them with images, "
             "annotations and RLE masks."
         ) from error
-    maps = {name: partial(_decoded, layers, source) for name, layers in found.items()}
-    return Found(maps, names)
+    matches = match_photos(found, names)
+    maps = {
+        photo: DrawnLabels(
+            size=_rle_size(found[file][0][1], source),
+            read=partial(_decoded, found[file], source),
+            what=f"of {file} in {source}",
+        )
+        for file, photo in matches.items()
+    }
+    return Found(maps, titles)
 
 
 def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:
@@ -172,26 +175,39 @@ def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:
     return overlaid(masks)
 
 
-def decode_rle(rle: Any, source: Path) -> Bool[Tensor, "H W"]:
+def decode_rle(rle: Any, source: Path) -> Mask:
     """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros.
 
     Raises:
         StyleSplatError: If they do not fill the mask.
     """
+    width, height = _rle_size(rle, source)
     try:
-        height, width = (int(side) for side in rle["size"])
         counts = rle["counts"]
         runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
         if height * width != runs.sum() or runs.min(initial=0) < 0:
             raise ValueError(f"its runs hold {runs.sum()} pixels of {height}x{width}")
         if height * width > MAX_PIXELS:
             raise ValueError(f"{height}x{width} pixels are no photo's")
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise StyleSplatError(
-            f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
-        ) from error
+    except BAD_RLE as error:
+        raise _unreadable_rle(source, error) from error
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
+
+
+def _rle_size(rle: Any, source: Path) -> tuple[int, int]:
+    """Width and height."""
+    try:
+        height, width = (int(side) for side in rle["size"])
+    except BAD_RLE as error:
+        raise _unreadable_rle(source, error) from error
+    return width, height
+
+
+def _unreadable_rle(source: Path, error: Exception) -> StyleSplatError:
+    return StyleSplatError(
+        f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
+    )
 
 
 def _unpack(text: str) -> list[int]:

@@ -3,10 +3,10 @@
 Float32 by construction. Gradients reach means, quats, scales, opacities and colours; cameras are
 taken as fixed.
 """
-# pyright: reportCallIssue=false, reportIncompatibleMethodOverride=false
-# (it cannot count starred arguments, and torch's own signature of `backward` is (*args))
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -16,153 +16,183 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
+from stylesplat.rendering.gaussians import Gaussians, Projected, View, views_of
 from stylesplat.rendering.kernels import (
     blend,
     blend_backward,
     project,
     project_backward,
-    sh,
+    sh_colors,
     tiles,
+    vecs,
 )
+from stylesplat.rendering.kernels.blend import Picture
+from stylesplat.rendering.kernels.project_backward import Geometry
+from stylesplat.rendering.kernels.rows import Rows
+from stylesplat.rendering.kernels.sh_colors import Harmonics
+from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
+from stylesplat.scene.cameras import Cameras
 
-INFO = ("means2d", "conics", "depths", "radii")  # what `_Project` returns
+PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 MB a thread
+
+Noun = TypeVar("Noun", bound=tuple)
 
 
-def _plain(*tensors: Tensor) -> list[Tensor]:
-    return [t.detach().contiguous() for t in tensors]
+def arrays(noun: Noun) -> Noun:
+    """The noun as kernels take it, without gradients: arrays that share the tensors' memory."""
+    fields = [_array(f) if isinstance(f, Tensor) else f for f in noun]
+    return type(noun)(*fields)
 
 
-def _arrays(*tensors: Tensor) -> list:
-    return [t.numpy() for t in tensors]
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
+def partial_sums(count: int, stride: int) -> Float[Tensor, "G count stride"]:
+    """Zeros for what groups of tiles add up, each by itself: no two threads write to a row.
+
+    There are as many groups as threads, and fewer where `PARTIAL_BYTES` would not hold them: then
+    fewer threads work.
+    """
+    affordable = PARTIAL_BYTES // max(4 * count * stride, 1)
+    return torch.zeros(max(1, min(get_num_threads(), affordable)), count, stride)
 
 
 class _SphericalHarmonics(Function):
     @staticmethod
-    def forward(ctx, bases, dirs, sh0, shN):
-        inputs = _plain(dirs, sh0, shN)
-        out = torch.empty_like(inputs[0])
-        sh.colors(bases, *_arrays(*inputs, out))
+    def forward(ctx, bases, *harmonics):
+        out = harmonics[0].new_empty(harmonics[0].shape)
+        sh_colors.colors(bases, arrays(Harmonics(*harmonics)), out.numpy())
         ctx.bases = bases
-        ctx.save_for_backward(*inputs, out)
+        ctx.save_for_backward(out, *harmonics)
         return out
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_out):
-        *inputs, out = ctx.saved_tensors
-        gradients = [torch.empty_like(t) for t in inputs]
-        arrays = _arrays(*inputs, out, *_plain(v_out), *gradients)
-        sh.colors_backward(ctx.bases, *arrays, get_num_threads())
+        out, *harmonics = ctx.saved_tensors
+        gradients = Harmonics(*(t.new_empty(t.shape) for t in harmonics))
+        sh_colors.colors_backward(
+            ctx.bases,
+            arrays(Harmonics(*harmonics)),
+            _array(out),
+            _array(v_out),
+            arrays(gradients),
+            get_num_threads(),
+        )
         return None, *gradients
 
 
 class _Project(Function):
     @staticmethod
-    def forward(ctx, means, quats, scales, opacities, viewmat, K, width, height):
-        *geometry, viewmat, K = _plain(means, quats, scales, opacities, viewmat, K)
-        n = len(means)
-        means2d, conics = means.new_empty(n, 2), means.new_empty(n, 3)
-        depths, radii = means.new_empty(n, 1), torch.empty(n, 2, dtype=torch.int32)
-        project.project(
-            tuple(_arrays(*geometry)),
-            *(*_arrays(viewmat, K), width, height),
-            tuple(_arrays(means2d, conics, depths, radii)),
-            get_num_threads(),
-        )
-        depths = depths[:, 0]
-        ctx.size = width, height
-        ctx.save_for_backward(*geometry[:3], viewmat, K, conics, radii)
-        ctx.mark_non_differentiable(depths, radii)
-        return means2d, conics, depths, radii
+    def forward(ctx, view, *gaussians):
+        ctx.view = arrays(view)
+        n, new = len(gaussians[0]), gaussians[0].new_empty
+        out = Projected(new(n, 2), new(n, 3), new(n, 1), torch.empty(n, 2, dtype=torch.int32))
+        inputs = arrays(Gaussians(*gaussians))
+        project.project(inputs, ctx.view, arrays(out), get_num_threads())
+        out = out._replace(depths=out.depths[:, 0])
+        ctx.save_for_backward(*gaussians[:3], *out)
+        ctx.mark_non_differentiable(out.depths, out.radii)
+        return tuple(out)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, v_means2d, v_conics, v_depths, v_radii):
-        *geometry, viewmat, K, conics, radii = ctx.saved_tensors
-        gradients = [torch.empty_like(t) for t in geometry]
+    def backward(ctx, *v_projected):
+        geometry = Geometry(*ctx.saved_tensors[:3])
+        gradients = Geometry(*(t.new_empty(t.shape) for t in geometry))
         project_backward.project_backward(
-            tuple(_arrays(*geometry)),
-            *(*_arrays(viewmat, K), *ctx.size, *_arrays(conics, radii)),
-            tuple(_arrays(*_plain(v_means2d, v_conics))),
-            tuple(_arrays(*gradients)),
+            arrays(geometry),
+            ctx.view,
+            arrays(Projected(*ctx.saved_tensors[3:])),
+            arrays(Projected(*v_projected)),
+            arrays(gradients),
             get_num_threads(),
         )
-        return *gradients, None, None, None, None, None
+        return None, *gradients, None
+
+
+class Tiled(NamedTuple):
+    """Projected Gaussians, sorted into the tiles of one image."""
+
+    order: np.ndarray
+    """The Gaussian of each rank, nearest first."""
+    rows: Rows
+    """What blending reads, one row per rank; see `tiles.pack_rows`."""
+    lists: TileLists
+    """Ranks and masks by tile; blending strikes from them what other Gaussians hide."""
 
 
 class Drawing(NamedTuple):
     """Gaussians blended into one image, with what it takes to visit the same pixels again."""
 
-    order: np.ndarray
-    """The Gaussian of each rank, nearest first."""
-    rows: Tensor
-    """What blending reads, one row per rank; see `tiles.pack_rows`."""
-    lists: tuple[np.ndarray, ...]
-    """Ranks and masks by tile, without what other Gaussians hide; see `tiles.tile_lists`."""
+    tiled: Tiled
     image: Tensor
     """Colours, [H, W, D]."""
     alphas: Tensor
     """Coverage, [H, W, 1]."""
 
 
-def draw(
-    means2d: Tensor,
-    conics: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    depths: Tensor,
-    radii: Tensor,
-    size: tuple[int, int],
-) -> Drawing:
-    """Blend projected Gaussians, without gradients."""
-    width, height = size
-    inputs = _plain(means2d, conics, opacities, colors)
-    channels = colors.shape[1]
-    order = tiles.depth_order(*_arrays(depths, radii))
-    rows = means2d.new_zeros(len(order), tiles.row_stride(channels))
-    tiles.pack_rows(order, *_arrays(*inputs, rows))
-    flat, stride = rows.view(-1).numpy(), rows.shape[1]
-    lists = tiles.tile_lists(order, flat, stride, radii.numpy(), width, height, get_num_threads())
-    image = means2d.new_empty(height, width, channels)
-    alphas = means2d.new_empty(height, width, 1)
-    blend.blend(
-        *((0,) * channels, flat, stride, lists, width, height),
-        *_arrays(image.view(-1), alphas.view(-1)),
-        get_num_threads(),
-    )
-    return Drawing(order, rows, lists, image, alphas)
+def sort_into_tiles(
+    projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]
+) -> Tiled:
+    """Lists of what to blend, without gradients, for an image of a width and height."""
+    ellipses = arrays(Ellipses(projected.means2d, projected.conics, opacities, colors))
+    radii = _array(projected.radii)
+    order = tiles.depth_order(_array(projected.depths), radii)
+    stride = tiles.row_stride(colors.shape[1])
+    rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
+    tiles.pack_rows(order, ellipses, rows)
+    lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
+    return Tiled(order, rows, TileLists(*lists))
+
+
+def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
+    """Blend projected Gaussians, without gradients, into an image of a width and height."""
+    (width, height), channels = size, colors.shape[1]
+    tiled = sort_into_tiles(projected, opacities, colors, size)
+    image = colors.new_empty(height, width, channels)
+    alphas = colors.new_empty(height, width, 1)
+    picture = picture_of(image, alphas)
+    blend.blend(vecs.channels(channels), tiled.rows, tiled.lists, picture, get_num_threads())
+    return Drawing(tiled, image, alphas)
+
+
+def picture_of(image: Tensor, alphas: Tensor) -> Picture:
+    """An image and its coverage, or their gradients, as kernels take them."""
+    height, width, _ = image.shape
+    return Picture(_array(image).reshape(-1), _array(alphas).reshape(-1), width, height)
 
 
 class _Blend(Function):
     @staticmethod
-    def forward(ctx, means2d, conics, opacities, colors, depths, radii, size, geometry_channels):
-        drawing = draw(means2d, conics, opacities, colors, depths, radii, size)
-        order, rows, lists, image, alphas = drawing
-        ctx.order, ctx.lists, ctx.geometry_channels = order, lists, geometry_channels
-        ctx.save_for_backward(*_plain(means2d, conics, opacities, colors), rows, image, alphas)
+    def forward(ctx, size, geometry_channels, opacities, colors, *projected):
+        ctx.tiled, image, alphas = draw(Projected(*projected), opacities, colors, size)
+        ctx.geometry_channels, ctx.count = geometry_channels, len(opacities)
+        ctx.save_for_backward(image, alphas)
         return image, alphas
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_image, v_alphas):
-        *inputs, rows, image, alphas = ctx.saved_tensors
-        channels = image.shape[-1]
-        head = min(channels, blend_backward.HEAD)
-        stride = blend_backward.gradient_stride(channels)
-        partial = rows.new_zeros(get_num_threads(), len(rows), stride)
-        pixels = _plain(image, alphas, v_image, v_alphas)
-        height, width, _ = image.shape
+        image, alphas = ctx.saved_tensors
+        (order, rows, lists), channels = ctx.tiled, image.shape[-1]
+        partial = partial_sums(len(order), blend_backward.gradient_stride(channels))
         blend_backward.blend_backward(
-            *((0,) * n for n in (head, channels - head, ctx.geometry_channels)),
-            *(rows.view(-1).numpy(), rows.shape[1], ctx.lists, width, height),
-            tuple(t.view(-1).numpy() for t in pixels),
-            partial.view(len(partial), -1).numpy(),
+            blend_backward.split_channels(channels, ctx.geometry_channels),
+            rows,
+            lists,
+            picture_of(image, alphas),
+            picture_of(v_image, v_alphas),
+            partial.flatten(1).numpy(),
         )
-        gradients = [torch.zeros_like(t) for t in inputs]
-        blend_backward.collect_gradients(ctx.order, *_arrays(rows, partial, *gradients))
-        return *gradients, None, None, None, None
+        shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)
+        v_ellipses = Ellipses(*(image.new_zeros(shape) for shape in shapes))
+        blend_backward.collect_gradients(order, rows, partial.numpy(), arrays(v_ellipses))
+        v_means2d, v_conics, v_opacities, v_colors = v_ellipses
+        return None, None, v_opacities, v_colors, v_means2d, v_conics, None, None
 
 
 def spherical_harmonics(
@@ -175,45 +205,28 @@ def spherical_harmonics(
     return _SphericalHarmonics.apply(sh_bases(degree), dirs, sh0, shN)
 
 
-def project_gaussians(
-    means: Float[Tensor, "N 3"],
-    quats: Float[Tensor, "N 4"],
-    scales: Float[Tensor, "N 3"],
-    opacities: Float[Tensor, " N"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    size: tuple[int, int],
-) -> tuple[Tensor, ...]:
-    """`INFO` of activated Gaussians in one image of a width and height."""
-    return _Project.apply(means, quats, scales, opacities, viewmat, K, *size)
+def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
+    """What one camera sees of Gaussians; gradients reach means2d and conics only."""
+    return Projected(*_Project.apply(view, *gaussians))
 
 
 def rasterize(
-    means: Float[Tensor, "N 3"],
-    quats: Float[Tensor, "N 4"],
-    scales: Float[Tensor, "N 3"],
-    opacities: Float[Tensor, " N"],
+    gaussians: Gaussians,
     colors: Float[Tensor, "C N D"],
-    viewmats: Float[Tensor, "C 4 4"],
-    Ks: Float[Tensor, "C 3 3"],
-    width: int,
-    height: int,
+    cameras: Cameras,
+    *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render activated Gaussians; see `reference.rasterize`."""
-    views = []
-    for viewmat, K, camera_colors in zip(viewmats, Ks, colors, strict=True):
-        projected = project_gaussians(means, quats, scales, opacities, viewmat, K, (width, height))
-        means2d, conics, depths, radii = projected
-        image, alpha = _Blend.apply(
-            *(means2d, conics, opacities, camera_colors, depths, radii),
-            *((width, height), geometry_channels),
-        )
-        views.append((image, alpha, *projected))
-    render_colors, render_alphas, *projections = (
-        _stacked(each) for each in zip(*views, strict=True)
-    )
-    return render_colors, render_alphas, dict(zip(INFO, projections, strict=True))
+    """Render; see `rasterize.Rasterizer`."""
+    images, projections = [], []
+    for view, view_colors in zip(views_of(cameras), colors, strict=True):
+        projected = project_gaussians(gaussians, view)
+        size, opacities = (view.width, view.height), gaussians.opacities
+        images.append(_Blend.apply(size, geometry_channels, opacities, view_colors, *projected))
+        projections.append(projected)
+    render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
+    info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))
+    return render_colors, render_alphas, info._asdict()
 
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:

@@ -1,6 +1,6 @@
 """Rendering on NVIDIA GPUs, through gsplat 1.5.3."""
-# pyright: reportCallIssue=false
-# (it cannot count the arguments of starred lists)
+
+from typing import Any
 
 import gsplat
 import torch
@@ -8,7 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.rendering import constants as const
+from stylesplat.rendering.gaussians import Gaussians, Projected
 from stylesplat.rendering.reference import Info
+from stylesplat.scene.cameras import Cameras
+
+CHANNELS_AT_ONCE = 32  # gsplat's default: its kernels become slow beyond
 
 
 def spherical_harmonics(
@@ -23,30 +27,48 @@ def spherical_harmonics(
 
 
 def rasterize(
-    means: Float[Tensor, "N 3"],
-    quats: Float[Tensor, "N 4"],
-    scales: Float[Tensor, "N 3"],
-    opacities: Float[Tensor, " N"],
+    gaussians: Gaussians,
     colors: Float[Tensor, "C N D"],
-    viewmats: Float[Tensor, "C 4 4"],
-    Ks: Float[Tensor, "C 3 3"],
-    width: int,
-    height: int,
+    cameras: Cameras,
+    *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render activated Gaussians; see `reference.rasterize`."""
-    options = {
-        "near_plane": const.NEAR_PLANE,
-        "far_plane": const.FAR_PLANE,
-        "eps2d": const.EPS2D,
-        "packed": False,
-    }
-    geometry = (means, quats, scales, opacities)
-    camera = (viewmats, Ks, width, height)
-    moving, other = colors.tensor_split([geometry_channels], dim=-1)
-    image, alphas, info = gsplat.rasterization(*geometry, moving, *camera, **options)
-    if other.shape[-1] > 0:
-        frozen = (t.detach() for t in geometry)
-        rest, _, _ = gsplat.rasterization(*frozen, other, *camera, **options)
-        image = torch.cat([image, rest], dim=-1)
-    return image, alphas, info
+    """Render; see `rasterize.Rasterizer`.
+
+    The Gaussians are projected and sorted into tiles once, for all channels.
+    """
+    width, height = cameras.size
+    moving, others = colors.tensor_split([geometry_channels], dim=-1)
+    image, alphas, info = gsplat.rasterization(
+        *gaussians,
+        colors=moving,
+        viewmats=cameras.viewmats,
+        Ks=cameras.Ks,
+        width=width,
+        height=height,
+        near_plane=const.NEAR_PLANE,
+        far_plane=const.FAR_PLANE,
+        eps2d=const.EPS2D,
+        packed=False,  # projections are [C, N, ...], which is what `Info` promises
+        channel_chunk=CHANNELS_AT_ONCE,
+    )
+    if others.shape[-1] > 0:
+        parts = [_blended(part, info) for part in others.split(CHANNELS_AT_ONCE, dim=-1)]
+        image = torch.cat([image, *parts], dim=-1)
+    return image, alphas, {key: info[key] for key in Projected._fields}
+
+
+def _blended(colors: Float[Tensor, "C N D"], info: dict[str, Any]) -> Float[Tensor, "C H W D"]:
+    """More channels of what gsplat has projected; their gradients reach the colours only."""
+    image, _ = gsplat.rasterize_to_pixels(
+        means2d=info["means2d"].detach(),
+        conics=info["conics"].detach(),
+        colors=colors,
+        opacities=info["opacities"].detach(),
+        image_width=info["width"],
+        image_height=info["height"],
+        tile_size=info["tile_size"],
+        isect_offsets=info["isect_offsets"],
+        flatten_ids=info["flatten_ids"],
+    )
+    return image

@@ -1,19 +1,62 @@
 """The one way to an image: activate the splats, pick a backend, render."""
 
+from dataclasses import replace
 from importlib.util import find_spec
-from types import ModuleType
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.gaussians import Gaussians
 from stylesplat.rendering.reference import Info
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
+
+
+@runtime_checkable
+class Rasterizer(Protocol):
+    """What a backend is: a module with two functions."""
+
+    def spherical_harmonics(
+        self,
+        degree: int,
+        dirs: Float[Tensor, "N 3"],
+        sh0: Float[Tensor, "N 1 3"],
+        shN: Float[Tensor, "N _ 3"],
+    ) -> Float[Tensor, "N 3"]:
+        """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+        ...
+
+    def rasterize(
+        self,
+        gaussians: Gaussians,
+        colors: Float[Tensor, "C N D"],
+        cameras: Cameras,
+        *,
+        geometry_channels: int,
+    ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+        """Image, coverage and projections of Gaussians, each camera with colours of its own.
+
+        Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
+        matrices have the Gaussians' type and device.
+        """
+        ...
+
+
+def activated(splats: Splats) -> Gaussians:
+    """What is drawn of splats."""
+    scales, opacities = splats.scales.exp(), torch.sigmoid(splats.opacities)
+    return Gaussians(splats.means, splats.quats, scales, opacities)
+
+
+def beside(splats: Splats, cameras: Cameras) -> Cameras:
+    """The cameras with matrices of the splats' type and device."""
+    viewmats, Ks = cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)
+    return replace(cameras, viewmats=viewmats, Ks=Ks)
 
 
 def rasterize(
@@ -45,23 +88,24 @@ def rasterize(
     Raises:
         StyleSplatError: If the cameras differ in size or gsplat is not installed.
     """
-    width, height = cameras.size
-    cameras = cameras.to(splats.device)
-    module = _module(backend, splats.device)
+    backend_module = _module(backend, splats.device)
+    cameras = beside(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
-    positions = cameras.positions.to(splats.means)
     colors = torch.stack(
         [
-            module.spherical_harmonics(degree, splats.means - origin, splats.sh0, splats.shN)
-            for origin in positions
+            backend_module.spherical_harmonics(
+                degree, splats.means - origin, splats.sh0, splats.shN
+            )
+            for origin in cameras.positions
         ]
     )  # [C, N, 3]
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
-    render_colors, render_alphas, info = module.rasterize(
-        *(splats.means, splats.quats, splats.scales.exp(), torch.sigmoid(splats.opacities)),
-        *(colors, cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)),
-        *(width, height, colors.shape[-1] if features_move_geometry else 3),
+    render_colors, render_alphas, info = backend_module.rasterize(
+        activated(splats),
+        colors,
+        cameras,
+        geometry_channels=colors.shape[-1] if features_move_geometry else 3,
     )
     if background is not None:
         padding = background.new_zeros(colors.shape[-1] - 3)
@@ -70,7 +114,7 @@ def rasterize(
     return render_colors, render_alphas, info
 
 
-def _module(backend: Backend, device: torch.device) -> ModuleType:
+def _module(backend: Backend, device: torch.device) -> Rasterizer:
     if backend == "auto":
         backend = "cuda" if device.type == "cuda" else "cpu"
     if backend == "reference":

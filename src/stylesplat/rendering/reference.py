@@ -9,7 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.rendering import constants as const
+from stylesplat.rendering.gaussians import Gaussians, Projected, View, views_of
 from stylesplat.rendering.sh import sh_colors
+from stylesplat.scene.cameras import Cameras
 
 PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
 
@@ -21,18 +23,17 @@ spherical_harmonics = sh_colors
 def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
     """Rotation matrices of wxyz quaternions of any norm."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    rows = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def perspective_jacobian(
-    means_c: Float[Tensor, "N 3"], K: Float[Tensor, "3 3"], width: int, height: int
-) -> Float[Tensor, "N 2 3"]:
+def perspective_jacobian(means_c: Float[Tensor, "N 3"], view: View) -> Float[Tensor, "N 2 3"]:
     """Derivative of pixel by camera position, held constant far outside the image."""
+    _, K, width, height = view
     x, y, z = means_c.unbind(-1)
     zero = torch.zeros_like(z)
 
@@ -48,30 +49,17 @@ def perspective_jacobian(
     return torch.stack([row_x, row_y], dim=-2)
 
 
-def project(
-    means: Float[Tensor, "N 3"],
-    quats: Float[Tensor, "N 4"],
-    scales: Float[Tensor, "N 3"],
-    opacities: Float[Tensor, " N"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    *,
-    width: int,
-    height: int,
-) -> Info:
-    """Elliptical weighted average projection of one camera's Gaussians.
-
-    Returns:
-        `means2d` [N,2] and `conics` [N,3] (inverse covariance xx, xy, yy) in pixels, `depths`
-        [N], and `radii` [N,2] in whole pixels, 0 for Gaussians that this camera does not see.
-    """
+def project(gaussians: Gaussians, view: View) -> Projected:
+    """Elliptical weighted average projection of one camera's Gaussians."""
+    means, quats, scales, opacities = gaussians
+    viewmat, K, width, height = view
     rotation = viewmat[:3, :3]
     means_c = means @ rotation.T + viewmat[:3, 3]
     axes = rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [N, 3, 3]
     depths = means_c[:, 2]
     in_range = (depths > const.NEAR_PLANE) & (depths < const.FAR_PLANE)
     means_c = torch.where(in_range[:, None], means_c, means_c.new_tensor([0.0, 0.0, 1.0]))
-    axes2d = perspective_jacobian(means_c, K, width, height) @ axes  # [N, 2, 3]
+    axes2d = perspective_jacobian(means_c, view) @ axes  # [N, 2, 3]
     eye = torch.eye(2, dtype=means.dtype, device=means.device)
     covars2d = axes2d @ axes2d.mT + const.EPS2D * eye
     conics = torch.linalg.inv(covars2d).flatten(1)[:, [0, 1, 3]]
@@ -88,7 +76,7 @@ def project(
     on_screen = ((high > 0) & (low < size)).all(dim=-1)
     seen = in_range & on_screen & (opacities >= const.MIN_ALPHA)
     radii = torch.where(seen[:, None], radii, 0).to(torch.int32)
-    return {"means2d": means2d, "conics": conics, "depths": depths, "radii": radii}
+    return Projected(means2d, conics, depths, radii)
 
 
 @torch.no_grad()
@@ -99,18 +87,18 @@ def _radii(covars2d: Tensor, opacities: Tensor) -> Tensor:
 
 
 def blend(
-    info: Info,
+    projected: Projected,
     opacities: Float[Tensor, " N"],
     colors: Float[Tensor, "N D"],
+    size: tuple[int, int],
     *,
-    width: int,
-    height: int,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
     """Composite one camera's projected Gaussians front to back; see `rasterize`."""
-    seen = (info["radii"] > 0).all(dim=-1).nonzero()[:, 0]
-    order = seen[torch.argsort(info["depths"][seen], stable=True)]
-    means2d, conics = info["means2d"][order], info["conics"][order]
+    width, height = size
+    seen = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
+    order = seen[torch.argsort(projected.depths[seen], stable=True)]
+    means2d, conics = projected.means2d[order], projected.conics[order]
     ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d) + 0.5  # [P, 2]
     parts = []
@@ -137,36 +125,25 @@ def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: T
 
 
 def rasterize(
-    means: Float[Tensor, "N 3"],
-    quats: Float[Tensor, "N 4"],
-    scales: Float[Tensor, "N 3"],
-    opacities: Float[Tensor, " N"],
+    gaussians: Gaussians,
     colors: Float[Tensor, "C N D"],
-    viewmats: Float[Tensor, "C 4 4"],
-    Ks: Float[Tensor, "C 3 3"],
-    width: int,
-    height: int,
+    cameras: Cameras,
+    *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render activated Gaussians; see `rendering.rasterize` for what users call.
-
-    Gradients of the channels from `geometry_channels` on reach `colors` only.
-    """
-    infos, images, alphas = [], [], []
-    for camera in range(len(viewmats)):
-        info = project(
-            *(means, quats, scales, opacities, viewmats[camera], Ks[camera]),
-            width=width,
-            height=height,
-        )
+    """Render; see `rasterize.Rasterizer`."""
+    projections, images, alphas = [], [], []
+    for view, view_colors in zip(views_of(cameras), colors, strict=True):
+        projected = project(gaussians, view)
         image, alpha = blend(
-            *(info, opacities, colors[camera]),
-            width=width,
-            height=height,
+            projected,
+            gaussians.opacities,
+            view_colors,
+            (view.width, view.height),
             geometry_channels=geometry_channels,
         )
-        infos.append(info)
+        projections.append(projected)
         images.append(image)
         alphas.append(alpha)
-    info = {key: torch.stack([i[key] for i in infos]) for key in infos[0]}
-    return torch.stack(images), torch.stack(alphas), info
+    info = Projected(*(torch.stack(each) for each in zip(*projections, strict=True)))
+    return torch.stack(images), torch.stack(alphas), info._asdict()

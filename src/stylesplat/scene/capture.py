@@ -4,24 +4,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
-
-BACKGROUND = 0  # the label id that means 'no object'
+from stylesplat.scene.labels import OwnLabels
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Posed photos. Photos and label maps are sequences that may load on access."""
+    """Posed photos, which may differ in size. All sequences may load on access."""
 
     cameras: Cameras
     """One per photo, of the photo's size."""
-    photos: Sequence[UInt8[Tensor, "H W 3"]]
-    """Undistorted photos, sRGB."""
-    label_maps: Sequence[Int[Tensor, "H W"] | None] | None = None
+    photos: Sequence[UInt8[Tensor, "_ _ 3"]]
+    """Undistorted photos, sRGB, over black where they are transparent."""
+    label_maps: Sequence[OwnLabels | None] | None = None
     """Per photo the label id of each pixel, 0 = background; None where a photo has none."""
     points: Float[Tensor, "M 3"] | None = None
     """Sparse points in the world, to start training from."""
@@ -31,9 +30,19 @@ class Capture:
     """The folder that this was read from."""
     object_names: Mapping[int, str] = field(default_factory=dict)
     """What objects are called, by label id; most have no name."""
+    full: Cameras | None = None
+    """The cameras at the photos' full size, if the photos are smaller here."""
+    downscale: float = 1.0
+    """How many times smaller they are."""
+    alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
+    """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
 
     def __post_init__(self) -> None:
-        for what, items in (("photos", self.photos), ("label maps", self.label_maps)):
+        for what, items in (
+            ("photos", self.photos),
+            ("label maps", self.label_maps),
+            ("alphas", self.alphas),
+        ):
             if items is not None and len(items) != len(self.cameras):
                 raise StyleSplatError(
                     f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
@@ -41,3 +50,16 @@ class Capture:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    @property
+    def full_cameras(self) -> Cameras:
+        """The cameras at the photos' full size."""
+        return self.cameras if self.full is None else self.full
+
+    def labels(self, row: int) -> OwnLabels | None:
+        """The label map of a photo, if it has one."""
+        return None if self.label_maps is None else self.label_maps[row]
+
+    def alpha(self, row: int) -> UInt8[Tensor, "_ _"] | None:
+        """How opaque the pixels of a photo are; None if they all are."""
+        return None if self.alphas is None else self.alphas[row]

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
 
 # `ns-process-data` writes COLMAP's world with these axes: x, z, -y
 NERFSTUDIO_AXES = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -37,6 +38,19 @@ def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
     viewmats[:, :3, :3] = cameras.viewmats[:, :3, :3] @ rotation.T
     viewmats[:, :3, 3] = -torch.einsum("cij,cj->ci", viewmats[:, :3, :3], positions)
     return replace(cameras, viewmats=viewmats)
+
+
+def posed_as(capture: Capture, cameras: Cameras) -> Capture:
+    """A capture whose cameras stand where others of the same names do, be they of another size.
+
+    Raises:
+        StyleSplatError: If one of its photos has no such camera.
+    """
+    posed = cameras[[cameras.index(name) for name in capture.cameras.names]]
+    Ks = posed.Ks.clone()
+    Ks[:, :2] *= (capture.cameras.sizes / posed.sizes)[:, :, None].to(Ks)
+    moved = replace(posed, Ks=Ks, sizes=capture.cameras.sizes)
+    return replace(capture, cameras=moved, full=replace(posed))
 
 
 def known_frames(cameras: Cameras) -> dict[str, Frame]:

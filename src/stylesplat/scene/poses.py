@@ -60,13 +60,3 @@ def look_at(
     viewmats[:, :3, :3] = rotations
     viewmats[:, :3, 3] = -torch.einsum("mij,mj->mi", rotations, positions)
     return viewmats
-
-
-def unproject(
-    pixels: Float[Tensor, "P 2"], depths: Float[Tensor, " P"], camera: Cameras
-) -> Float[Tensor, "P 3"]:
-    """World positions of pixels of one camera at a depth along its z axis."""
-    viewmat, K = camera.viewmats[0].to(depths), camera.Ks[0].to(depths)
-    ones = pixels.new_ones(len(pixels), 1)
-    rays_c = torch.cat([pixels, ones], dim=1) @ torch.linalg.inv(K).T
-    return (rays_c * depths[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]

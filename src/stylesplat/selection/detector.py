@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.hub import find_model, load_model, load_processor
+from stylesplat.models.hub import find_model, load_model, load_processor
 
 CHECKPOINT = "IDEA-Research/grounding-dino-tiny"
 GROUNDED = ("grounding-dino", "mm-grounding-dino")  # score every word of a text for every box

@@ -1,4 +1,4 @@
-"""The verb `select`: choose an object's Gaussians by label id, by a box or by a point."""
+"""An object's Gaussians by label id, by a box or by a point: on bare splats."""
 
 import math
 from collections.abc import Sequence
@@ -8,11 +8,10 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import BACKGROUND
+from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import (
+from stylesplat.selection.identities import (
     class_probabilities,
     object_ids,
     render_labels,
@@ -26,7 +25,7 @@ Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 
 
-def select(
+def pick(
     splats: Splats,
     *,
     object_id: int | Sequence[int] | None = None,
@@ -35,7 +34,6 @@ def select(
     camera: Cameras | None = None,
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
-    backend: Backend = "auto",
 ) -> Bool[Tensor, " N"]:
     """Pick the Gaussians of one or more objects.
 
@@ -49,7 +47,6 @@ def select(
         camera: The view that `box` or `point` refers to, at the photo's full size.
         threshold: Probability of the object above which a Gaussian belongs to it.
         remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object.
-        backend: See `rasterize`.
 
     Returns:
         True for the picked Gaussians.
@@ -60,9 +57,7 @@ def select(
     """
     if not 0 <= threshold <= 1:
         raise StyleSplatError(f"A threshold of {threshold:g} is no probability. Give 0 to 1.")
-    ids = resolve_ids(
-        splats, object_id=object_id, box=box, point=point, camera=camera, backend=backend
-    )
+    ids = resolve_ids(splats, object_id=object_id, box=box, point=point, camera=camera)
     picked = pick_objects(splats, ids, threshold=threshold, remove_outliers=remove_outliers)
     for id, mask in picked.items():
         if not mask.any():
@@ -80,12 +75,11 @@ def resolve_ids(
     box: Box | None = None,
     point: Point | None = None,
     camera: Cameras | None = None,
-    backend: Backend = "auto",
 ) -> tuple[int, ...]:
-    """The label ids that the arguments of `select` mean.
+    """The label ids that the arguments of `pick` mean.
 
     Raises:
-        StyleSplatError: As `select` does.
+        StyleSplatError: As `pick` does.
     """
     require_identities(splats)
     if sum(way is not None for way in (object_id, box, point)) != 1:
@@ -97,9 +91,9 @@ def resolve_ids(
             "A box or point needs the one view it refers to. Pass camera=cameras[row]."
         )
     if point is not None:
-        return (_id_at_point(splats, point, camera, backend),)
+        return (_id_at_point(splats, point, camera),)
     assert box is not None
-    return (_id_in_box(splats, box, camera, backend),)
+    return (_id_in_box(splats, box, camera),)
 
 
 def pick_objects(
@@ -134,14 +128,14 @@ def _known_ids(splats: Splats, object_id: int | Sequence[int]) -> tuple[int, ...
     return ids
 
 
-def _id_at_point(splats: Splats, point: Point, camera: Cameras, backend: Backend) -> int:
+def _id_at_point(splats: Splats, point: Point, camera: Cameras) -> int:
     (x, y), (width, height) = point, camera.size
     if not (0 <= x < width and 0 <= y < height):
         raise StyleSplatError(
             f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels. "
             "Coordinates are those of the photo at full size."
         )
-    label = int(render_labels(splats, camera, backend=backend)[int(y), int(x)])
+    label = int(render_labels(splats, camera)[int(y), int(x)])
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
@@ -150,7 +144,7 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, backend: Backend
     return label
 
 
-def _id_in_box(splats: Splats, box: Box, camera: Cameras, backend: Backend) -> int:
+def _id_in_box(splats: Splats, box: Box, camera: Cameras) -> int:
     (x0, y0, x1, y1), (width, height) = box, camera.size
     text = f"{x0:g},{y0:g},{x1:g},{y1:g}"
     if not (x0 < x1 and y0 < y1):
@@ -161,7 +155,7 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, backend: Backend) -> i
             "Coordinates are those of the photo at full size."
         )
     rows, columns = slice(int(y0), math.ceil(y1)), slice(int(x0), math.ceil(x1))
-    labels = render_labels(splats, camera, backend=backend)[rows, columns]
+    labels = render_labels(splats, camera)[rows, columns]
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
     if not len(ids):
         raise StyleSplatError(

@@ -5,12 +5,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.shares import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import unproject
+from stylesplat.scene.projection import unproject
 from stylesplat.scene.splats import Splats
-
-SOLID = 0.5  # of a pixel's coverage, below which there is no surface
 
 
 def in_box(splats: Splats, low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Bool[Tensor, " N"]:
@@ -43,7 +41,7 @@ def in_sphere(splats: Splats, centre: Float[Tensor, "3"], radius: float) -> Bool
 
 @torch.no_grad()
 def surface_point(
-    splats: Splats, camera: Cameras, point: tuple[float, float], *, backend: Backend = "auto"
+    splats: Splats, camera: Cameras, point: tuple[float, float]
 ) -> Float[Tensor, "3"]:
     """Where in the world the surface lies that shows at a pixel of one camera.
 
@@ -55,16 +53,11 @@ def surface_point(
         raise StyleSplatError(
             f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels."
         )
-    axis = camera.viewmats[0, 2].to(splats.means)
-    depths = splats.means @ axis[:3] + axis[3]
-    image, alphas, _ = rasterize(
-        splats, camera, features=depths[:, None], sh_degree=0, backend=backend
-    )
+    depths, alphas = expected_depth(splats, camera)
     row, column = int(y), int(x)
-    alpha = alphas[0, row, column, 0]
-    if alpha < SOLID:
+    if alphas[row, column] < COVERED:
         raise StyleSplatError(f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}.")
-    depth = image[0, row, column, 3] / alpha
+    depth = depths[row, column]
     return unproject(depth.new_tensor([[column + 0.5, row + 0.5]]), depth[None], camera)[0]
 
 

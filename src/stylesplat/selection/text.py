@@ -6,15 +6,16 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torchvision.ops import box_iou
-from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.progress import track
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import BACKGROUND
+from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.sampling import far_apart
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.detector import MIN_SCORE, Detections, Detector
-from stylesplat.selection.labels import render_labels
+from stylesplat.selection.identities import render_labels
 
 VIEWS = 8  # that are looked at: a view in which the detector errs is outvoted
 LONGER_SIDE = 1024  # pixels of a view; detectors shrink larger ones
@@ -31,8 +32,6 @@ def rank_objects(
     cameras: Cameras,
     phrase: str,
     detector: Detector,
-    *,
-    backend: Backend = "auto",
 ) -> dict[int, float]:
     """How well a phrase fits each object, over views from all around.
 
@@ -44,7 +43,6 @@ def rank_objects(
         cameras: Views to choose from.
         phrase: What to find, in a few words.
         detector: Finds it in single pictures.
-        backend: See `rasterize`.
 
     Returns:
         Scores from 0 to 1 by label id, the best first; objects that no box fits are left out.
@@ -54,10 +52,10 @@ def rank_objects(
     """
 
     def looked_at() -> Iterator[tuple[Int[Tensor, "H W"], Detections]]:
-        for row in tqdm(spread_rows(cameras, VIEWS), "look for it", unit="view"):
+        for row in track(far_apart(cameras, VIEWS), "looking for it"):
             camera = cameras[row].at_most(LONGER_SIDE)
-            labels = render_labels(splats, camera, backend=backend).cpu()
-            yield labels, detector.detect(_picture(splats, camera, backend), phrase)
+            labels = render_labels(splats, camera).cpu()
+            yield labels, detector.detect(_picture(splats, camera), phrase)
 
     return tally(looked_at())
 
@@ -129,26 +127,8 @@ def clear_winner(
     return best
 
 
-def spread_rows(cameras: Cameras, count: int) -> list[int]:
-    """Some cameras that are far from each other, whatever their order.
-
-    The first is the one farthest from the middle of all; each other the one farthest from those
-    that are chosen.
-    """
-    positions = cameras.positions.cpu()
-    gaps = (positions - positions.mean(dim=0)).norm(dim=1)
-    rows: list[int] = []
-    while len(rows) < min(count, len(cameras)):
-        row = int(gaps.argmax())
-        distances = (positions - positions[row]).norm(dim=1)
-        gaps = distances if not rows else torch.minimum(gaps, distances)
-        rows.append(row)
-        gaps[rows] = -1.0  # also where several cameras share a position
-    return rows
-
-
-def _picture(splats: Splats, camera: Cameras, backend: Backend) -> UInt8[Tensor, "H W 3"]:
-    image = rasterize(splats, camera, backend=backend)[0][0]
+def _picture(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
+    image = rasterize(splats, camera)[0][0]
     return (255 * image.detach().clamp(0, 1)).round().to(torch.uint8).cpu()
 
 

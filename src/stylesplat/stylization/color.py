@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.rendering.rasterize import Backend
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import ObjectView
+from stylesplat.stylization.object_views import ObjectView
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
 VARIATION = 0.08  # deviation of the colours that `vary_colors` adds, of 1
@@ -26,8 +25,6 @@ def transfer_colors(
     picked: Bool[Tensor, " N"],
     style: Float[Tensor, "P 3"],
     views: Sequence[ObjectView],
-    *,
-    backend: Backend = "auto",
 ) -> Splats:
     """Map the colours of picked Gaussians so that the object looks as colourful as the style.
 
@@ -36,18 +33,15 @@ def transfer_colors(
         picked: The object's Gaussians.
         style: Colours in 0..1.
         views: Where the object's colours are taken from.
-        backend: Of the rasteriser.
     """
-    matrix, offset = color_map(object_colors(splats, views, backend=backend), style)
+    matrix, offset = color_map(object_colors(splats, views), style)
     return map_colors(splats, picked, matrix, offset)
 
 
 @torch.no_grad()
-def object_colors(
-    splats: Splats, views: Sequence[ObjectView], *, backend: Backend = "auto"
-) -> Float[Tensor, "P 3"]:
+def object_colors(splats: Splats, views: Sequence[ObjectView]) -> Float[Tensor, "P 3"]:
     """The object's colours in some views, one per pixel."""
-    images = (view.render(splats, backend=backend) for view in views)
+    images = (view.render(splats) for view in views)
     return torch.cat([image[view.pixels] for image, view in zip(images, views, strict=True)])
 
 
@@ -118,7 +112,7 @@ def _matrix_sqrt(matrix: Tensor) -> Tensor:
 def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
     """The base with the colours of picked Gaussians moved towards the styled ones.
 
-    Renders are linear in the colours, so this blends the renders.
+    Renders are linear in the colours, so this blends the renders, wherever no colour is clamped.
 
     Args:
         base: Colours at intensity 0.

@@ -7,13 +7,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex
 from stylesplat.stylization.nnfm import cosine_distance
-from stylesplat.stylization.views import ObjectView
+from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.style_config import StyleConfig
 
 
 @dataclass(frozen=True)
@@ -38,14 +37,12 @@ class Objective:
     """What `content` compares with."""
     config: StyleConfig
     """The layers and weights."""
-    backend: Backend
-    """Of the rasteriser."""
     wanted: dict[str, list[Tensor]] = field(default_factory=dict)
     """The original's features by camera looked from so far, for `content`."""
 
     def __call__(self, view: ObjectView, splats: Splats) -> Losses:
         """The losses of splats in one view."""
-        image = view.render(splats, backend=self.backend)
+        image = view.render(splats)
         feats = self._features(view, image)
         pairs = zip(feats, self.styles, strict=True)
         matched = [
@@ -71,7 +68,7 @@ class Objective:
         if wanted is None:
             with torch.no_grad():
                 as_it_was = view.with_fixed_bands(self.original)  # the view may have others
-                image = as_it_was.render(self.original, backend=self.backend)
+                image = as_it_was.render(self.original)
                 wanted = self.wanted[name] = self._features(view, image)
         changes = [
             (own.float() - other.float()).square().mean() / other.float().square().mean()

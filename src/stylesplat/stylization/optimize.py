@@ -8,11 +8,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.optim.lr_scheduler import ExponentialLR
 
-from stylesplat.rendering.rasterize import Backend
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
-from stylesplat.stylization.views import ObjectView
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
@@ -64,7 +63,7 @@ def optimize_colors(
     scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
     if "shN" not in leaves:
         views = [view.with_fixed_bands(splats) for view in views]
-    trust = _trust(splats, picked, views, objective.backend)
+    trust = _trust(splats, picked, views)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
         optimizer.zero_grad()
         with torch.enable_grad():  # a viewer may well have turned it off
@@ -81,12 +80,12 @@ def optimize_colors(
 
 
 def _trust(
-    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView], backend: Backend
+    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView]
 ) -> Float[Tensor, "M 1 1"]:
     """How far to follow each Gaussian's steps: Adam's are as long for those that hardly show."""
     weights = splats.means.new_zeros(len(splats))
     for view in views:
-        weights += view.weights(splats, picked, backend=backend)
+        weights += view.weights(splats, picked)
     weights = weights[picked]
     typical = weights[weights > 0].median()
     return (weights / (weights + TRUSTED * typical))[:, None, None]

@@ -9,25 +9,24 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import Backend
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import color_map, object_colors, transfer_colors, vary_colors
-from stylesplat.stylization.config import ColorMode, StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
-from stylesplat.stylization.objective import Objective
-from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.split import Split, split_large
-from stylesplat.stylization.target import check_size, fits, style_features
-from stylesplat.stylization.views import (
+from stylesplat.stylization.object_views import (
     Box,
     ObjectView,
     cut_views,
-    evenly,
     find_boxes,
     typical_length,
 )
+from stylesplat.stylization.objective import Objective
+from stylesplat.stylization.optimize import optimize_colors
+from stylesplat.stylization.split import Split, split_large
+from stylesplat.stylization.style_config import ColorMode, StyleConfig
+from stylesplat.stylization.target import check_size, fits, style_features
 
 COLOR_VIEWS = 8  # whose pixels tell an object's colours
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
@@ -64,8 +63,6 @@ class Studio:
     """Of the features while optimising."""
     max_memory: float
     """Bytes that linear views may take."""
-    backend: Backend
-    """Of the rasteriser."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +121,7 @@ def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:
     Raises:
         StyleSplatError: If it does nowhere.
     """
-    boxes = find_boxes(studio.splats, cameras, job.picked, backend=studio.backend)
+    boxes = find_boxes(studio.splats, cameras, job.picked)
     if not boxes:
         raise StyleSplatError(
             f"Cannot stylise {job.name}: it is seen in none of the {len(cameras)} views. "
@@ -143,10 +140,12 @@ def object_views(
     """
     cells = [studio.network.cells(block) for block in job.config.layers]
     views = cut_views(
-        *(studio.splats, boxes, job.picked, cells),
+        studio.splats,
+        boxes,
+        job.picked,
+        cells,
         zoom=length / typical_length(boxes),
         max_memory=max_memory,
-        backend=studio.backend,
     )
     if not views:
         raise StyleSplatError(
@@ -195,7 +194,7 @@ def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float
     if growth == 1 or job.config.intensity == 0:
         return Split(studio.splats, torch.arange(len(studio.splats), device=device))
     # contributions are known on the CPU only
-    studio = replace(studio, splats=studio.splats.to("cpu"), backend="cpu")
+    studio = replace(studio, splats=studio.splats.to("cpu"))
     job = replace(job, picked=job.picked.cpu())
     few = evenly(boxes, SPLIT_VIEWS)
     views = object_views(studio, job, few, length, max_memory=math.inf)
@@ -209,7 +208,7 @@ def _pictures(studio: Studio, job: StyleJob, views: Sequence[ObjectView]) -> lis
     share = KEPT[job.config.color]
     if share == 0:
         return list(job.styles)
-    own = object_colors(studio.splats, evenly(views, COLOR_VIEWS), backend=studio.backend)
+    own = object_colors(studio.splats, evenly(views, COLOR_VIEWS))
     matrix, offset = color_map(torch.cat([s.reshape(-1, 3) for s in job.styles]), own)
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in job.styles]
 
@@ -234,7 +233,7 @@ def _match_palette(
     if job.config.color == "free":
         return splats
     seen = evenly(views, COLOR_VIEWS)
-    return transfer_colors(splats, job.picked, palette, seen, backend=studio.backend)
+    return transfer_colors(splats, job.picked, palette, seen)
 
 
 def _objective(
@@ -246,5 +245,4 @@ def _objective(
         styles=[build_index(group, studio.precision) for group in features],
         original=studio.splats,
         config=job.config,
-        backend=studio.backend,
     )

@@ -11,14 +11,16 @@ from functools import cache
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from tqdm import tqdm
 
+from stylesplat.progress import track
 from stylesplat.rendering import constants as const
-from stylesplat.rendering.contributions import contributions
+from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import ObjectView, coverage, evenly
+from stylesplat.stylization.object_views import ObjectView
 
 COUNTS = (1, 3, 5, 7, 9)  # of children along an axis: odd, so that one keeps the centre
 SPANS = (0.0, 1.06, 1.69, 2.0, 2.2)  # how far the outermost lie, in the parent's deviations
@@ -83,7 +85,7 @@ def _overflowing(
     children = picked[split.parents]
     found = [split.parents[:0]]
     checked = evenly(range(len(cameras)), CHECKED_VIEWS)
-    for index in tqdm(checked, desc="splitting large Gaussians", leave=False):
+    for index in track(checked, "splitting large Gaussians"):
         before = coverage(splats, cameras[index], picked)
         after = contributions(split.splats, cameras[index], children)
         spilled = (before == 0) & (after.coverage > 0)

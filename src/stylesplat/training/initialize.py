@@ -14,6 +14,7 @@ from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.poses import focus_point
+from stylesplat.scene.projection import shown
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 OPACITY = 0.1  # of every first Gaussian (official)
@@ -23,12 +24,22 @@ MIN_VIEWS = 0.3  # share of the cameras that see a random point
 
 
 def first_splats(
-    capture: Capture, *, sh_degree: int, max_gaussians: int, generator: torch.Generator
+    capture: Capture,
+    *,
+    sh_degree: int,
+    max_gaussians: int,
+    generator: torch.Generator,
+    ids: tuple[int, ...] = (),
 ) -> Splats:
     """One small round Gaussian per point of the capture, or per random point if it has none.
 
-    With label maps the Gaussians get random identities and an untrained classifier of the ids
-    that occur.
+    Args:
+        capture: With points, or cameras that look at the same things.
+        sh_degree: Bands of colour, all 0 beyond the first.
+        max_gaussians: Of more points some are taken at random.
+        generator: Source of randomness.
+        ids: Label ids, background first, for which the Gaussians get random identities and an
+            untrained classifier; without any they get none.
 
     Raises:
         StyleSplatError: If there are no points and no space that several cameras see.
@@ -46,11 +57,13 @@ def first_splats(
         sh0=sh0_from_rgb(colors.float() / 255)[:, None],
         shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
     )
-    return splats if capture.label_maps is None else _with_identities(splats, capture, generator)
+    return _with_identities(splats, ids, generator) if ids else splats
 
 
 def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
-    """Mean distance of each point to its nearest neighbours, positive."""
+    """Mean distance of each point to its nearest neighbours, positive; 1 if there are none."""
+    if len(points) < 2:
+        return torch.ones(len(points))
     array = points.numpy()
     count = min(NEIGHBORS, len(array) - 1)
     distances = KDTree(array).query(array, k=count + 1)[0][:, 1:]  # 0 is the point itself
@@ -83,10 +96,8 @@ def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> F
     reach = float((positions - focus).norm(dim=-1).median())
     points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
     views = torch.zeros(len(points))
-    for viewmat, K, size in zip(cameras.viewmats, cameras.Ks, cameras.sizes, strict=True):
-        points_c = points @ viewmat[:3, :3].T.float() + viewmat[:3, 3].float()
-        pixels = (points_c @ K.T.float())[:, :2] / points_c[:, 2:]
-        views += ((points_c[:, 2:] > 0) & (pixels > 0) & (pixels < size)).all(dim=-1)
+    for row in range(len(cameras)):
+        views += shown(points, cameras[row])
     seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
     if len(seen) < 100:
         raise StyleSplatError(
@@ -96,14 +107,7 @@ def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> F
     return seen[:count]
 
 
-def label_ids(capture: Capture) -> tuple[int, ...]:
-    """The ids that occur in a capture's label maps, background first."""
-    maps = [m for m in capture.label_maps or [] if m is not None]
-    return tuple(sorted({0}.union(*(m.unique().tolist() for m in maps))))
-
-
-def _with_identities(splats: Splats, capture: Capture, generator: torch.Generator) -> Splats:
-    ids = label_ids(capture)
+def _with_identities(splats: Splats, ids: tuple[int, ...], generator: torch.Generator) -> Splats:
     bound = IDENTITY_SIZE**-0.5  # torch.nn.Linear's
     classifier = Classifier(
         weight=bound * (2 * torch.rand(len(ids), IDENTITY_SIZE, generator=generator) - 1),

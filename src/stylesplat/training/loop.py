@@ -1,82 +1,33 @@
 """Joint training of Gaussians, identities and classifier (StyleSplat section 3.3)."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
-from scipy.spatial import KDTree
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.reference import Info
-from stylesplat.scene.cameras import Cameras
+from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.splats import Splats
-from stylesplat.training import mcmc, schedule
-from stylesplat.training.adam import adam_step
-from stylesplat.training.config import TrainConfig
-from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.interrupt import deferred_interrupt
-from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
-from stylesplat.training.objects import growth_preference, limit_sizes
-from stylesplat.training.progress import progress_bar
-from stylesplat.training.state import (
-    CLASSIFIER,
-    State,
-    first_state,
+from stylesplat.scene.fingerprint import fingerprint
+from stylesplat.training.announce import Report, Tally, announced
+from stylesplat.training.checkpoint import (
+    Checkpoint,
     load_checkpoint,
+    remove_leftovers,
     save_checkpoint,
 )
-from stylesplat.training.views import Views, split_views, training_views
+from stylesplat.training.classes import say_unseen, shown_ids
+from stylesplat.training.initialize import first_splats, scene_extent
+from stylesplat.training.interrupt import deferred_interrupt
+from stylesplat.training.run import Run
+from stylesplat.training.state import State, first_state
+from stylesplat.training.step import train_step
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import split_views, training_views
 
-# The official code's learning rates; those of the means, the higher colour bands and the
-# classifier are settings.
-RATES = {
-    "quats": 1e-3,
-    "scales": 5e-3,
-    "opacities": 5e-2,
-    "sh0": 2.5e-3,
-    "identities": 2.5e-3,
-}
-NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
-NEIGHBOR_SAMPLES = 1000
-NEIGHBORS = 5
 CHECKPOINT_SECONDS = 60.0
-REFINE_END = 0.9  # share of the run after which Gaussians are neither moved nor added
-
-
-@dataclass(frozen=True)
-class Run:
-    """What stays the same during training."""
-
-    config: TrainConfig
-    rows: tuple[int, ...]
-    """Photos to train on."""
-    views: Views
-    """Loads them."""
-    cameras: Cameras
-    """Of all photos."""
-    extent: float
-    """Unit of length of the scene."""
-    generator: torch.Generator
-    """Randomness of sampling and noise."""
-
-    def progress(self, state: State) -> float:
-        """The share of the run that is done."""
-        if self.config.max_seconds is not None:
-            return min(state.seconds / self.config.max_seconds, 1.0)
-        return min(state.step / max(self.config.steps, 1), 1.0)
-
-    def row(self, step: int) -> int:
-        """The photo of a step: every photo once, in random order, then all over again."""
-        epoch, place = divmod(step, len(self.rows))
-        shuffle = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
-        return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
 
 
 def fit(
@@ -85,183 +36,112 @@ def fit(
     *,
     device: torch.device | str = "cpu",
     checkpoint: Path | None = None,
-    on_progress: Callable[[State, float, float], None] | None = None,
+    on_progress: Report | None = None,
 ) -> State:
-    """Train until the run is over.
+    """Train until the run is over: the functional core of `train`, for programs of your own.
+
+    Follows StyleSplat and Gaussian Grouping, with 3DGS-MCMC densification. Every
+    `config.test_every`-th photo is held out. Where photos are transparent, they and the renders
+    are compared over random colours. Label ids that only held-out photos show are not learned.
 
     Args:
         capture: Photos, and label maps if identities are wanted.
         config: How to train.
         device: Where to train.
-        checkpoint: A file to continue from if it exists; written every minute and when
-            interrupted.
-        on_progress: Called after each step with the state, its loss and the photo's PSNR.
+        checkpoint: A file to continue from if it exists. It is written every minute, when the run
+            is interrupted and at its end, and left where it is.
+        on_progress: Told the state, and the means of loss and PSNR since it was told last: after
+            each step; on a GPU, which would have to be waited for, after every tenth, when a second
+            has passed, and at the end.
+
+    Returns:
+        The trained tensors, with the optimiser's state; `state.splats.detach()` are the Gaussians.
 
     Raises:
-        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint does not fit.
+        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
+            settings or another capture; it is left as it is.
         KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written.
-    """
-    device = torch.device(device)
-    generator = torch.Generator().manual_seed(config.seed)
-    rows, _ = split_views(capture, config.test_every)
-    if not rows:
-        raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
-    state = _begin(capture, config, device, generator, checkpoint)
-    run = Run(
-        config=config,
-        rows=tuple(rows),
-        views=training_views(capture, state.ids, device),
-        cameras=capture.cameras,
-        extent=scene_extent(capture.cameras),
-        generator=generator,
-    )
-    _warm_up(run, state)
-    saved = time.monotonic()
-    with deferred_interrupt() as interrupted:
-        while run.progress(state) < 1 and not interrupted():
-            state, loss, psnr = _step(run, state)
-            if on_progress is not None:
-                on_progress(state, loss, psnr)
-            due = interrupted() or time.monotonic() - saved > CHECKPOINT_SECONDS
-            if checkpoint is not None and due:
-                save_checkpoint(checkpoint, state, config, generator.get_state())
-                saved = time.monotonic()
-    if run.progress(state) < 1:
-        raise KeyboardInterrupt
-    return state
-
-
-def train(
-    capture: Capture,
-    config: TrainConfig | None = None,
-    *,
-    device: torch.device | str = "auto",
-    progress: bool = True,
-    **settings: float | int | bool | None,
-) -> Splats:
-    """Train a splat from posed photos: Gaussians, and identities if there are label maps.
-
-    Follows StyleSplat and Gaussian Grouping, with 3DGS-MCMC densification.
-
-    Args:
-        capture: Posed photos, from `load`.
-        config: How to train; the default preset if not given.
-        device: `auto` takes an NVIDIA GPU where there is one.
-        progress: Whether to show a progress bar.
-        settings: Fields of `TrainConfig` to change, such as `steps=2000`.
-
-    Raises:
-        StyleSplatError: If the capture leaves nothing to train on.
 
     Example:
         >>> import stylesplat as ss
-        >>> splats = ss.train(ss.load("garden/"), max_seconds=120)  # doctest: +SKIP
+        >>> from stylesplat.training.train_config import TrainConfig
+        >>> state = fit(ss.load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
+        >>> splats = state.splats.detach()  # doctest: +SKIP
     """
-    config = replace(config or TrainConfig(), **settings)
-    device = pick_device(device)
-    with progress_bar(config, enabled=progress) as report:
-        return fit(capture, config, device=device, on_progress=report).splats.detach()
+    device = torch.device(device)
+    rows, _ = split_views(capture, config.test_every)
+    if not rows:
+        raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
+    saved = None if checkpoint is None else Checkpoint(checkpoint, config, fingerprint(capture))
+    state = _continued(saved, device) or _first(capture, rows, config, device)
+    run = Run(
+        config=config,
+        rows=tuple(rows),
+        views=training_views(
+            capture, rows, ids=state.ids, device=device, max_memory=config.max_memory
+        ),
+        cameras=capture.cameras,
+        extent=scene_extent(capture.cameras),
+        device=device,
+    )
+    _warm_up(run, state)
+    with announced(config, state, on_progress) as report:
+        return _finish(run, state, saved, report)
 
 
-def _begin(
-    capture: Capture,
-    config: TrainConfig,
-    device: torch.device,
-    generator: torch.Generator,
-    checkpoint: Path | None,
+def _first(
+    capture: Capture, rows: Sequence[int], config: TrainConfig, device: torch.device
 ) -> State:
-    if checkpoint is not None and checkpoint.exists():
-        state, random = load_checkpoint(checkpoint, config, device)
-        generator.set_state(random)
-        return state
+    shown = shown_ids(capture, rows)
+    say_unseen(shown, capture.object_names)
     splats = first_splats(
         capture,
         sh_degree=config.sh_degree,
         max_gaussians=config.max_gaussians,
-        generator=generator,
+        generator=torch.Generator().manual_seed(config.seed),
+        ids=shown.trained,
     )
     return first_state(splats.to(device))
 
 
+def _continued(saved: Checkpoint | None, device: torch.device) -> State | None:
+    """What an earlier run has left, if there was one."""
+    if saved is None:
+        return None
+    state = load_checkpoint(saved, device) if saved.path.exists() else None
+    remove_leftovers(saved.path)
+    if state is not None:
+        say(f"Continuing from {saved.path}, after {state.step:,} steps. `--restart` begins anew.")
+    return state
+
+
 def _warm_up(run: Run, state: State) -> None:
     """Compile the kernels before the clock starts, by steps on a copy; leaves no trace."""
-    if run.progress(state) >= 1:
-        return
-    random = run.generator.get_state()
-    for step in range(min(run.config.identity_every, 2)):  # with and without identities
-        _step(run, replace(state.clone(), step=step))
-    run.generator.set_state(random)
+    if run.progress(state) < 1:
+        for step in range(min(run.config.identity_every, 2)):  # with and without identities
+            train_step(run, replace(state.clone(), step=step))
 
 
-def _step(run: Run, state: State) -> tuple[State, float, float]:
-    start = time.perf_counter()
-    progress, config = run.progress(state), run.config
-    info, loss, psnr = _gradients(run, state)
-    unit = run.extent * schedule.means_decay(progress)
-    rates = RATES | dict.fromkeys(CLASSIFIER, config.classifier_rate)
-    rates |= {"means": config.means_rate * unit, "shN": config.bands_rate}
-    seen = (info["radii"][0] > 0).all(dim=-1)
-    adam_step(state.params, state.moments, rates, state.step + 1, seen)
-    mcmc.add_noise(state.params, unit, run.generator)
-    params, moments = state.params, state.moments
-    refining = state.step % config.refine_every == config.refine_every - 1
-    if refining and config.object_pixels is not None:
-        limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
-    if refining and progress < REFINE_END:
-        count = schedule.gaussian_count(progress, state.first_count, config)
-        params, moments = mcmc.refine(
-            *(params, moments, state.names, count, run.generator),
-            preference=growth_preference(state.splats, config.object_growth),
-        )
-    seconds = state.seconds + time.perf_counter() - start
-    state = replace(state, params=params, moments=moments, step=state.step + 1, seconds=seconds)
-    return state, loss, psnr
-
-
-def _gradients(run: Run, state: State) -> tuple[Info, float, float]:
-    """Fill `.grad` of the parameters for one photo; also its loss and PSNR."""
-    progress, config = run.progress(state), run.config
-    row = run.row(state.step)
-    factor = schedule.photo_downscale(progress, run.cameras[row].size, config)
-    camera, photo, classes = run.views(row, factor)
-    if state.step % config.identity_every != 0:
-        classes = None
-    for param in state.params.values():
-        param.grad = None
-    splats = state.splats
-    render, _, info = rasterize(
-        splats,
-        camera,
-        features=None if classes is None else splats.identities,
-        features_move_geometry=config.identity_geometry,
-        sh_degree=schedule.sh_degree(progress, config),
-    )
-    image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
-    loss, error = photometric_loss(image, photo)
-    loss = loss + mcmc.regularizer(state.params)
-    if classes is not None:
-        loss = loss + _identity_losses(run, state, rendered, classes)
-    loss.backward()
-    return info, float(loss.detach()), float(-10 * torch.log10(error.clamp(min=1e-10)))
-
-
-def _identity_losses(run: Run, state: State, rendered: Tensor, classes: Tensor) -> Tensor:
-    splats, stride = state.splats, run.config.identity_stride
-    assert splats.identities is not None and splats.classifier is not None
-    y, x = torch.randint(stride, (2,), generator=run.generator).tolist()
-    pixels, targets = rendered[y::stride, x::stride], classes[y::stride, x::stride]
-    loss = identity_loss(pixels.flatten(0, 1), targets.flatten(), splats.classifier)
-    if state.step // run.config.identity_every % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
-        sample, neighbors = _neighbors(splats.means.detach().cpu(), run.generator)
-        loss = loss + neighbor_loss(
-            splats.identities[sample], splats.identities[neighbors], splats.classifier
-        )
-    return loss
-
-
-def _neighbors(means: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Some Gaussians and the nearest others of each."""
-    sample = torch.randint(len(means), (min(NEIGHBOR_SAMPLES, len(means)),), generator=generator)
-    points = means.numpy()
-    nearest = np.asarray(KDTree(points).query(points[sample.numpy()], k=NEIGHBORS + 1)[1])
-    return sample, torch.from_numpy(nearest[:, 1:])
+def _finish(run: Run, state: State, saved: Checkpoint | None, report: Report) -> State:
+    """Train to the end of the run; Ctrl-C waits for the end of a step."""
+    tally, written = Tally(), time.monotonic()
+    with deferred_interrupt() as interrupted:
+        while run.progress(state) < 1 and not interrupted():
+            start = time.perf_counter()
+            after, scores = train_step(run, state)
+            tally = tally.plus(scores)
+            means = tally.means() if tally.due(after.step, run.device) else None
+            state = replace(after, seconds=state.seconds + time.perf_counter() - start)
+            if means is not None:
+                report(state, *means)
+                tally = Tally()
+            if saved is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
+                save_checkpoint(saved, state)
+                written = time.monotonic()
+        if tally.steps:
+            report(state, *tally.means())
+        if saved is not None:
+            save_checkpoint(saved, state)
+    if interrupted():
+        raise KeyboardInterrupt
+    return state

@@ -6,9 +6,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
+from stylesplat.metrics.ssim import ssim
 from stylesplat.scene.splats import Classifier
-from stylesplat.training import photometric_cpu
-from stylesplat.training.ssim import ssim
+from stylesplat.training.parts import parts_for
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
@@ -22,18 +22,18 @@ def photometric_loss(
     Returns:
         The loss; and the mean squared error of the image clamped to 0..1, without gradient.
     """
-    if image.device.type == "cpu":
-        return photometric_cpu.photometric_loss(image, target, DSSIM_WEIGHT)
-    return photometric_spec(image, target)
+    return parts_for(image.device).photometric_loss(image, target, DSSIM_WEIGHT)
 
 
 def photometric_spec(
-    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
+    image: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+    dssim_weight: float = DSSIM_WEIGHT,
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
     """`photometric_loss` in plain torch, on any device and in any precision."""
     dissimilarity = 1 - ssim(image, target)
     error = (image.detach().clamp(0, 1) - target).square().mean()
-    return (1 - DSSIM_WEIGHT) * l1_loss(image, target) + DSSIM_WEIGHT * dissimilarity, error
+    return (1 - dssim_weight) * l1_loss(image, target) + dssim_weight * dissimilarity, error
 
 
 def identity_loss(

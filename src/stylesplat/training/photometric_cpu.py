@@ -3,10 +3,10 @@
 Images are rows of 3 W numbers inside a frame of zeros (SSIM's padding), so that vectors of 16 may
 be read anywhere. Tested against `losses.photometric_spec`.
 """
-# pyright: reportCallIssue=false, reportIncompatibleMethodOverride=false
-# (it cannot count starred arguments, and torch's own signature of `backward` is (*args))
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -18,14 +18,27 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
+from stylesplat.metrics.ssim import C1, C2, WINDOW, ssim_window
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.training.ssim import C1, C2, WINDOW, ssim_window
 
 CHANNELS = 3
 HALF = WINDOW // 2  # rows of the frame above and below
 MARGIN = HALF * CHANNELS  # numbers of the frame at the left
 FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vectors
+
+
+class Pair(NamedTuple):
+    """Two images in their frames, and what they are filtered with."""
+
+    window: np.ndarray
+    """SSIM's."""
+    x: np.ndarray
+    """The render, flat."""
+    y: np.ndarray
+    """The photo, flat."""
+    stride: int
+    """Length of their rows."""
 
 
 def stride_of(numbers: int) -> int:
@@ -102,12 +115,13 @@ def similarity(mean_x, mean_y, xx, yy, xy):
 
 @no_type_check
 @kernel
-def forward(window, x, y, stride, inside, v_maps, threads):
+def forward(pair, inside, v_maps, threads):
     """Each thread's sums of SSIM, absolute and squared error (of x clamped to 0..1).
 
     Fills the gradients of SSIM by the three blurred maps, one framed image after the other.
     `inside` is 1 for the numbers of a row and 0 behind them.
     """
+    window, x, y, stride = pair
     height = x.shape[0] // stride - 2 * HALF
     totals = np.zeros((threads, 3))
     for thread in numba.prange(threads):
@@ -142,8 +156,10 @@ def forward(window, x, y, stride, inside, v_maps, threads):
 
 @no_type_check
 @kernel
-def backward(window, x, y, stride, v_maps, v_ssim, v_absolute, v_x, threads):
+def backward(pair, v_maps, factors, v_x, threads):
     """Fill the gradient [H, 3W] of the first image: the filter is its own adjoint."""
+    window, x, y, stride = pair
+    v_ssim, v_absolute = factors
     height, n = v_x.shape
     for thread in numba.prange(threads):
         blurred = np.zeros(3 * stride, np.float32)
@@ -174,9 +190,10 @@ class _Photometric(Function):
         inside[:n] = 1
         v_maps = np.zeros(3 * len(x), np.float32)
         window = ssim_window().float().numpy()
-        totals = forward(window, x, y, stride, inside, v_maps, threads)
+        pair = Pair(window, x, y, stride)
+        totals = forward(pair, inside, v_maps, threads)
         sums = totals.sum(axis=0) / (height * n)
-        ctx.arrays = window, x, y, stride, v_maps
+        ctx.pair, ctx.v_maps = pair, v_maps
         ctx.shape, ctx.dssim_weight = image.shape, dssim_weight
         loss = (1 - dssim_weight) * sums[1] + dssim_weight * (1 - sums[0])
         error = image.new_tensor(sums[2])
@@ -188,9 +205,10 @@ class _Photometric(Function):
     def backward(ctx, v_loss, v_error):
         v_x = torch.empty(ctx.shape)
         share = v_loss.item() / v_x.numel()
-        factors = -ctx.dssim_weight * share, (1 - ctx.dssim_weight) * share
+        v_ssim, v_absolute = -ctx.dssim_weight * share, (1 - ctx.dssim_weight) * share
+        factors = np.float32(v_ssim), np.float32(v_absolute)
         v_rows = v_x.view(len(v_x), -1).numpy()
-        backward(*ctx.arrays, *(np.float32(f) for f in factors), v_rows, get_num_threads())
+        backward(ctx.pair, ctx.v_maps, factors, v_rows, get_num_threads())
         return v_x, None, None
 
 

@@ -1,6 +1,6 @@
 """What changes in the course of training, as functions of the share of the run that is done."""
 
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.train_config import TrainConfig
 
 COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
 MIN_SIZE = 64  # pixels; photos are not made smaller than this

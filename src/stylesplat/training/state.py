@@ -1,16 +1,11 @@
-"""What training carries from step to step, and its checkpoint on disk."""
+"""What training carries from step to step."""
 
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
-import torch
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
-from stylesplat.training.config import TrainConfig
 
 CLASSIFIER = ("weight", "bias")
 
@@ -59,45 +54,3 @@ def first_state(splats: Splats) -> State:
     params = {name: t.detach().clone().requires_grad_() for name, t in params.items()}
     ids = splats.classifier.ids if splats.classifier else ()
     return State(params, Moments.zeros(params), ids, len(splats))
-
-
-def save_checkpoint(path: Path, state: State, config: TrainConfig, random: Tensor) -> None:
-    """Write everything that `load_checkpoint` needs; whole or not at all."""
-    content = {
-        "params": {name: t.detach() for name, t in state.params.items()},
-        "first": state.moments.first,
-        "second": state.moments.second,
-        "ids": list(state.ids),
-        "counts": [state.first_count, state.step],
-        "seconds": state.seconds,
-        "config": asdict(config),
-        "random": random,
-    }
-    with atomic_path(path) as temporary:
-        torch.save(content, temporary)
-
-
-def load_checkpoint(path: Path, config: TrainConfig, device: torch.device) -> tuple[State, Tensor]:
-    """The state that `save_checkpoint` wrote, and the state of the random generator.
-
-    Raises:
-        StyleSplatError: If the file is damaged or belongs to a run with other settings.
-    """
-    try:
-        content = torch.load(path, map_location=device, weights_only=True)
-        saved = content["config"]
-    except Exception as error:  # torch.load raises half a dozen kinds
-        raise StyleSplatError(
-            f"Cannot continue from {path}: it is not a checkpoint. Delete it to start afresh."
-        ) from error
-    changed = [name for name, value in asdict(config).items() if saved.get(name) != value]
-    if changed:
-        raise StyleSplatError(
-            f"{path} is from a run with another {', '.join(changed)}. "
-            "Use the same settings to continue, or --overwrite to start afresh."
-        )
-    params = {name: t.requires_grad_() for name, t in content["params"].items()}
-    moments = Moments(content["first"], content["second"])
-    first_count, step = content["counts"]
-    state = State(params, moments, tuple(content["ids"]), first_count, step, content["seconds"])
-    return state, content["random"].cpu()

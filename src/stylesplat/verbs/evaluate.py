@@ -1,112 +1,132 @@
-"""`evaluate`: measure a scene against photos and label maps, and objects against their styles."""
+"""`evaluate`: held-out views against photos and label maps, and objects against their styles."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.metrics import evaluate_views
-from stylesplat.io.load import load
-from stylesplat.io.scene_folder import RECIPE, Scene, read_scene, update_scene
+from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.style_metrics import (
+    measure_changes,
+    measure_look,
+    measure_style,
+    showing,
+)
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.frames import known_frames, seen_from
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.frames import posed_as
+from stylesplat.scene.paintings import Painting, Source
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig
-from stylesplat.stylization.loop import moved, open_studio
-from stylesplat.stylization.report import measure_changes, measure_look, measure_style, showing
-from stylesplat.stylization.views import evenly
-from stylesplat.verbs.adjust import unstyled
-from stylesplat.verbs.import_splat import MEASURED
-from stylesplat.verbs.objects import find_object
-from stylesplat.verbs.recipe import read_recipe
-from stylesplat.verbs.say import say
-from stylesplat.verbs.stylize import flat_metrics, load_network, style_jobs, working_views
+from stylesplat.stylization.bookkeeping import unpainted
+from stylesplat.stylization.paint_objects import moved, open_studio
+from stylesplat.stylization.plain_settings import with_settings
+from stylesplat.stylization.repaint import StyleJob
+from stylesplat.stylization.style import Style, digest
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.verbs.stylize import flat_metrics, load_network
+
+MEASURED = 8  # views of an import that are compared with their photos: it was trained on all
 
 
-def evaluate_scene(
-    path: Path, *, capture_path: Path | None = None, masks: Path | None = None, device: str = "auto"
+def evaluate(
+    scene: Scene, capture: Capture | None = None, *, device: str = "auto"
 ) -> dict[str, Any]:
-    """Compare the held-out views of a scene with their photos and label maps.
+    """Measure a scene.
 
     Args:
-        path: The scene.
-        capture_path: The capture that it was trained on; by default where it was then.
-        masks: Label maps to compare with; by default the capture's own.
+        scene: What to measure.
+        capture: The photos that it was made from, at the size to compare at, with the label maps
+            to compare with. Without them only a style is measured.
         device: Where to render.
 
     Returns:
-        What `evaluate_views` measures, and of a styled scene what `stylize_scene` did, as far as
-        its styles and network are at hand; also written to `metrics.json` under `evaluate`.
+        With photos what `evaluate_views` measures in the held-out views, and of a styled scene
+        what `stylize` did, as far as its styles and networks are at hand.
 
     Raises:
-        StyleSplatError: If the capture is gone, or the scene has no held-out views.
+        StyleSplatError: If there is nothing to measure, or the photos are of another scene.
     """
-    scene = read_scene(path)
-    source = capture_path or scene.info.get("capture")
-    styled = scene.base_colors is not None
-    if source is None and not styled:
-        raise StyleSplatError(f"{path} does not say what it was trained on. Pass --capture.")
     splats = scene.splats.to(pick_device(device))
-    metrics = _photo_metrics(scene, splats, Path(source), masks) if source else {}
-    if styled:
-        metrics |= _styled_metrics(scene, path, splats)
-    update_scene(path, metrics=scene.metrics | {"evaluate": metrics})
+    metrics = {}
+    if capture is not None:
+        metrics = _photo_metrics(scene, splats, capture)
+    if scene.painted is not None:
+        return metrics | _styled_metrics(scene, splats)
+    if capture is None:
+        raise StyleSplatError("Nothing to compare the scene with. Give the capture of its photos.")
+    if not metrics:
+        raise StyleSplatError(
+            "There are no held-out views to evaluate. Train with `--test-every 8`."
+        )
     return metrics
 
 
-def _photo_metrics(
-    scene: Scene, splats: Splats, source: Path, masks: Path | None
-) -> dict[str, Any]:
+def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, Any]:
     """The held-out views compared with their photos; of an import, some of all."""
-    settings = scene.info.get("settings", {})
-    capture = load(source, downscale=settings.get("downscale", 1.0), masks=masks)
+    capture = posed_as(capture, scene.cameras)
     if "splat" in scene.info:
-        frame = known_frames(capture.cameras)[settings.get("frame", "capture")]
-        capture = replace(capture, cameras=seen_from(capture.cameras, frame))
-        rows = evenly(range(len(capture.cameras)), MEASURED)
+        rows = evenly(range(len(capture)), MEASURED)
     else:
-        rows = [capture.cameras.index(name) for name in scene.info.get("test_views", [])]
-    return evaluate_views(splats, capture, rows)
+        rows = [capture.cameras.index(name) for name in scene.held_out]
+    return evaluate_views(splats, capture, rows) if rows else {}
 
 
-def _styled_metrics(scene: Scene, path: Path, styled: Splats) -> dict[str, Any]:
-    """The numbers of `stylize_scene`, its seconds and steps aside."""
-    names = [str(how["name"]) for how in (scene.recipe or {}).get("objects", [])]
-    if not names:
-        return {}
-    before = unstyled(scene, path)
+def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
+    """The numbers of `stylize`, its seconds and steps aside."""
+    assert scene.painted is not None
+    before = unpainted(scene)
     base = before.splats.to(styled.device)
-    training, held_out = working_views(scene)
+    training, held_out = before.working_views()
     cameras = held_out or training
-    picks = {name: find_object(before, name).to(styled.device) for name in names}
-    views = {n: showing(base, mask, cameras, fallback=training) for n, mask in picks.items()}
-    closeness = _closeness(before, path, styled, views)
-    objects = {
-        name: closeness.get(name, {}) | measure_look(base, styled, views[name], picked)
-        for name, picked in picks.items()
+    picks = {
+        painting.name: painting.picked[: len(base)].to(base.device)
+        for painting in scene.painted.paintings
     }
-    every = torch.stack([*picks.values()]).any(dim=0)
+    views = {n: showing(base, mask, cameras, fallback=training) for n, mask in picks.items()}
+    objects = {
+        painting.name: _closeness(painting, base, styled, views[painting.name])
+        | measure_look(base, styled, views[painting.name], picks[painting.name])
+        for painting in scene.painted.paintings
+    }
+    every: Bool[Tensor, " N"] = torch.stack([*picks.values()]).any(dim=0)
     return flat_metrics(measure_changes(base, styled, cameras, every) | {"objects": objects})
 
 
 def _closeness(
-    before: Scene, path: Path, styled: Splats, views: dict[str, Cameras]
-) -> dict[str, dict[str, float]]:
-    """By object, how close it is to its style; empty if that cannot be told here."""
+    painting: Painting, base: Splats, styled: Splats, views: Cameras
+) -> dict[str, float]:
+    """How close an object is to its style; empty if that cannot be told here."""
     try:
-        recipe = read_recipe(path / RECIPE, defaults=StyleConfig())
-        jobs = style_jobs(before, recipe.objects)
-        features = recipe.features or DEFAULT_NETWORK
-        network = load_network(jobs, features, recipe.weights, download=False)
-        base = before.splats.to(styled.device)
-        jobs = [moved(job, base) for job in jobs]
-        return {
-            job.name: measure_style(open_studio(base, views[job.name], network), job, styled)
-            for job in jobs
-        }
+        style = _style_of(painting)
+        network = load_network([style], painting.features, painting.weights, download=False)
+        picked = painting.picked[: len(base)]
+        job = moved(StyleJob(painting.name, picked, style.read(), style.config), base)
+        return measure_style(open_studio(base, views, network), job, styled)
     except StyleSplatError as error:
-        say(f"{path} is not compared with its styles: {error}")
+        say(f"{painting.name} is not compared with its style: {error}")
         return {}
+
+
+def _style_of(painting: Painting) -> Style:
+    """The style that an object was painted in.
+
+    Raises:
+        StyleSplatError: If its pictures are gone or others now.
+    """
+    pictures = [_present(source) for source in painting.styles]
+    return Style(*pictures, config=with_settings(StyleConfig(), painting.settings))
+
+
+def _present(source: Source) -> Path:
+    if source.path is None:
+        raise StyleSplatError("its style was never a file.")
+    if source.sha256 is not None and digest(source.path) != source.sha256:
+        raise StyleSplatError(f"{source.path} is another picture now. Put the one before back.")
+    return source.path

@@ -1,103 +1,85 @@
 """`mask`: give a capture its label maps."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-from jaxtyping import Int
-from torch import Tensor
-from tqdm import tqdm
+from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.preview import mask_preview
-from stylesplat.io.files import claim_directory, refuse_occupied
-from stylesplat.io.images import write_image
-from stylesplat.io.label_maps import NAMES, write_label_map, write_names
-from stylesplat.io.load import OBJECT_MASK, load, open_capture
+from stylesplat.io.captures.label_folder import with_drawn_maps
 from stylesplat.masks.foreign import foreign_label_maps
-from stylesplat.scene.capture import BACKGROUND
+from stylesplat.masks.models import sam
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.scene import Scene
+from stylesplat.verbs.mask_boxes import Boxes, Strokes, mask_boxes
+from stylesplat.verbs.mask_models import mask_with_model
 
-PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
-
-
-def import_masks(capture_path: Path, source: Path, *, overwrite: bool = False) -> dict[str, Any]:
-    """Write masks of another program into a capture, as `object_mask/`.
-
-    Returns:
-        As `write_masks` does.
-
-    Raises:
-        StyleSplatError: If the masks are not of this capture, or there are label maps already.
-    """
-    refuse_masks(capture_path, overwrite=overwrite)
-    found = foreign_label_maps(source, load(capture_path, masks=False).cameras.names)
-    return write_masks(capture_path, found.maps, found.names, overwrite=overwrite)
+Method = Literal["files", "grabcut"] | sam.Method
+# What the ways to make label maps go by; what another goes by would change nothing
+TAKES = {"files": {"source"}, "grabcut": {"boxes", "strokes", "scene"}}
+MODELS_TAKE = {"model", "scene", "progress"}
 
 
-def refuse_masks(capture_path: Path, *, overwrite: bool) -> None:
-    """Check that label maps may be written, before the work that makes them.
-
-    Raises:
-        StyleSplatError: If there are some already, a file is in their place, or photos differ in
-            their suffix only.
-    """
-    output = capture_path / OBJECT_MASK
-    names = open_capture(capture_path, masks=False).cameras.names
-    if len({Path(name).with_suffix("") for name in names}) < len(names):
-        raise StyleSplatError(
-            f"Some photos in {capture_path} differ in their suffix only, so their label maps would "
-            "have one name. Rename them."
-        )
-    if output.is_file() or not overwrite:
-        refuse_occupied(output, marker="")
-
-
-def write_masks(
-    capture_path: Path,
-    maps: Mapping[str, Callable[[], Int[Tensor, "H W"]]],
-    names: Mapping[int, str],
+def mask(
+    capture: Capture,
     *,
-    overwrite: bool,
-) -> dict[str, Any]:
-    """Write label maps into a capture, with a picture of some; other files there stay.
+    boxes: Boxes | None = None,
+    strokes: Strokes | None = None,
+    source: Path | str | None = None,
+    method: Method | None = None,
+    model: str | None = None,
+    scene: Scene | None = None,
+    device: str = "auto",
+    progress: Path | None = None,
+) -> Capture:
+    """Say what object each pixel of the photos shows.
+
+    Boxes and strokes are in the pixels of the capture's photos as they are: the photos' own if it
+    was loaded at full size, those of the smaller ones if it was loaded with a `downscale`.
 
     Args:
-        capture_path: The capture's folder.
-        maps: By photo what makes its label map.
-        names: What objects are called, by id; others have none.
-        overwrite: Whether label maps that are there may be replaced.
+        capture: Posed photos; what label maps they have does not matter.
+        boxes: By object's name a view and a rectangle around the object, x0, y0, x1, y1; several
+            in a list. One view often suffices.
+        strokes: By object's name a view that has a box, and a line over the object or over what
+            is not; several in a list.
+        source: Masks of another program: a folder of id pictures named like the photos or with a
+            sub-folder of binary masks per object, or COCO JSON with RLE masks.
+        method: `files` takes the masks in `source` and `grabcut` cuts out what the boxes hold, by
+            default what is given; the others find all objects with a model of that family.
+        model: Folder or hub name of a checkpoint; by default a small one of the family.
+        scene: A scene of these photos, on which the masks of different photos meet; by default a
+            splat is trained for about a minute.
+        device: Where to compute: `auto`, `cpu` or `cuda`.
+        progress: A folder for what a model has found so far, from where an interrupted run goes
+            on. It stays until its owner removes it.
 
     Returns:
-        `masks`: their folder; `preview`: a picture of some; `photos`: how many photos have one;
-        `of`: how many there are; `ids`: the objects found; `names`: what they are called.
+        The same photos with label maps of their size, made on access, and the objects' names.
 
     Raises:
-        StyleSplatError: If they do not fit their photos, or there are label maps already.
+        StyleSplatError: If nothing says what to mask, something given does not fit the photos or
+            means nothing with the method, an object cannot be called so, a model cannot be had,
+            or nothing is found.
     """
-    output, ids = capture_path / OBJECT_MASK, set[int]()
-    with claim_directory(output, overwrite=overwrite, marker="") as folder:
-        for name, read in tqdm(maps.items(), desc="label maps", unit="photo"):
-            labels = read()
-            ids |= set(labels.unique().tolist())
-            write_label_map(labels, (folder / name).with_suffix(".png"))
-        ids -= {BACKGROUND}
-        called = {id: name for id, name in names.items() if id in ids}
-        write_names(called, folder)
-        capture = load(capture_path, masks=folder)  # refuses those that do not fit their photos
-        write_image(mask_preview(capture, called), folder / PREVIEW)
-    _remove_stale(output, set(capture.cameras.names) - maps.keys(), named=bool(called))
-    return {
-        "masks": output,
-        "preview": output / PREVIEW,
-        "photos": len(maps),
-        "of": len(capture.cameras),
-        "ids": sorted(ids),
-        "names": called,
-    }
+    method = method or ("grabcut" if source is None else "files")
+    given = {"boxes": boxes, "strokes": strokes, "source": source, "model": model}
+    _refuse_unused(method, given | {"scene": scene, "progress": progress})
+    if method == "files":
+        if source is None:
+            raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
+        found = foreign_label_maps(Path(source), capture.cameras.names)
+        return with_drawn_maps(capture, found.maps, found.names)
+    if method == "grabcut":
+        return mask_boxes(capture, boxes or {}, strokes or {}, scene=scene, device=device)
+    return mask_with_model(
+        capture, method, model=model, scene=scene, device=device, progress=progress
+    )
 
 
-def _remove_stale(folder: Path, photos: Iterable[str], *, named: bool) -> None:
-    """Take away what an earlier run said of photos and names of which this one says nothing."""
-    stale = [(folder / name).with_suffix(".png") for name in photos]
-    for path in [*stale, *([] if named else [folder / NAMES])]:
-        path.unlink(missing_ok=True)
+def _refuse_unused(method: Method, given: Mapping[str, Any]) -> None:
+    """Raise a StyleSplatError for what would change nothing."""
+    for name, value in given.items():
+        if value and name not in TAKES.get(method, MODELS_TAKE):
+            raise StyleSplatError(
+                f"`{name}` means nothing with the method `{method}`. Leave it out."
+            )

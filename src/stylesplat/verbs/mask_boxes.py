@@ -1,85 +1,81 @@
 """`mask --method grabcut`: label maps of objects that the user drew boxes around."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.load import load
+from stylesplat.masks.boxes.grabcut import Box, Stroke, refuse_box
+from stylesplat.masks.boxes.spread import Seen, spread
 from stylesplat.masks.foreign import overlaid
-from stylesplat.masks.grabcut import Box, Stroke, refuse_box
-from stylesplat.masks.spread import Seen, spread
 from stylesplat.scene.cameras import Cameras
-from stylesplat.verbs.mask import refuse_masks, write_masks
-from stylesplat.verbs.working import with_splat, working_capture
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.resized import at_most
+from stylesplat.scene.scene import Scene, check_name
+from stylesplat.verbs.working import with_maps, with_splat
 
 SIZE = 480  # pixels of the longer side at which objects are cut out
 
-Boxes = Sequence[tuple[str, str, Box]]
-"""An object's name, a view's, and a rectangle of its pixels at full size."""
-Strokes = Sequence[tuple[str, str, Stroke]]
-"""An object's name, a view's, and a stroke in its pixels at full size."""
+SeenBox = tuple[str, Box]
+"""A view's name, and left, top, right, bottom in its pixels."""
+SeenStroke = tuple[str, Stroke]
+"""A view's name, and a line in its pixels."""
+Boxes = Mapping[str, SeenBox | Sequence[SeenBox]]
+"""By object's name."""
+Strokes = Mapping[str, SeenStroke | Sequence[SeenStroke]]
+"""By object's name."""
 
 
 def mask_boxes(
-    capture_path: Path,
-    boxes: Boxes,
-    *,
-    strokes: Strokes = (),
-    scene: Path | None = None,
-    device: str = "auto",
-    overwrite: bool = False,
-) -> dict[str, Any]:
+    capture: Capture, boxes: Boxes, strokes: Strokes, *, scene: Scene | None, device: str
+) -> Capture:
     """Cut objects out of all photos, from boxes in one or a few, without any model.
-
-    Args:
-        capture_path: The capture's folder.
-        boxes: Those of the same object have the same name.
-        strokes: Over objects, or what is not, in photos with a box around them.
-        scene: A scene of the capture; by default a splat is trained for about a minute.
-        device: Where to render.
-        overwrite: Whether label maps that are there may be replaced.
-
-    Returns:
-        As `write_masks` does.
 
     Raises:
         StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
-            stands out, a stroke has no box, or there are label maps already.
+            stands out, a stroke has no box, or an object cannot be called so.
     """
-    if not boxes:
+    if not boxes or not all(boxes.values()):
         raise StyleSplatError(
             "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1; "
             "find all objects with a model, --method sam2; or take another program's masks, --from."
         )
-    refuse_masks(capture_path, overwrite=overwrite)
-    full = load(capture_path, masks=False).cameras
-    capture = working_capture(capture_path, SIZE)
+    full, small = capture.cameras, at_most(capture, SIZE)
     placed = [
-        (name, full.index(view), _scaled(box, full[full.index(view)], capture.cameras))
-        for name, view, box in boxes
+        (name, row := full.index(view), _scaled(box, full[row], small.cameras[row]))
+        for name, view, box in _each(boxes)
     ]
     _refuse_twice(placed, full.names)
     drawn = [
-        (name, row := full.index(view), _scaled_stroke(stroke, full[row], capture.cameras))
-        for name, view, stroke in strokes
+        (name, row := full.index(view), _scaled_stroke(stroke, full[row], small.cameras[row]))
+        for name, view, stroke in _each(strokes)
     ]
     _refuse_alone(drawn, placed, full.names)
-    working = with_splat(capture_path, capture, scene, device)
+    working = with_splat(small, scene, device)
     cameras, seen = working.capture.cameras, Seen(working.splats, working.capture)
-    names = dict(enumerate(dict.fromkeys(name for name, _, _ in placed), start=1))
+    names = dict(enumerate(boxes, start=1))
     masks = {}
     for id, name in names.items():
         around = [(row, box) for each, row, box in placed if each == name]
         over = [(row, stroke) for each, row, stroke in drawn if each == name]
         masks[id] = spread(working.splats, cameras, seen, around, over)
-    maps = {
-        view: partial(overlaid, [(id, found[row]) for id, found in masks.items()])
-        for row, view in enumerate(cameras.names)
+    maps = [
+        partial(overlaid, [(id, found[row]) for id, found in masks.items()])
+        for row in range(len(capture))
+    ]
+    return with_maps(capture, maps, names)
+
+
+def _each(drawn: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
+    """An object's name, a view's, and what was drawn there, for each thing that was drawn."""
+    for name in drawn:
+        check_name(name)
+    several = {
+        name: [places] if places and isinstance(places[0], str) else places
+        for name, places in drawn.items()
     }
-    return write_masks(capture_path, maps, names, overwrite=overwrite)
+    return [(name, view, what) for name, places in several.items() for view, what in places]
 
 
 def _refuse_twice(placed: Sequence[tuple[str, int, Box]], views: Sequence[str]) -> None:
@@ -107,31 +103,36 @@ def _refuse_alone(
             )
 
 
-def _scaled_stroke(stroke: Stroke, camera: Cameras, working: Cameras) -> Stroke:
+def _scaled_stroke(stroke: Stroke, camera: Cameras, small: Cameras) -> Stroke:
     """A stroke in the pixels of the working size; raises a StyleSplatError if it is outside."""
     (width, height), (name,) = camera.size, camera.names
     for x, y in stroke.points:
         if not (0 <= x < width and 0 <= y < height):
             raise StyleSplatError(
                 f"The stroke's point {x:g},{y:g} is outside {name}, which is {width}x{height} "
-                "pixels. Give pixels of the photo at full size."
+                "pixels. Give pixels of the photo."
             )
-    small = working[working.index(name)].size
-    points = tuple((x * small[0] / width, y * small[1] / height) for x, y in stroke.points)
+    across, down = _shrinkage(camera, small)
+    points = tuple((x * across, y * down) for x, y in stroke.points)
     return replace(stroke, points=points)
 
 
-def _scaled(box: Box, camera: Cameras, working: Cameras) -> Box:
+def _scaled(box: Box, camera: Cameras, small: Cameras) -> Box:
     """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
     (width, height), (name,) = camera.size, camera.names
     x0, y0, x1, y1 = box
     if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
         raise StyleSplatError(
             f"Box {x0:g},{y0:g},{x1:g},{y1:g} is empty or reaches outside {name}, which is "
-            f"{width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo at full size."
+            f"{width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo."
         )
-    small = working[working.index(name)].size
-    across, down = small[0] / width, small[1] / height
+    across, down = _shrinkage(camera, small)
     scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
-    refuse_box(scaled, small, name)
+    refuse_box(scaled, small.size, name)
     return scaled
+
+
+def _shrinkage(camera: Cameras, small: Cameras) -> tuple[float, float]:
+    """How many times smaller the working size is, across and down."""
+    (width, height), (across, down) = camera.size, small.size
+    return across / width, down / height

@@ -11,20 +11,16 @@ from zipfile import BadZipFile
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, read_json, write_json
 from stylesplat.io.label_maps import read_label_map, write_label_map
-from stylesplat.masks.track import State
-from stylesplat.verbs.say import say
+from stylesplat.masks.models.track import State
+from stylesplat.progress import say
+from stylesplat.scene.labels import Labels, Mask
 
 SETTINGS = "settings.json"
 STATE = "state.json"
-
-Mask = Bool[Tensor, "H W"]
-Labels = Int[Tensor, "H W"]
 
 
 @dataclass(frozen=True)

@@ -1,83 +1,76 @@
-"""`render`: pictures or a video of a scene."""
+"""`render`: pictures of a scene, one per view."""
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
+from jaxtyping import Int, UInt8
 from torch import Tensor
-from tqdm import tqdm
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.orbit import orbit_cameras
-from stylesplat.evaluation.pictures import label_colors, render_pictures
-from stylesplat.io.files import claim_directory
-from stylesplat.io.images import write_image
-from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.scene_folder import Scene, read_scene
-from stylesplat.io.video import write_video
+from stylesplat.drawing.orbit import orbit_cameras
+from stylesplat.drawing.pictures import render_pictures
+from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.choose import find_object
 
 Which = Literal["test", "train", "all", "orbit"]
 ORBIT_FRAMES = 180  # six seconds at 30 frames a second
-VIDEO = ".mp4"
 
 
-def render_scene(
-    path: Path,
-    output: Path,
-    *,
+@dataclass(frozen=True)
+class Views:
+    """Pictures of a scene, rendered one after the other as they are asked for."""
+
+    names: tuple[str, ...]
+    """Of the cameras: the photos' file names."""
+    pictures: Iterator[UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]
+    """What each sees, on the CPU: an image, or the ids of labels."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __iter__(self) -> Iterator[tuple[str, UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]]:
+        return zip(self.names, self.pictures, strict=True)
+
+
+def render(
+    scene: Scene,
     views: Which = "all",
+    *,
     what: str = "color",
     downscale: float = 1.0,
     device: str = "auto",
-    overwrite: bool = False,
-) -> dict[str, Any]:
-    """Render views of a scene into a folder of PNGs, or into a video if `output` ends in .mp4.
+) -> Views:
+    """Render views of a scene.
+
+    Args:
+        scene: What to look at.
+        views: Held-out (test), training or all views, or a round trip of 180 frames.
+        what: `color`; `labels`, the ids of label maps; `identities`, their principal components
+            as colours; `depth`; or `object:NAME`, one object alone.
+        downscale: How many times smaller than the photos.
+        device: Where to render.
 
     Returns:
-        `output` and the number of `views`.
+        Names and pictures; the latter are rendered as they are asked for.
 
     Raises:
-        StyleSplatError: If the scene has no such views or objects, or `output` is taken.
+        StyleSplatError: If the scene has no such views or objects.
+
+    Example:
+        >>> for name, picture in render(scene, "test"):  # doctest: +SKIP
+        ...     Image.fromarray(picture.numpy()).save(name)
     """
-    scene = read_scene(path)
-    cameras = scene_views(scene, views).downscale(downscale)
-    splats = scene.splats.to(pick_device(device))
-    pictures = render_pictures(splats, cameras, what, picks=scene.picks)
-    if output.suffix.lower() == VIDEO:
-        if output.exists() and not overwrite:
-            raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")
-        colors = label_colors if what == "labels" else lambda frame: frame
-        write_video((colors(frame) for frame in _shown(pictures, len(cameras))), output)
+    if views == "orbit":
+        cameras = orbit_cameras(scene.cameras, ORBIT_FRAMES)
     else:
-        write = write_label_map if what == "labels" else write_image
-        with claim_directory(output, overwrite=overwrite, marker="") as folder:
-            frames = _shown(pictures, len(cameras))
-            for name, frame in zip(cameras.names, frames, strict=True):
-                write(frame, folder / f"{Path(name).stem}.png")
-    return {"output": output, "views": len(cameras)}
-
-
-def scene_views(scene: Scene, which: Which) -> Cameras:
-    """The cameras of the held-out, training or all views, or of an orbit around the scene.
-
-    Raises:
-        StyleSplatError: If there are none.
-    """
-    if which == "orbit":
-        return orbit_cameras(scene.cameras, ORBIT_FRAMES)
-    held_out = set(scene.info.get("test_views", []))
-    rows = [
-        row
-        for row, name in enumerate(scene.cameras.names)
-        if which == "all" or (name in held_out) == (which == "test")
-    ]
-    if not rows:
-        raise StyleSplatError(f"The scene has no {which} views. Choose --views all or orbit.")
-    return scene.cameras[rows]
-
-
-def _shown(pictures: Iterator[Tensor], count: int) -> tqdm:
-    """The same pictures, with a progress bar."""
-    return tqdm(pictures, desc="rendering", total=count, unit="view")
+        cameras = scene.views(views)
+    cameras = cameras.downscale(downscale)
+    splats = scene.splats.to(pick_device(device))
+    picked = None
+    if what.startswith("object:"):
+        picked, what = find_object(scene, what.removeprefix("object:")), "object"
+    pictures = render_pictures(splats, cameras, what, picked=picked)
+    counted = track(pictures, "rendering", total=len(cameras))
+    return Views(cameras.names, counted)

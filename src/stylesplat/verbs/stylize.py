@@ -1,186 +1,235 @@
-"""`stylize`: repaint named objects of a scene."""
+"""`stylize`: repaint objects of a scene, each in the style of pictures."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import torch
+from typing import Any, cast, get_args
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import refuse_occupied
-from stylesplat.io.scene_folder import SCENE, Scene, Unsplit, read_scene, write_scene
+from stylesplat.evaluation.style_metrics import measure_painted
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import DEFAULT_NETWORK, Network
+from stylesplat.scene.paintings import Painting, Source
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.choose import find_object
+from stylesplat.stylization.bookkeeping import (
+    at_intensities,
+    refuse_painted,
+    strengths,
+    with_paintings,
+)
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.loop import MAX_MEMORY, Styled, stylize_objects
-from stylesplat.stylization.pictures import read_style
+from stylesplat.stylization.paint_objects import MAX_MEMORY, check_jobs, open_studio, paint_objects
+from stylesplat.stylization.plain_settings import plain
 from stylesplat.stylization.repaint import StyleJob
-from stylesplat.verbs.objects import find_object
-from stylesplat.verbs.recipe import StyledObject, write_recipe
-from stylesplat.verbs.render import scene_views
+from stylesplat.stylization.style import (
+    Picture,
+    Recipe,
+    Style,
+    StyledObject,
+    as_recipe,
+    digest,
+)
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
 
-PER_RUN = ("seconds", "steps", "gaussians")  # numbers of an object that are not reported by it
+
+@dataclass(frozen=True)
+class Run:
+    """Objects that are painted on the same scene, each by itself, with the same network."""
+
+    objects: tuple[StyledObject, ...]
+    """At least one."""
+    features: Network
+    """Whose features are matched."""
+    weights: Source | None
+    """The network's file; None for its own."""
+    upon: Mapping[str, float]
+    """What was painted before, and how strong it is to be meanwhile."""
 
 
-def stylize_scene(
-    path: Path,
-    output: Path,
-    objects: Sequence[StyledObject],
+def stylize(
+    scene: Scene,
+    styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe,
     *,
-    features: Network = DEFAULT_NETWORK,
-    weights: Path | None = None,
+    features: Network | None = None,
+    weights: Path | str | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
-    overwrite: bool = False,
-) -> dict[str, Any]:
-    """Repaint objects of a scene, each in the style of one or more pictures, into a new scene.
+) -> Scene:
+    """Repaint objects of a scene, each in the style of one or more pictures.
+
+    Nothing but these objects changes: of their Gaussians the colours, and those too large to show
+    strokes are split. The new ones follow all others. Objects are painted each by itself; those
+    that were painted before stay, and show in the views that others are painted in.
+
+    Args:
+        scene: What to paint on.
+        styles: Pictures or a `Style` by object, which is a name or a label id; or a recipe.
+        features: The network whose features are matched; by default what the recipe says, or
+            `compact`, which ships with the package.
+        weights: The network's file; VGG's are else downloaded, once.
+        max_memory: GiB for prepared views; what does not fit takes longer.
+        device: Where to compute.
 
     Returns:
-        What `metrics.json` holds: seconds, steps, changed Gaussians, PSNR outside the objects,
-        and by object `nnfm_before`, `nnfm_after` and the like.
+        The scene, with what was painted. Its metrics are `seconds`, `steps`, `precision`, what
+        changed around the objects, and by object `nnfm_before`, `nnfm_after` and the like; those
+        of training are under `train`.
 
     Raises:
-        StyleSplatError: If an object, picture or weights file is unfit, or `output` is taken.
+        StyleSplatError: If an object, picture or weights file is unfit, or an object was painted
+            before.
+
+    Example:
+        >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
+        ... # doctest: +SKIP
     """
-    if not objects:
-        raise StyleSplatError(
-            "Nothing to stylise. Pass --style OBJECT=IMAGE at least once, or --recipe FILE."
-        )
-    if not overwrite:
-        refuse_occupied(output, marker=SCENE)
-    scene = read_scene(path)
-    jobs = style_jobs(scene, objects)
-    _refuse_restyling(scene, path, jobs)
-    network = load_network(jobs, features, weights)
-    training, held_out = working_views(scene)
-    styled, measured = stylize_objects(
-        *(scene.splats.to(pick_device(device)), training, jobs, network),
-        held_out=held_out,
-        max_memory=max_memory,
-    )
-    metrics = flat_metrics(measured)
-    recipe = {
-        **write_recipe(objects, scene.recipe),
-        "features": features,
-        "weights": weights and weights.resolve(),
-        "scene": (scene.recipe or {}).get("scene", path.resolve()),
-    }
-    repainted = _with_style(scene, styled, jobs)
-    repainted = replace(
-        repainted,
-        recipe=recipe,
-        metrics=metrics | {"train": scene.metrics.get("train", scene.metrics)},
-    )
-    write_scene(repainted, output, overwrite=overwrite)
-    return metrics
+    recipe = as_recipe(styles)
+    if not recipe.objects:
+        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
+    start = time.perf_counter()
+    before, measured = scene, {}
+    for run in _runs(recipe, scene, features, weights):
+        scene, found = _painted(scene, run, max_memory, device)
+        measured = _joined(measured, found)
+    wanted = strengths(before) | {each.name: _final(each) for each in recipe.objects}
+    metrics = {"seconds": time.perf_counter() - start, **measured}
+    metrics["train"] = before.metrics.get("train", before.metrics)
+    return replace(at_intensities(scene, wanted), metrics=metrics)
 
 
 def load_network(
-    jobs: Sequence[StyleJob], features: Network, weights: Path | None, *, download: bool = True
+    styles: Sequence[Style],
+    features: str,
+    weights: Source | None,
+    *,
+    download: bool = True,
 ) -> FeatureNetwork:
-    """The network that some jobs need, as deep as the deepest does.
+    """The network that some styles need, as deep as the deepest does.
 
     Raises:
-        StyleSplatError: As `load_weights` does.
+        StyleSplatError: As `load_weights` does, or if the file is not the one that was meant.
     """
-    depth = max(max(job.config.layers) for job in jobs)
-    return load_weights(features, weights, depth=depth, download=download)
+    path = weights.path if weights else None
+    if weights and path and weights.sha256 and path.is_file() and digest(path) != weights.sha256:
+        raise StyleSplatError(
+            f"{path} holds other weights than those that were used: its digest differs. Put the "
+            "file back, or pass --weights."
+        )
+    if features not in get_args(Network):
+        known = ", ".join(get_args(Network))
+        raise StyleSplatError(f"There is no feature network {features!r}. Use one of {known}.")
+    depth = max(max(style.config.layers) for style in styles)
+    return load_weights(cast("Network", features), path, depth=depth, download=download)
 
 
-def style_jobs(scene: Scene, objects: Sequence[StyledObject]) -> list[StyleJob]:
-    """The Gaussians and pictures that are meant.
-
-    Raises:
-        StyleSplatError: If the scene has no such object, or a picture is unfit.
-    """
-    jobs = []
-    for each in objects:
-        config = each.config
-        pictures = [
-            read_style(picture, rotate=config.rotate, region=config.region)
-            for picture in each.styles
-        ]
-        picked = find_object(scene, each.name)
-        jobs.append(StyleJob(each.name, picked, tuple(pictures), config))
-    return jobs
-
-
-def _refuse_restyling(scene: Scene, path: Path, jobs: Sequence[StyleJob]) -> None:
-    """What an object looked like before is kept once, so it has one style."""
-    for styled in (scene.recipe or {}).get("objects", []):
-        taken = find_object(scene, styled["name"])
-        for job in jobs:
-            if (taken & job.picked).any():
-                raise StyleSplatError(
-                    f"{job.name} is styled in {path} already. Change its strength with `adjust`, "
-                    f"or start from the scene before: `stylesplat adjust {path} --undo -o SCENE`."
-                )
+def _runs(
+    recipe: Recipe, scene: Scene, features: Network | None, weights: Path | str | None
+) -> Iterator[Run]:
+    """The objects of a recipe in groups that are painted together, in order."""
+    upon = strengths(scene)
+    run: Run | None = None
+    for each in recipe.objects:
+        network = features or each.features or DEFAULT_NETWORK
+        file = Source(Path(weights)) if weights else each.weights
+        if features and features != (each.features or DEFAULT_NETWORK) and not weights:
+            file = None  # the recipe's is of its own network
+        own = Run((each,), network, file, _upon(each, upon))
+        if run is not None and replace(own, objects=()) == replace(run, objects=()):
+            run = replace(run, objects=(*run.objects, each))
+            continue
+        if run is not None:
+            yield run
+        run = own
+    assert run is not None  # there is at least one object
+    yield run
 
 
-def _with_style(scene: Scene, styled: Styled, jobs: Sequence[StyleJob]) -> Scene:
-    """The scene with its new Gaussians, and all that belongs to them; and what undoes it.
+def _upon(each: StyledObject, there: Mapping[str, float]) -> Mapping[str, float]:
+    """What an object is painted upon: what its recipe recorded, besides all that is there."""
+    return {**there, **(each.upon or {})}
 
-    What a label id meant is kept as well: among the new Gaussians it would mean others.
-    """
-    parents = styled.parents.cpu()
-    splats, base = styled.splats.to("cpu"), styled.base.to("cpu")
-    picks = scene.picks | {job.name: job.picked for job in jobs}
-    colors = {"sh0": base.sh0, "shN": base.shN}
-    if scene.base_colors is not None:  # styled before: other objects' colours before that
-        colors = {name: tensor[parents] for name, tensor in scene.base_colors.items()}
-    full = {"sh0": styled.full.sh0.cpu(), "shN": styled.full.shN.cpu()}
-    if scene.style_colors is not None:
-        mine = torch.stack([job.picked for job in jobs]).any(dim=0)[parents, None, None]
-        earlier = {name: tensor[parents] for name, tensor in scene.style_colors.items()}
-        full = {name: torch.where(mine, full[name], earlier[name]) for name in full}
-    return replace(
-        scene,
-        splats=splats,
-        picks={name: picked[parents] for name, picked in picks.items()},
-        base_colors=colors,
-        style_colors=full,
-        unsplit=_unsplit(scene, base),
+
+def _final(each: StyledObject) -> float:
+    """How strong an object is to be in the end."""
+    return each.style.config.intensity if each.intensity is None else each.intensity
+
+
+def _painted(
+    scene: Scene, run: Run, max_memory: float, device: str
+) -> tuple[Scene, dict[str, Any]]:
+    """The scene after a run, and what was measured of it."""
+    lost = sorted(run.upon.keys() - strengths(scene).keys())
+    if lost:
+        say(f"{run.objects[0].name} was painted upon {', '.join(lost)}, which is not there now.")
+    styles = [each.style for each in run.objects]
+    ground = scene
+    if scene.painted is not None:  # what it is not painted upon is hidden meanwhile
+        ground = at_intensities(scene, dict.fromkeys(strengths(scene), 0.0) | dict(run.upon))
+    jobs = [
+        StyleJob(each.name, find_object(ground, each.name), each.style.read(), each.style.config)
+        for each in run.objects
+    ]
+    check_jobs(jobs)
+    refuse_painted(ground, {job.name: job.picked for job in jobs})
+    network = load_network(styles, run.features, run.weights)
+    training, held_out = ground.working_views()
+    studio = open_studio(
+        ground.splats.to(pick_device(device)),
+        training,
+        network,
+        held_out=held_out,
+        max_memory=max_memory,
     )
+    styled, seconds = paint_objects(studio, jobs)
+    measured = measure_painted(studio, jobs, styled.splats, held_out=held_out)
+    numbers = {
+        "steps": sum(job.config.steps for job in jobs),
+        "precision": str(studio.precision).removeprefix("torch."),
+        **flat_metrics(measured),
+        "seconds_by_object": seconds,
+    }
+    paintings = _records(run, jobs, strengths(ground))
+    return with_paintings(ground, styled, paintings), numbers
 
 
-def _unsplit(scene: Scene, base: Splats) -> Unsplit | None:
-    """How to undo this split, and those before it."""
-    before, known = scene.splats, scene.unsplit
-    count = known.count if known else len(before)
-    changed = (base.scales[:count] != before.scales[:count]).any(dim=1)
-    if known is not None:
-        changed[known.rows] = False  # their shapes before are kept already
-    if known is None and not changed.any():
-        return None
-    rows = changed.nonzero()[:, 0]
-    found = Unsplit(count, rows, before.scales[rows], before.opacities[rows])
-    if known is None:
-        return found
-    return Unsplit(
-        count,
-        torch.cat([known.rows, found.rows]),
-        torch.cat([known.scales, found.scales]),
-        torch.cat([known.opacities, found.opacities]),
-    )
+def _records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:
+    weights = run.weights
+    if weights is not None and weights.path is not None:
+        path = weights.path.resolve()
+        weights = Source(path, weights.sha256 or digest(path))
+    return [
+        Painting(
+            name=each.name,
+            picked=job.picked,
+            styles=each.style.sources(),
+            settings=plain(each.style.config),
+            intensity=each.style.config.intensity,
+            features=run.features,
+            weights=weights,
+            upon=dict(upon),
+        )
+        for each, job in zip(run.objects, jobs, strict=True)
+    ]
 
 
-def working_views(scene: Scene) -> tuple[Cameras, Cameras | None]:
-    """Training views and held-out views, at the size that the scene was trained at."""
-    downscale = scene.info.get("settings", {}).get("downscale", 1.0)
-    held_out = scene.info.get("test_views", [])
-    training = scene_views(scene, "train").downscale(downscale)
-    return training, scene_views(scene, "test").downscale(downscale) if held_out else None
-
-
-def flat_metrics(measured: dict[str, Any]) -> dict[str, Any]:
-    """The metrics of `stylize_objects` with one entry per number and object."""
+def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
+    """What was measured with one entry per number, and in it one per object."""
     metrics = {name: value for name, value in measured.items() if name != "objects"}
     for each, numbers in measured["objects"].items():
         for name, value in numbers.items():
-            if name not in PER_RUN:
-                metrics.setdefault(name, {})[each] = value
+            metrics.setdefault(name, {})[each] = value
     return metrics
+
+
+def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of two runs as one: objects together, steps added, else the later ones."""
+    joined = {**earlier, **later}
+    for name, value in earlier.items():
+        if isinstance(value, dict):
+            joined[name] = value | later.get(name, {})
+        elif name in ("steps", "changed_gaussians"):
+            joined[name] = value + later[name]
+    return joined

@@ -1,4 +1,4 @@
-"""`train`: a capture's folder in, a scene's folder out."""
+"""`train`: posed photos in, a scene out."""
 
 import time
 from collections.abc import Sequence
@@ -8,91 +8,86 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.metrics import evaluate_views
-from stylesplat.io.files import refuse_occupied
-from stylesplat.io.load import open_capture
-from stylesplat.io.scene_folder import SCENE, Scene, write_scene
+from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.lifting import lift
-from stylesplat.training.config import TrainConfig
+from stylesplat.selection.naming import with_names
+from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
-from stylesplat.training.progress import progress_bar
 from stylesplat.training.state import State
-from stylesplat.training.views import split_views
-from stylesplat.verbs.objects import with_names
-from stylesplat.verbs.say import say
+from stylesplat.training.train_config import PRESETS, TrainConfig
+from stylesplat.training.training_views import split_views
 
 Segment = Literal["joint", "lift"]
-
-# By what is learned, so that a run is continued as it began
-CHECKPOINTS: dict[Segment, str] = {"joint": "checkpoint.pt", "lift": "checkpoint_lift.pt"}
 
 LIBRARIES = ("stylesplat", "torch", "numba")
 
 
-def train_scene(
-    capture_path: Path,
-    output: Path,
+def train(
+    capture: Capture,
+    config: TrainConfig | None = None,
     *,
-    config: TrainConfig,
     segment: Segment = "joint",
-    downscale: float = 1.0,
-    masks: Path | None = None,
     device: str = "auto",
-    overwrite: bool = False,
-) -> dict[str, Any]:
-    """Train a scene, or continue a run that was interrupted.
+    checkpoint: Path | None = None,
+    **settings: Any,
+) -> Scene:
+    """Train a splat with objects from posed photos.
 
-    Gaussians learn their objects along with their colours (`joint`), or the label maps are lifted
-    onto them afterwards (`lift`).
+    Follows StyleSplat and Gaussian Grouping, with 3DGS-MCMC densification.
+
+    Args:
+        capture: Posed photos; with label maps if objects are wanted.
+        config: How to train; the default preset if not given.
+        segment: Whether Gaussians learn their objects along with their colours (`joint`), or the
+            label maps are lifted onto them afterwards (`lift`).
+        device: `auto` takes an NVIDIA GPU where there is one.
+        checkpoint: A file to continue from if it exists; written every minute and when
+            interrupted, and left there.
+        settings: Fields of `TrainConfig` to change, such as `steps=2000`.
 
     Returns:
-        What `metrics.json` holds: PSNR and SSIM of the held-out views, seconds, steps, Gaussians.
+        The scene, its objects called what the capture calls them. Its metrics are `psnr` and
+        `ssim` of the held-out views, `seconds`, `steps`, `gaussians`, `steps_per_second`.
 
     Raises:
-        StyleSplatError: If the capture cannot be read, or `output` holds something else.
+        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
+            photos or settings.
+        KeyboardInterrupt: After Ctrl-C, once the checkpoint is written.
+
+    Example:
+        >>> import stylesplat as ss
+        >>> scene = ss.train(ss.load("garden/"), max_seconds=120)  # doctest: +SKIP
     """
-    checkpoint = output / CHECKPOINTS[segment]
-    unfinished = output.is_dir() and [p.name for p in output.iterdir()] == [checkpoint.name]
-    if output.is_file() or not (overwrite or unfinished):
-        refuse_occupied(output, marker=SCENE)
-    files = open_capture(capture_path, masks=masks)
-    capture = files.at(downscale)
+    config = replace(config or PRESETS["default"], **settings)
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
-    if overwrite:
-        checkpoint.unlink(missing_ok=True)
-    elif checkpoint.exists():
-        say(f"Continuing from {checkpoint}.")
-    learned = capture if segment == "joint" else replace(capture, label_maps=None)
-    with progress_bar(config, enabled=True) as report:
-        state = fit(learned, config, device=torch_device, checkpoint=checkpoint, on_progress=report)
     rows, held_out = split_views(capture, config.test_every)
+    learned = capture if segment == "joint" else replace(capture, label_maps=None)
+    state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
     splats, seconds = state.splats.detach(), state.seconds
     if segment == "lift" and capture.label_maps is not None:
         start = time.perf_counter()
         splats = _lifted(splats, capture, rows)
         seconds += time.perf_counter() - start
     metrics = evaluate_views(splats, capture, held_out) if held_out else {}
-    metrics |= _numbers(state, seconds)
     scene = Scene(
         splats=splats.to("cpu"),
-        cameras=files.cameras,
+        cameras=capture.full_cameras,
+        held_out=tuple(capture.cameras.names[row] for row in held_out),
+        downscale=capture.downscale,
+        capture=capture.path and capture.path.resolve(),
         info={
-            "capture": capture_path.resolve(),
-            "test_views": [capture.cameras.names[row] for row in held_out],
-            "settings": asdict(config)
-            | {"downscale": downscale, "segment": segment, "device": torch_device.type},
+            "settings": asdict(config) | {"segment": segment, "device": torch_device.type},
             "libraries": {name: version(name) for name in LIBRARIES},
         },
-        metrics=metrics,
+        metrics=metrics | _numbers(state, seconds),
     )
-    write_scene(with_names(scene, capture.object_names), output, overwrite=True)
-    checkpoint.unlink(missing_ok=True)
-    return metrics
+    return with_names(scene, capture.object_names)
 
 
 def _numbers(state: State, seconds: float) -> dict[str, Any]:

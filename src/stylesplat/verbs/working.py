@@ -1,20 +1,22 @@
-"""A capture at a size to work at, and a splat of it: one that exists, or one trained quickly."""
+"""A splat to work with: one that exists, or one trained quickly; and what was made of it."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.fit import CLOSER, frame_fits
-from stylesplat.io.load import open_capture
-from stylesplat.io.scene_folder import Scene, read_scene
+from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.frames import known_frames
+from stylesplat.scene.frames import SAME
+from stylesplat.scene.labels import OwnLabels, resize_labels
+from stylesplat.scene.lazy import Lazy
+from stylesplat.scene.resized import at_most
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
-from stylesplat.training.progress import progress_bar
-from stylesplat.verbs.say import say
+from stylesplat.training.train_config import TrainConfig
 
 QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
 QUICK_SIZE = 480  # pixels of the longer side of its photos
@@ -31,47 +33,55 @@ class Working:
     """In the frame of the capture's cameras."""
 
 
-def working_capture(path: Path, size: int) -> Capture:
-    """A capture whose photos are at most so many pixels long, its label maps left out."""
-    files = open_capture(path, masks=False)
-    return files.at(files.cameras.shrink_to(size))
-
-
-def with_splat(path: Path, capture: Capture, scene_path: Path | None, device: str) -> Working:
+def with_splat(capture: Capture, scene: Scene | None, device: str) -> Working:
     """A capture with a scene of it, or with a splat that is trained for about a minute.
 
     Args:
-        path: The capture's folder.
-        capture: What was read from it, at working size.
-        scene_path: A scene of it, if there is one.
+        capture: At working size; its label maps do not matter.
+        scene: A scene of it, if there is one.
         device: Where to compute.
 
     Raises:
         StyleSplatError: If the scene is of other photos, or shows something else.
     """
     torch_device = pick_device(device)
-    if scene_path is None:
+    capture = replace(capture, label_maps=None, object_names={})
+    if scene is None:
         say("Training a quick splat, for about a minute; --scene takes one that you have.")
-        small = working_capture(path, QUICK_SIZE)
-        with progress_bar(QUICK, enabled=True) as report:
-            state = fit(small, QUICK, device=torch_device, on_progress=report)
+        state = fit(at_most(capture, QUICK_SIZE), QUICK, device=torch_device)
         return Working(capture, state.splats.detach())
-    scene = read_scene(scene_path)
     missing = set(capture.cameras.names) - set(scene.cameras.names)
     if missing:
         raise StyleSplatError(
-            f"{scene_path} is a scene of other photos: it has no view {min(missing)}. Give a scene "
-            f"of {path}, or leave out --scene."
+            f"This is a scene of other photos: it has no view {min(missing)}. Give a scene of "
+            "these photos, or none."
         )
     splats = scene.splats.to(torch_device)
-    small = _seen_by(scene, working_capture(path, CHECK_SIZE))
-    fits = frame_fits(splats, small, {"scene": known_frames(small.cameras)["capture"]})
+    small = _seen_by(scene, at_most(capture, CHECK_SIZE))
+    fits = frame_fits(splats, small, {"scene": SAME})
     if fits["scene"] <= CLOSER:
         raise StyleSplatError(
-            f"{scene_path} does not show what the photos in {path} do. Give a scene of these "
-            "photos, or leave out --scene."
+            "The scene does not show what the photos do. Give a scene of these photos, or none."
         )
     return Working(_seen_by(scene, capture), splats)
+
+
+def with_maps(
+    capture: Capture, maps: Sequence[Callable[[], OwnLabels]], names: Mapping[int, str]
+) -> Capture:
+    """A capture with label maps that were made at another size.
+
+    Args:
+        capture: The photos.
+        maps: For each photo what makes its label map.
+        names: What objects are called, by id.
+    """
+
+    def enlarged(row: int) -> OwnLabels:
+        return resize_labels(maps[row](), capture.cameras[row].size[::-1])
+
+    made = Lazy([partial(enlarged, row) for row in range(len(capture))])
+    return replace(capture, label_maps=made, object_names=dict(names))
 
 
 def _seen_by(scene: Scene, capture: Capture) -> Capture:

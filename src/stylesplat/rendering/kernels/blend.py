@@ -5,7 +5,7 @@ finished (or lies outside the image), which stops the blending; what is left of 
 minus the coverage.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -13,10 +13,45 @@ import numpy as np
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec, vecs
 from stylesplat.rendering.kernels.jit import inner, kernel
+from stylesplat.rendering.kernels.rows import Place, spread
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
 
 BLOCKS = 16
 PIXELS = 16  # in a block: the lanes of a vector
+
+
+class Picture(NamedTuple):
+    """A flat image [H*W*D] and its coverage [H*W]; or the gradients of both."""
+
+    image: np.ndarray
+    alphas: np.ndarray
+    width: int
+    height: int
+
+
+class Patch(NamedTuple):
+    """A part of an image: its first pixel, and how many columns and rows there are from there."""
+
+    first: int
+    columns: int
+    rows: int
+
+
+class Crossing(NamedTuple):
+    """What one Gaussian does to the light of some pixels, a vector or mask each."""
+
+    raw: object
+    """Alpha before it is clamped."""
+    alpha: object
+    """0 where the Gaussian is too faint."""
+    weight: object
+    """Alpha times transmittance: what the Gaussian adds to the pixel."""
+    after: object
+    """The new transmittance, 0 where the pixel is finished."""
+    counts: object
+    """Where the Gaussian is not too faint."""
+    live: object
+    """Where the pixel is unfinished."""
 
 
 @no_type_check
@@ -30,41 +65,35 @@ def aligned(length):
 
 @no_type_check
 @inner
-def prefetch_row(array, start, length):
+def prefetch_row(rows, number):
     """Ask for all cache lines of a row."""
-    for line in range(start, start + length, vec.LANES):
-        vec.prefetch(array, line)
+    first = number * rows.stride
+    for line in range(first, first + rows.stride, vec.LANES):
+        vec.prefetch(rows.flat, line)
 
 
 @no_type_check
 @inner
-def eighth_exponents(rows, row, dx, dy):
-    """An eighth of the logarithm of a Gaussian's falloff at some pixels."""
-    x_part = dx * vec.fma(dx, vec.spread(rows, row + 2), dy * vec.spread(rows, row + 3))
-    return vec.fma(dy * vec.spread(rows, row + 4), dy, x_part)
+def cross(row, dx, dy, transmittance):
+    """Send the light of some pixels through the Gaussian of a packed row; see `Crossing`.
 
-
-@no_type_check
-@inner
-def pass_light(rows, row, y, hit, transmittance):
-    """Composite one Gaussian over some pixels.
-
-    Returns:
-        Unclamped alpha, alpha (0 where it is not hit), weight, the new transmittance (0 where the
-        pixel is finished), and which pixels are unfinished.
+    `dx` and `dy` are the pixels' places from its centre.
     """
-    raw = vec.exp_of_eighth(y) * vec.spread(rows, row + 6)
-    alpha = vec.select(hit, vec.minimum(raw, const.MAX_ALPHA), 0)
+    x_part = dx * vec.fma(dx, spread(row, 2), dy * spread(row, 3))
+    eighth = vec.fma(dy * spread(row, 4), dy, x_part)
+    counts = vec.greater_equal(eighth, spread(row, 5))
+    raw = vec.exp_of_eighth(eighth) * spread(row, 6)
+    alpha = vec.select(counts, vec.minimum(raw, const.MAX_ALPHA), 0)
     weight = alpha * transmittance
     after = transmittance - weight
     live = vec.greater(after, const.MIN_TRANSMITTANCE)
     weight = vec.select(live, weight, 0)
-    return raw, alpha, weight, vec.select(live, after, 0), live
+    return Crossing(raw, alpha, weight, vec.select(live, after, 0), counts, live)
 
 
 @no_type_check
 @inner
-def list_blocks(lists, tile, rows, row_stride, entries, counts):
+def list_blocks(lists, tile, rows, entries, counts):
     """Sort a tile's entries by block: `entries` [BLOCKS, room], `counts` [BLOCKS].
 
     Asks for the entries' rows on the way.
@@ -72,7 +101,7 @@ def list_blocks(lists, tile, rows, row_stride, entries, counts):
     starts, ranks, masks = lists
     counts[:] = 0
     for entry in range(starts[tile], starts[tile + 1]):
-        prefetch_row(rows, ranks[entry] * row_stride, row_stride)
+        prefetch_row(rows, ranks[entry])
         todo = np.int64(masks[entry])
         while todo != 0:
             block = vec.lowest_bit(todo)
@@ -83,7 +112,30 @@ def list_blocks(lists, tile, rows, row_stride, entries, counts):
 
 @no_type_check
 @inner
-def blend_block(channels, rows, row_stride, ranks, entries, left, top, state):
+def tile_corner(tile, width):
+    """Left column and upper row of a tile of an image of this width."""
+    tiles_x = -(-width // TILE)
+    return TILE * (tile % tiles_x), TILE * (tile // tiles_x)
+
+
+@no_type_check
+@inner
+def block_corner(corner, block):
+    """Left column and upper row of a block, from those of its tile."""
+    return corner[0] + BLOCK * (block & 3), corner[1] + BLOCK * (block >> 2)
+
+
+@no_type_check
+@inner
+def block_pixels(x, y):
+    """The centres of the pixels of a block."""
+    left, top = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
+    return vec.columns() + left, vec.rows() + top
+
+
+@no_type_check
+@inner
+def blend_block(channels, rows, ranks, entries, pixels, state):
     """Composite the entries over one block, front to back, until its pixels are finished.
 
     `state` holds the pixels' transmittance, and takes their coverage and colours.
@@ -93,18 +145,17 @@ def blend_block(channels, rows, row_stride, ranks, entries, left, top, state):
     """
     transmittance, coverage = vec.load(state, 0), vec.zero()
     sums = vecs.zeros(channels)
-    pixel_x, pixel_y = vec.columns() + left, vec.rows() + top
+    pixel_x, pixel_y = pixels
     looked_at = 0
     for entry in entries:
         looked_at += 1
-        row = ranks[entry] * row_stride
-        dx, dy = pixel_x - vec.spread(rows, row), pixel_y - vec.spread(rows, row + 1)
-        y = eighth_exponents(rows, row, dx, dy)
-        hit = vec.greater_equal(y, vec.spread(rows, row + 5))
-        _, _, weight, transmittance, live = pass_light(rows, row, y, hit, transmittance)
-        coverage = coverage + weight
-        sums = vecs.add_scaled_row(sums, weight, rows, row + ROW_COLORS)
-        if vec.bits(live) == 0:
+        row = Place(rows.flat, ranks[entry] * rows.stride)
+        dx, dy = pixel_x - spread(row, 0), pixel_y - spread(row, 1)
+        crossing = cross(row, dx, dy, transmittance)
+        transmittance = crossing.after
+        coverage = coverage + crossing.weight
+        sums = vecs.add_scaled_row(sums, crossing.weight, row.flat, row.first + ROW_COLORS)
+        if vec.bits(crossing.live) == 0:
             break
     vec.store(state, 0, coverage)
     vecs.store_vecs(state, PIXELS, sums)
@@ -121,11 +172,12 @@ def open_block(state, columns, rows):
 
 @no_type_check
 @inner
-def close_block(channels, state, columns, rows, first, width, image, alphas):
-    """Write a block's coverage and colours to the flat image, from pixel `first` on."""
-    for y in range(min(rows, BLOCK)):
-        for x in range(min(columns, BLOCK)):
-            lane, pixel = y * BLOCK + x, first + y * width + x
+def close_block(channels, state, block, picture):
+    """Write a block's coverage and colours to the picture."""
+    image, alphas, width, _ = picture
+    for y in range(min(block.rows, BLOCK)):
+        for x in range(min(block.columns, BLOCK)):
+            lane, pixel = y * BLOCK + x, block.first + y * width + x
             alphas[pixel] = state[lane]
             for c in range(len(channels)):
                 image[pixel * len(channels) + c] = state[lane + (c + 1) * PIXELS]
@@ -133,15 +185,15 @@ def close_block(channels, state, columns, rows, first, width, image, alphas):
 
 @no_type_check
 @kernel
-def blend(channels, rows, row_stride, lists, width, height, image, alphas, threads):
-    """Fill the flat image [H*W*D] and its coverage [H*W].
+def blend(channels, rows, lists, picture, threads):
+    """Fill the picture.
 
     Block by block, so that a block's colours stay in registers. Blocks that are finished are
     struck from the masks of the entries behind, so that the backward pass visits just what this
-    one has drawn. `channels` is a tuple of length D.
+    one has drawn.
     """
     starts, ranks, masks = lists
-    tiles_x = -(-width // TILE)
+    width, height = picture.width, picture.height
     room = 0
     for tile in range(starts.shape[0] - 1):
         room = max(room, starts[tile + 1] - starts[tile])
@@ -149,17 +201,15 @@ def blend(channels, rows, row_stride, lists, width, height, image, alphas, threa
         state = aligned(PIXELS * (len(channels) + 1))
         entries, counts = np.empty((BLOCKS, room), np.int32), np.empty(BLOCKS, np.int64)
         for tile in range(thread, starts.shape[0] - 1, threads):
-            list_blocks(lists, tile, rows, row_stride, entries, counts)
+            list_blocks(lists, tile, rows, entries, counts)
+            corner = tile_corner(tile, width)
             for block in range(BLOCKS):
-                x = TILE * (tile % tiles_x) + BLOCK * (block & 3)
-                y = TILE * (tile // tiles_x) + BLOCK * (block >> 2)
+                x, y = block_corner(corner, block)
                 if x >= width or y >= height:
                     continue
                 open_block(state, width - x, height - y)
-                left, top = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
                 mine = entries[block, : counts[block]]
-                done = blend_block(channels, rows, row_stride, ranks, mine, left, top, state)
+                done = blend_block(channels, rows, ranks, mine, block_pixels(x, y), state)
                 for entry in mine[done:]:
                     masks[entry] &= ~np.uint16(1 << block)
-                first = y * width + x
-                close_block(channels, state, width - x, height - y, first, width, image, alphas)
+                close_block(channels, state, Patch(y * width + x, width - x, height - y), picture)

@@ -1,9 +1,23 @@
 """Between rows of numbers in memory and columns of sixteen in vectors."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
+
+import numpy as np
 
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner
+
+
+class Lanes(NamedTuple):
+    """Which rows of the arrays the lanes of a vector are."""
+
+    first: int
+    rows: int
+    """How many, up to 16."""
+    mask: object
+    """The lanes that are not 0."""
+    buffer: np.ndarray
+    """Room for a vector."""
 
 
 @no_type_check
@@ -51,12 +65,9 @@ def read_four(array, first, count, buffer):
 
 @no_type_check
 @inner
-def write_column(array, column, where, value):
-    """Write a column of up to 16 rows, 0 where the mask does not hold.
-
-    `where` are the first row, their number, the mask, and room for a vector.
-    """
-    first, count, mask, buffer = where
+def write_column(array, column, lanes, value):
+    """Write a column of up to 16 rows."""
+    first, count, mask, buffer = lanes
     vec.store(buffer, 0, vec.select(mask, value, 0))
     for lane in range(count):
         array[first + lane, column] = buffer[lane]

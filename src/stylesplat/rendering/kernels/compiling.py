@@ -1,9 +1,10 @@
 """A word to the user while kernels compile: once per machine and version, then they are cached."""
 
-import sys
 from functools import lru_cache
 
 from numba.core import event
+
+from stylesplat.progress import say
 
 LINE = (
     "Compiling the CPU kernels for this processor. It takes up to half a minute, once: "
@@ -12,7 +13,7 @@ LINE = (
 
 
 class _Announcement(event.Listener):
-    """Prints a line when the first compilation of the process begins."""
+    """Says a line when the first compilation of the process begins."""
 
     def __init__(self) -> None:
         self.said = False
@@ -20,7 +21,7 @@ class _Announcement(event.Listener):
     def on_start(self, event: event.Event) -> None:
         """Called before each compilation, but not when a kernel is loaded from the cache."""
         if not self.said:
-            print(LINE, file=sys.stderr)
+            say(LINE)
             self.said = True
 
     def on_end(self, event: event.Event) -> None:
@@ -29,5 +30,5 @@ class _Announcement(event.Listener):
 
 @lru_cache(maxsize=1)
 def announce_compilation() -> None:
-    """Print one line on stderr if kernels have to be compiled from now on."""
+    """Say so in one line if kernels have to be compiled from now on."""
     event.register("numba:compile", _Announcement())

@@ -2,6 +2,10 @@
 
 numba compiles in front of a waiting user, so what does not help is left out: all parallel
 transformations but `prange`, and the wrappers by which Python would call inner functions.
+
+What belongs together is passed as a NamedTuple. A loop over `prange` may use those among the
+arguments whose fields are no tuples (numba takes them apart and puts them together again), and any
+that it makes itself. Arrays that it writes to are taken out of them in front of the loop.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false

@@ -1,7 +1,8 @@
 """Projection of Gaussians to ellipses in the image, and its gradients (EWA splatting).
 
 The mathematics is `reference.project`'s, sixteen Gaussians at a time: a number is a `Vec` with one
-lane per Gaussian, a vector a tuple of three numbers, a matrix a tuple of three rows.
+lane per Gaussian, a vector a tuple of three numbers, a matrix a tuple of three rows. The nouns are
+those of `rendering/gaussians.py`, with arrays.
 """
 
 from math import log, sqrt
@@ -12,7 +13,13 @@ import numpy as np
 
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
-from stylesplat.rendering.kernels.columns import read_four, read_three, span, write_column
+from stylesplat.rendering.kernels.columns import (
+    Lanes,
+    read_four,
+    read_three,
+    span,
+    write_column,
+)
 from stylesplat.rendering.kernels.jit import inner, kernel
 
 
@@ -112,15 +119,20 @@ def clamped_slope(slope, focal, centre, size):
 
 @no_type_check
 @inner
-def image_axes(axes, p, K, width, height):
-    """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`."""
+def image_axes(axes, p, view):
+    """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`.
+
+    Returns:
+        The two rows, and the slopes in x and y at which the Jacobian was taken.
+    """
     m0, m1, m2 = axes
+    _, K, width, height = view
     fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
     slope_x = clamped_slope(p[0] * inverse_z, fx, K[0, 2], width)
     slope_y = clamped_slope(p[1] * inverse_z, fy, K[1, 2], height)
     a0 = plus(scaled(m0, fx * inverse_z), scaled(m2, -fx * slope_x * inverse_z))
     a1 = plus(scaled(m1, fy * inverse_z), scaled(m2, -fy * slope_y * inverse_z))
-    return a0, a1, slope_x, slope_y
+    return a0, a1, (slope_x, slope_y)
 
 
 @no_type_check
@@ -153,14 +165,11 @@ def between(low, value, high):
 
 @no_type_check
 @kernel
-def project(geometry, viewmat, K, width, height, out, threads):
-    """Fill what one camera sees of the Gaussians.
-
-    `geometry` are means, quats, scales and opacities; `out` are means2d, conics, depths and
-    radii, all 0 for a Gaussian that is not seen.
-    """
-    means, quats, scales, opacities = geometry
+def project(gaussians, view, out, threads):
+    """Fill `out` (depths as [N,1]) with what one camera sees: 0 for Gaussians that it does not."""
+    means, quats, scales, opacities = gaussians
     means2d, conics, depths, radii = out
+    viewmat, K, width, height = view
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
         low, high = span(means.shape[0], thread, threads)
@@ -170,7 +179,7 @@ def project(geometry, viewmat, K, width, height, out, threads):
             w, x, y, z, _ = unit_quaternion(read_four(quats, first, count, buffer))
             scale = read_three(scales, first, count, buffer)
             axes = camera_axes(rotation(w, x, y, z), scale, viewmat)
-            a0, a1, _, _ = image_axes(axes, p, K, width, height)
+            a0, a1, _ = image_axes(axes, p, view)
             sigma_x, sigma_y, conic = ellipse(a0, a1)
             u = K[0, 0] * p[0] / p[2] + K[0, 2]
             v = K[1, 1] * p[1] / p[2] + K[1, 2]
@@ -182,12 +191,12 @@ def project(geometry, viewmat, K, width, height, out, threads):
             )
             deep = between(const.NEAR_PLANE, p[2], const.FAR_PLANE)
             seen = vec.both(vec.both(inside, deep), vec.greater_equal(extent, 0))
-            where = (first, count, seen, buffer)
-            write_column(means2d, 0, where, u)
-            write_column(means2d, 1, where, v)
-            write_column(conics, 0, where, conic[0])
-            write_column(conics, 1, where, conic[1])
-            write_column(conics, 2, where, conic[2])
-            write_column(depths, 0, where, p[2])
-            write_column(radii, 0, where, radius_x)
-            write_column(radii, 1, where, radius_y)
+            lanes = Lanes(first, count, seen, buffer)
+            write_column(means2d, 0, lanes, u)
+            write_column(means2d, 1, lanes, v)
+            write_column(conics, 0, lanes, conic[0])
+            write_column(conics, 1, lanes, conic[1])
+            write_column(conics, 2, lanes, conic[2])
+            write_column(depths, 0, lanes, p[2])
+            write_column(radii, 0, lanes, radius_x)
+            write_column(radii, 1, lanes, radius_y)

@@ -1,12 +1,20 @@
 """Gradients of the projection: from ellipses back to means, quaternions and scales."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from torch import Tensor
 
 from stylesplat.rendering.kernels import vec
-from stylesplat.rendering.kernels.columns import read_four, read_three, read_two, span, write_column
+from stylesplat.rendering.kernels.columns import (
+    Lanes,
+    read_four,
+    read_three,
+    read_two,
+    span,
+    write_column,
+)
 from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.rendering.kernels.project import (
     camera_axes,
@@ -19,6 +27,29 @@ from stylesplat.rendering.kernels.project import (
     scaled,
     unit_quaternion,
 )
+
+
+class Geometry(NamedTuple):
+    """What of Gaussians is differentiated here, or the gradients of that."""
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+
+
+class Gaussian(NamedTuple):
+    """One of them, or rather sixteen: the components are vectors."""
+
+    mean: tuple
+    quat: tuple
+    scale: tuple
+
+
+class Ellipse(NamedTuple):
+    """What a Gaussian looks like, or the gradients of that; again sixteen."""
+
+    mean2d: tuple
+    conic: tuple
 
 
 @no_type_check
@@ -51,8 +82,10 @@ def jacobian_backward(p, K, slopes, v_rows, axes):
 
 @no_type_check
 @inner
-def rotation_backward(w, x, y, z, d0, d1, d2):
+def rotation_backward(quat, v_rows):
     """Gradient of a unit quaternion from that of the rows of its matrix."""
+    w, x, y, z = quat
+    d0, d1, d2 = v_rows
     return (
         2 * (z * (d1[0] - d0[1]) + y * (d0[2] - d2[0]) + x * (d2[1] - d1[2])),
         2 * (y * (d0[1] + d1[0]) + z * (d0[2] + d2[0]) + w * (d2[1] - d1[2]))
@@ -80,12 +113,12 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
         e0[2] * r0[2] + e1[2] * r1[2] + e2[2] * r2[2],
     )
     sx, sy, sz = scale
-    v_w, v_x, v_y, v_z = rotation_backward(
-        *(w, x, y, z),
+    v_rows = (
         (e0[0] * sx, e0[1] * sy, e0[2] * sz),
         (e1[0] * sx, e1[1] * sy, e1[2] * sz),
         (e2[0] * sx, e2[1] * sy, e2[2] * sz),
     )
+    v_w, v_x, v_y, v_z = rotation_backward((w, x, y, z), v_rows)
     radial = w * v_w + x * v_x + y * v_y + z * v_z
     v_quat = (
         (v_w - radial * w) * inverse_norm,
@@ -98,13 +131,16 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
 
 @no_type_check
 @inner
-def gaussian_gradients(p, unit, scale, conic, viewmat, K, width, height, v_mean2d, v_conic):
-    """Gradients of mean, quaternion and scale."""
+def gaussian_gradients(gaussian, view, conic, v_ellipse):
+    """Gradients of a Gaussian's mean, quaternion and scale."""
+    viewmat, K, _, _ = view
+    p = camera_space(gaussian.mean, viewmat)
+    unit = unit_quaternion(gaussian.quat)
     w, x, y, z, _ = unit
     rows = rotation(w, x, y, z)
-    axes = camera_axes(rows, scale, viewmat)
-    a0, a1, slope_x, slope_y = image_axes(axes, p, K, width, height)
-    g_xx, g_xy, g_yy = covariance_gradient(conic, v_conic)
+    axes = camera_axes(rows, gaussian.scale, viewmat)
+    a0, a1, slopes = image_axes(axes, p, view)
+    g_xx, g_xy, g_yy = covariance_gradient(conic, v_ellipse.conic)
     v_a0 = plus(scaled(a0, 2 * g_xx), scaled(a1, 2 * g_xy))
     v_a1 = plus(scaled(a0, 2 * g_xy), scaled(a1, 2 * g_yy))
     fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
@@ -112,28 +148,28 @@ def gaussian_gradients(p, unit, scale, conic, viewmat, K, width, height, v_mean2
         scaled(v_a0, fx * inverse_z),
         scaled(v_a1, fy * inverse_z),
         plus(
-            scaled(v_a0, -fx * slope_x * inverse_z),
-            scaled(v_a1, -fy * slope_y * inverse_z),
+            scaled(v_a0, -fx * slopes[0] * inverse_z),
+            scaled(v_a1, -fy * slopes[1] * inverse_z),
         ),
     )
-    v_scale, v_quat = axes_backward(v_axes, unit, rows, scale, viewmat)
-    v_x, v_y, v_z = jacobian_backward(p, K, (slope_x, slope_y), (v_a0, v_a1), axes)
-    v_u, v_v = fx * inverse_z * v_mean2d[0], fy * inverse_z * v_mean2d[1]
+    v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
+    v_x, v_y, v_z = jacobian_backward(p, K, slopes, (v_a0, v_a1), axes)
+    v_u, v_v = fx * inverse_z * v_ellipse.mean2d[0], fy * inverse_z * v_ellipse.mean2d[1]
     v_z = v_z - (v_u * p[0] + v_v * p[1]) * inverse_z
     v_mean = combine((v_x + v_u, v_y + v_v, v_z), viewmat[0], viewmat[1], viewmat[2])
-    return v_mean, v_quat, v_scale
+    return Gaussian(v_mean, v_quat, v_scale)
 
 
 @no_type_check
 @kernel
-def project_backward(geometry, viewmat, K, width, height, conics, radii, v_out, out, threads):
+def project_backward(geometry, view, projected, v_projected, out, threads):
     """Fill the gradients of the Gaussians that one camera sees, and 0 for the others.
 
-    `geometry` are means, quats and scales, `out` their gradients; `v_out` are the gradients of
-    means2d and conics.
+    Of `v_projected` only means2d and conics count: depths and radii are not differentiated.
     """
     means, quats, scales = geometry
-    v_means2d, v_conics = v_out
+    _, conics, _, radii = projected
+    v_means2d, v_conics, _, _ = v_projected
     v_means, v_quats, v_scales = out
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
@@ -141,23 +177,25 @@ def project_backward(geometry, viewmat, K, width, height, conics, radii, v_out, 
         for first in range(low, high, vec.LANES):
             count = min(vec.LANES, high - first)
             radius, _ = read_two(radii, first, count, buffer)
-            v_mean, v_quat, v_scale = gaussian_gradients(
-                camera_space(read_three(means, first, count, buffer), viewmat),
-                unit_quaternion(read_four(quats, first, count, buffer)),
+            gaussian = Gaussian(
+                read_three(means, first, count, buffer),
+                read_four(quats, first, count, buffer),
                 read_three(scales, first, count, buffer),
-                read_three(conics, first, count, buffer),
-                *(viewmat, K, width, height),
+            )
+            conic = read_three(conics, first, count, buffer)
+            v_ellipse = Ellipse(
                 read_two(v_means2d, first, count, buffer),
                 read_three(v_conics, first, count, buffer),
             )
-            where = (first, count, vec.greater(radius, 0), buffer)
-            write_column(v_means, 0, where, v_mean[0])
-            write_column(v_means, 1, where, v_mean[1])
-            write_column(v_means, 2, where, v_mean[2])
-            write_column(v_scales, 0, where, v_scale[0])
-            write_column(v_scales, 1, where, v_scale[1])
-            write_column(v_scales, 2, where, v_scale[2])
-            write_column(v_quats, 0, where, v_quat[0])
-            write_column(v_quats, 1, where, v_quat[1])
-            write_column(v_quats, 2, where, v_quat[2])
-            write_column(v_quats, 3, where, v_quat[3])
+            v_mean, v_quat, v_scale = gaussian_gradients(gaussian, view, conic, v_ellipse)
+            lanes = Lanes(first, count, vec.greater(radius, 0), buffer)
+            write_column(v_means, 0, lanes, v_mean[0])
+            write_column(v_means, 1, lanes, v_mean[1])
+            write_column(v_means, 2, lanes, v_mean[2])
+            write_column(v_scales, 0, lanes, v_scale[0])
+            write_column(v_scales, 1, lanes, v_scale[1])
+            write_column(v_scales, 2, lanes, v_scale[2])
+            write_column(v_quats, 0, lanes, v_quat[0])
+            write_column(v_quats, 1, lanes, v_quat[1])
+            write_column(v_quats, 2, lanes, v_quat[2])
+            write_column(v_quats, 3, lanes, v_quat[3])

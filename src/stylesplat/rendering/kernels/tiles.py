@@ -6,14 +6,16 @@ never look at the others.
 """
 
 from math import ceil, floor, log
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from torch import Tensor
 
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
+from stylesplat.rendering.kernels.rows import Place, spread
 
 TILE = 16
 BLOCK = 4
@@ -21,6 +23,39 @@ HALF = np.float32(0.5)
 ROW_COLORS = 8  # where the colours start in a packed row
 RADIX_BITS = 11
 SLACK = np.float32(1e-4)  # widens the block test: rounding must not lose a pixel
+
+
+class Ellipses(NamedTuple):
+    """What is blended: projected Gaussians with their colours; or the gradients of all that."""
+
+    means2d: Tensor
+    conics: Tensor
+    opacities: Tensor
+    colors: Tensor
+
+
+class Grid(NamedTuple):
+    """How many tiles an image has in x and y."""
+
+    columns: int
+    rows: int
+
+
+class Entries(NamedTuple):
+    """Tiles, and the ranks of Gaussians that reach them, with the blocks that they touch."""
+
+    tiles: np.ndarray
+    ranks: np.ndarray
+    masks: np.ndarray
+
+
+class TileLists(NamedTuple):
+    """The entries of every tile, front to back."""
+
+    starts: np.ndarray
+    """Cuts the others into tiles: [tiles + 1]."""
+    ranks: np.ndarray
+    masks: np.ndarray
 
 
 def row_stride(channels: int) -> int:
@@ -58,33 +93,48 @@ def depth_order(depths, radii):
 
 @no_type_check
 @kernel
-def pack_rows(order, means2d, conics, opacities, colors, rows):
+def pack_rows(order, ellipses, rows):
     """Gather what blending reads of a Gaussian into one row, in depth order.
 
     Columns: mean x y; factors of x x, x y and y y in an eighth of the exponent (see `vec.py`); the
     eighth below which it is invisible; opacity; unused; colours.
     """
+    means2d, conics, opacities, colors = ellipses
+    flat, stride = rows
     for rank in numba.prange(order.shape[0]):
-        i = order[rank]
-        rows[rank, 0], rows[rank, 1] = means2d[i, 0], means2d[i, 1]
-        rows[rank, 2], rows[rank, 3] = -conics[i, 0] / 16, -conics[i, 1] / 8
-        rows[rank, 4] = -conics[i, 2] / 16
-        rows[rank, 5] = -log(opacities[i] / const.MIN_ALPHA) / 8
-        rows[rank, 6] = opacities[i]
+        i, row = order[rank], rank * stride
+        flat[row], flat[row + 1] = means2d[i, 0], means2d[i, 1]
+        flat[row + 2], flat[row + 3] = -conics[i, 0] / 16, -conics[i, 1] / 8
+        flat[row + 4] = -conics[i, 2] / 16
+        flat[row + 5] = -log(opacities[i] / const.MIN_ALPHA) / 8
+        flat[row + 6] = opacities[i]
         for c in range(colors.shape[1]):
-            rows[rank, ROW_COLORS + c] = colors[i, c]
+            flat[row + ROW_COLORS + c] = colors[i, c]
 
 
 @no_type_check
 @inner
-def block_mask(rows, row, slope_x, slope_y, left, top):
+def side_slopes(row):
+    """Slopes of the lines on which a packed row's exponent is greatest, over x and over y.
+
+    Among the points of one x it is greatest at y = `slope_y` x, among those of one y at x =
+    `slope_x` y.
+    """
+    lean = np.float32(-0.5) * row.flat[row.first + 3]
+    return lean / row.flat[row.first + 2], lean / row.flat[row.first + 4]
+
+
+@no_type_check
+@inner
+def block_mask(row, slopes, left, top):
     """Bit b is set if the ellipse of a packed row reaches a pixel centre's box in block b.
 
     `left` and `top` are the first pixel centre of the tile, relative to the Gaussian's. The
     exponent is greatest over a box at the Gaussian's centre if that is inside, else on one of the
-    two sides that face it: lane b tries both. Along a side at x it is greatest at `slope_y` x.
+    two sides that face it: lane b tries both. See `side_slopes`.
     """
-    a, b, c = vec.spread(rows, row + 2), vec.spread(rows, row + 3), vec.spread(rows, row + 4)
+    a, b, c = spread(row, 2), spread(row, 3), spread(row, 4)
+    slope_x, slope_y = slopes
     low_x, low_y = vec.fma(vec.columns(), BLOCK, left), vec.fma(vec.rows(), BLOCK, top)
     high_x, high_y = low_x + (BLOCK - 1), low_y + (BLOCK - 1)
     near_x = vec.minimum(vec.maximum(low_x, 0), high_x)
@@ -93,7 +143,8 @@ def block_mask(rows, row, slope_x, slope_y, left, top):
     best_x = vec.minimum(vec.maximum(near_y * slope_x, low_x), high_x)
     side_x = vec.fma(near_x, vec.fma(near_x, a, best_y * b), best_y * best_y * c)
     side_y = vec.fma(best_x, vec.fma(best_x, a, near_y * b), near_y * near_y * c)
-    return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), rows[row + 5] - SLACK))
+    threshold = spread(row, 5) - SLACK
+    return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), threshold))
 
 
 @no_type_check
@@ -106,32 +157,33 @@ def tile_span(center, radius, tiles):
 
 @no_type_check
 @kernel
-def list_entries(order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ranks, masks):
-    """List (tile, rank, mask) chunk by chunk; count the entries of each chunk and tile.
+def list_entries(order, rows, radii, grid, starts, entries):
+    """List the entries chunk by chunk; count those of each chunk and tile.
 
     Returns:
         counts [chunks, tiles] and, per chunk, how many entries it wrote from `starts[chunk]` on.
     """
-    chunks = starts.shape[0] - 1
-    counts = np.zeros((chunks, tiles_x * tiles_y), np.int64)
+    tiles, ranks, masks = entries
+    flat, stride = rows
+    columns, lines = grid
+    chunks, n = starts.shape[0] - 1, order.shape[0]
+    counts = np.zeros((chunks, columns * lines), np.int64)
     written = np.zeros(chunks, np.int64)
-    n = order.shape[0]
     for chunk in numba.prange(chunks):
         entry = starts[chunk]
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            row, i = rank * stride, order[rank]
-            x, y = rows[row], rows[row + 1]
-            first_x, last_x = tile_span(x, radii[i, 0], tiles_x)
-            first_y, last_y = tile_span(y, radii[i, 1], tiles_y)
-            lean = np.float32(-0.5) * rows[row + 3]
-            slope_x, slope_y = lean / rows[row + 2], lean / rows[row + 4]
+            row, i = Place(flat, rank * stride), order[rank]
+            x, y = flat[row.first], flat[row.first + 1]
+            slopes = side_slopes(row)
+            first_x, last_x = tile_span(x, radii[i, 0], columns)
+            first_y, last_y = tile_span(y, radii[i, 1], lines)
             for tile_y in range(first_y, last_y):
                 top = np.float32(TILE * tile_y) + HALF - y
                 for tile_x in range(first_x, last_x):
                     left = np.float32(TILE * tile_x) + HALF - x
-                    mask = block_mask(rows, row, slope_x, slope_y, left, top)
+                    mask = block_mask(row, slopes, left, top)
                     if mask != 0:
-                        tile = tile_y * tiles_x + tile_x
+                        tile = tile_y * columns + tile_x
                         tiles[entry], ranks[entry], masks[entry] = tile, rank, mask
                         counts[chunk, tile] += 1
                         entry += 1
@@ -141,15 +193,15 @@ def list_entries(order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ra
 
 @no_type_check
 @inner
-def entry_bounds(order, rows, stride, radii, tiles_x, tiles_y, chunks):
+def entry_bounds(order, rows, radii, grid, chunks):
     """Where each chunk may start to write its entries: the tiles under the bounding boxes."""
     starts = np.zeros(chunks + 1, np.int64)
     n, total = order.shape[0], 0
     for chunk in range(chunks):
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            row, i = rank * stride, order[rank]
-            first_x, last_x = tile_span(rows[row], radii[i, 0], tiles_x)
-            first_y, last_y = tile_span(rows[row + 1], radii[i, 1], tiles_y)
+            row, i = rank * rows.stride, order[rank]
+            first_x, last_x = tile_span(rows.flat[row], radii[i, 0], grid.columns)
+            first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], grid.rows)
             total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
         starts[chunk + 1] = total
     return starts
@@ -157,39 +209,48 @@ def entry_bounds(order, rows, stride, radii, tiles_x, tiles_y, chunks):
 
 @no_type_check
 @kernel
-def scatter_entries(starts, written, tiles, ranks, masks, offsets, tile_ranks, tile_masks):
-    """Move the chunks' entries to their tiles; chunks are in depth order, so lists are too."""
+def scatter_entries(entries, starts, written, places, lists):
+    """Move the chunks' entries to their tiles; chunks are in depth order, so lists are too.
+
+    `places` [chunks, tiles] says where the next entry of a chunk and tile belongs.
+    """
+    tiles, ranks, masks = entries
+    _, tile_ranks, tile_masks = lists
     for chunk in numba.prange(written.shape[0]):
         for entry in range(starts[chunk], starts[chunk] + written[chunk]):
-            place = offsets[chunk, tiles[entry]]
+            place = places[chunk, tiles[entry]]
             tile_ranks[place], tile_masks[place] = ranks[entry], masks[entry]
-            offsets[chunk, tiles[entry]] = place + 1
+            places[chunk, tiles[entry]] = place + 1
+
+
+@no_type_check
+@inner
+def count_up(counts):
+    """Where each tile's list begins [tiles + 1], and each chunk's part of it [chunks, tiles]."""
+    chunks, tiles = counts.shape
+    starts, places = np.zeros(tiles + 1, np.int64), np.empty_like(counts)
+    place = 0
+    for tile in range(tiles):
+        for chunk in range(chunks):
+            places[chunk, tile] = place
+            place += counts[chunk, tile]
+        starts[tile + 1] = place
+    return starts, places
 
 
 @no_type_check
 @serial_kernel
-def tile_lists(order, rows, stride, radii, width, height, chunks):
-    """The list of every tile, made by `chunks` threads, from flat `rows` of length `stride`.
-
-    Returns:
-        `tile_starts` [tiles + 1], and the `ranks` and `masks` that they cut into lists.
-    """
-    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
-    starts = entry_bounds(order, rows, stride, radii, tiles_x, tiles_y, chunks)
+def tile_lists(order, rows, radii, size, chunks):
+    """The list of every tile of an image of a width and height, made by `chunks` threads."""
+    width, height = size
+    grid = Grid(-(-width // TILE), -(-height // TILE))
+    starts = entry_bounds(order, rows, radii, grid, chunks)
     room = starts[-1]
     tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
-    masks = np.empty(room, np.uint16)
-    counts, written = list_entries(
-        order, rows, stride, radii, tiles_x, tiles_y, starts, tiles, ranks, masks
-    )
-    tile_starts = np.zeros(tiles_x * tiles_y + 1, np.int64)
-    offsets = np.empty_like(counts)
-    place = 0
-    for tile in range(counts.shape[1]):
-        for chunk in range(counts.shape[0]):
-            offsets[chunk, tile] = place
-            place += counts[chunk, tile]
-        tile_starts[tile + 1] = place
-    tile_ranks, tile_masks = np.empty(place, np.int32), np.empty(place, np.uint16)
-    scatter_entries(starts, written, tiles, ranks, masks, offsets, tile_ranks, tile_masks)
-    return tile_starts, tile_ranks, tile_masks
+    entries = Entries(tiles, ranks, np.empty(room, np.uint16))
+    counts, written = list_entries(order, rows, radii, grid, starts, entries)
+    tile_starts, places = count_up(counts)
+    count = tile_starts[-1]
+    lists = TileLists(tile_starts, np.empty(count, np.int32), np.empty(count, np.uint16))
+    scatter_entries(entries, starts, written, places, lists)
+    return lists

@@ -1,7 +1,8 @@
 """Tuples of vectors, one per channel, held in registers: see `vec.py`.
 
-`Vecs[n]` is n values of type `Vec`. n is the length of a tuple that the caller passes, hence known
-to the compiler, so each number of channels has its own unrolled code.
+`Vecs[n]` is n values of type `Vec`. n is the length of a tuple that the caller passes, hence part
+of its type and known to the compiler, so each number of channels has its own unrolled code. The
+tuple's elements mean nothing: `channels` makes one.
 """
 # pyright: reportCallIssue=false
 # (it cannot count the arguments of starred lists)
@@ -23,6 +24,11 @@ from stylesplat.rendering.kernels.vec import (
     emit_store,
     vec,
 )
+
+
+def channels(count: int) -> tuple[int, ...]:
+    """So many channels, in the form in which kernels are compiled for their number."""
+    return (0,) * count
 
 
 class VecsType(types.Type):
@@ -56,19 +62,19 @@ def _pack(builder, values):
 
 @intrinsic
 @no_type_check
-def zeros(typingctx, channels):
-    """`Vecs` of zeros, one per element of the tuple `channels`."""
+def zeros(typingctx, like):
+    """`Vecs` of zeros, as many as `channels`."""
 
     def codegen(context, builder, signature, args):
-        return _pack(builder, [ir.Constant(VEC, None)] * len(channels))
+        return _pack(builder, [ir.Constant(VEC, None)] * len(like))
 
-    return VecsType(len(channels))(channels), codegen
+    return VecsType(len(like))(like), codegen
 
 
 @intrinsic
 @no_type_check
 def load_vecs(typingctx, array, index, like):
-    """`Vecs` from consecutive memory, as many as the `Vecs` or tuple `like`."""
+    """`Vecs` from consecutive memory, as many as the `Vecs` or `channels` that it is to be like."""
 
     def codegen(context, builder, signature, args):
         first = emit_address(context, builder, signature.args[0], *args[:2])

@@ -4,7 +4,6 @@ import os
 import pickle
 import re
 import struct
-import sys
 import zipfile
 from pathlib import Path
 from typing import Literal
@@ -13,15 +12,15 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
-from tqdm import tqdm
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
-from stylesplat.stylization.config import Network
+from stylesplat.models.safetensors_http import fetch_tensors
+from stylesplat.progress import say
 from stylesplat.stylization.features.compact import compact_from
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork
-from stylesplat.stylization.features.safetensors_http import fetch_tensors
 from stylesplat.stylization.features.vgg import Vgg, layer_widths
+from stylesplat.stylization.style_config import Network
 
 VggNetwork = Literal["vgg16", "vgg19"]
 Preprocessing = Literal["torchvision", "caffe-rgb", "caffe-bgr"]
@@ -37,8 +36,15 @@ MARKS = {  # layers that the other network does not have
     "vgg19": ("features.16.weight", "conv3_4.weight"),
 }
 UNREADABLE = (
-    *(SafetensorError, pickle.UnpicklingError, zipfile.BadZipFile),
-    *(EOFError, IndexError, KeyError, OSError, RuntimeError, ValueError, struct.error),
+    SafetensorError,
+    pickle.UnpicklingError,
+    zipfile.BadZipFile,
+    struct.error,
+    EOFError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    ValueError,
 )
 
 
@@ -135,7 +141,7 @@ def _cached(network: VggNetwork, depth: int, download: bool) -> Path:
 
 def _download(network: VggNetwork, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
-    tqdm.write(f"Downloading {network}'s convolutions from {url} to {path}.", file=sys.stderr)
+    say(f"Downloading {network}'s convolutions from {url} to {path}.")
     widths = layer_widths(network, depth)
     layers = [_names(widths, b, i)[0] for b in range(depth) for i in range(len(widths[b]))]
     names = [f"{layer}.{part}" for layer in layers for part in ("weight", "bias")]

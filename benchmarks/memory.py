@@ -1,0 +1,118 @@
+"""The most memory that training on many large photos takes.
+
+    .venv/bin/python benchmarks/memory.py                # 300 photos of 1600x1066, 300 steps
+
+The photos are noise, which no JPEG compresses well, with label maps of noise in blocks; they are
+made in a temporary folder, in less than a minute. Training runs in a process of its own, whose
+peak is everything: Python, torch, the kernels, what is kept of photos, and the Gaussians.
+"""
+
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import torch
+import tyro
+from bench import MIB, machine, peak_memory
+from PIL import Image
+
+from stylesplat.io.captures.transforms import write_transforms
+from stylesplat.io.label_maps import write_label_map
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import look_at
+from stylesplat.training.loop import fit
+from stylesplat.training.state import State
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.verbs.load import load
+
+OBJECTS = 6
+BLOCK = 100  # pixels of a label
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to train on."""
+
+    photos: int = 300
+    """How many."""
+    width: int = 1600
+    """Of a photo."""
+    height: int = 1066
+    """Of a photo."""
+    steps: int = 300
+    """Of training."""
+    max_gaussians: int = 3000
+    """Gaussians at most: few, for noise makes them large, and then the rasteriser's lists grow."""
+    max_memory: float = 1.0
+    """GiB for photos and label maps."""
+    folder: Path | None = None
+    """A capture that is there already; what the process of its own is called with."""
+
+
+def make_capture(folder: Path, options: Options) -> None:
+    """Photos and label maps of noise, points in a cube."""
+    random = np.random.default_rng(0)
+    (folder / "images").mkdir(parents=True)
+    cameras = ring(options)
+    for name in cameras.names:
+        pixels = random.integers(0, 256, (options.height, options.width, 3), np.uint8)
+        Image.fromarray(pixels).save(folder / "images" / name, quality=80)
+        rows, columns = -(-options.height // BLOCK), -(-options.width // BLOCK)
+        ids = random.integers(0, OBJECTS, (rows, columns)).repeat(BLOCK, 0).repeat(BLOCK, 1)
+        labels = torch.from_numpy(ids[: options.height, : options.width])
+        write_label_map(labels, folder / "object_mask" / f"{Path(name).stem}.png")
+    points = torch.rand(10_000, 3, generator=torch.Generator().manual_seed(0)) - 0.5
+    write_transforms(cameras, folder, points=points)
+
+
+def ring(options: Options) -> Cameras:
+    """Cameras around the origin."""
+    count, size = options.photos, torch.tensor([options.width, options.height])
+    turn = 2 * torch.pi * torch.arange(count) / count
+    positions = torch.stack([3 * turn.cos(), 3 * turn.sin(), torch.ones(count)], dim=1)
+    K = torch.diag(torch.tensor([options.width, options.width, 1.0]))
+    K[:2, 2] = size / 2
+    return Cameras(
+        viewmats=look_at(positions, torch.zeros(3), torch.tensor([0.0, 0.0, 1.0])),
+        Ks=K.repeat(count, 1, 1),
+        sizes=size.repeat(count, 1),
+        names=tuple(f"{i:03d}.jpg" for i in range(count)),
+    )
+
+
+def train(folder: Path, options: Options) -> None:
+    """Train and print the peak."""
+    config = TrainConfig(
+        steps=options.steps, max_gaussians=options.max_gaussians, max_memory=options.max_memory
+    )
+    states: list[State] = []
+    start = perf_counter()
+    checkpoint = folder / "out" / "checkpoint.pt"
+    peak = peak_memory(lambda: states.append(fit(load(folder), config, checkpoint=checkpoint)))
+    print(
+        f"{options.photos} photos of {options.width}x{options.height}, {options.steps} steps, "
+        f"max_memory {options.max_memory:g} GiB: peak {peak / MIB:,.0f} MiB resident; "
+        f"{perf_counter() - start:.0f} s in all, {states[0].seconds:.0f} s of it steps",
+        flush=True,
+    )
+
+
+def main(options: Options) -> None:
+    """Make the photos, and train in a process of its own."""
+    if options.folder is not None:
+        return train(options.folder, options)
+    print(machine(), flush=True)
+    with tempfile.TemporaryDirectory() as name:
+        start = perf_counter()
+        make_capture(Path(name) / "capture", options)
+        print(f"photos made in {perf_counter() - start:.0f} s", flush=True)
+        folder = ["--folder", str(Path(name) / "capture")]
+        subprocess.run([sys.executable, __file__, *sys.argv[1:], *folder], check=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

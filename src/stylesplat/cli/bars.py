@@ -1,0 +1,56 @@
+"""Progress bars and lines on stderr: stdout is for JSON."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+DELAY = 0.5  # seconds of work that is not worth a bar
+SECONDS = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}{postfix}]"  # how time is counted
+
+
+class _Bar:
+    """A task as a bar."""
+
+    def __init__(self, bar: "tqdm") -> None:
+        self._bar = bar
+
+    def advance(self, amount: int | float = 1) -> None:
+        """Move it."""
+        self._bar.update(amount)
+
+    def note(self, text: str) -> None:
+        """Write behind it, the next time that it is drawn."""
+        self._bar.set_postfix_str(text, refresh=False)
+
+
+class Bars:
+    """The observer of the command line; tqdm, which `--help` can do without, is loaded late."""
+
+    @contextmanager
+    def task(
+        self, what: str, total: int | float | None, unit: str, done: int | float
+    ) -> Iterator[_Bar]:
+        """Draw a bar for work that takes longer than a moment."""
+        from tqdm import tqdm
+
+        with tqdm(
+            desc=what,
+            total=total,
+            unit=unit,
+            initial=done,
+            delay=DELAY,
+            unit_scale=unit == "B",
+            bar_format=SECONDS if unit == "s" else None,
+            file=sys.stderr,
+        ) as bar:
+            yield _Bar(bar)
+
+    def say(self, line: str) -> None:
+        """Write a line, above the bars that there are."""
+        from tqdm import tqdm
+
+        tqdm.write(line, file=sys.stderr)

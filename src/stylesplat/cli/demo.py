@@ -1,0 +1,26 @@
+"""`stylesplat demo`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stylesplat.cli.options import Json, Output, Overwrite
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Make a still life, train it, repaint two of its objects and write a report.
+
+    Example: stylesplat demo -o demo
+    """
+
+    output: Output = Path("stylesplat-demo")
+    """Folder for everything that is made."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.demo.demo_run import run_demo
+
+        return run_demo(self.output, overwrite=self.overwrite)

@@ -1,0 +1,52 @@
+"""`stylesplat evaluate`."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+from stylesplat.cli.options import Device, Json
+from stylesplat.errors import StyleSplatError
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure a scene's held-out views: PSNR and SSIM, and IoU of the objects.
+
+    Of a styled scene also what `stylize` measured: how close each object is to its style, what is
+    left of it, whether views agree, and what changed around it.
+
+    Example: stylesplat evaluate garden-scene --masks exact-masks
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    capture: Path | None = None
+    """Folder of the photos; by default where they were when the scene was trained."""
+    masks: Path | None = None
+    """Folder of label maps to compare with; by default the capture's object_mask/."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.io.scene_folder import open, revise
+        from stylesplat.progress import say
+        from stylesplat.verbs.evaluate import evaluate
+
+        scene = open(self.scene)
+        source, capture = self.capture or scene.capture, None
+        if source is None and scene.painted is None:
+            raise StyleSplatError(
+                f"{self.scene} does not say what it was trained on. Pass --capture."
+            )
+        if source is not None and (self.capture or scene.painted is None or source.is_dir()):
+            capture = open_capture(source, masks=self.masks).at(scene.downscale)
+        elif source is not None:
+            say(f"The photos are no longer in {source}, so only the style is measured.")
+        metrics = evaluate(scene, capture, device=self.device)
+        revise(scene, replace(scene, metrics={**scene.metrics, "evaluate": metrics}), self.scene)
+        return metrics

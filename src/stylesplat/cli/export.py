@@ -1,0 +1,33 @@
+"""`stylesplat export`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+from stylesplat.cli.options import Json, Overwrite
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a scene's splat for other programs.
+
+    Example: stylesplat export garden-wave garden.spz
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    file: Positional[Path]
+    """File to make: .ply keeps every bit, .spz and .splat are smaller."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.scene_folder import open
+        from stylesplat.verbs.export import export
+
+        scene = open(self.scene)
+        export(scene, self.file, overwrite=self.overwrite)
+        return {"file": self.file, "gaussians": len(scene.splats)}

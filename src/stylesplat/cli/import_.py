@@ -1,0 +1,53 @@
+"""`stylesplat import`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import Positional
+
+from stylesplat.cli.options import Device, Json, Output, Overwrite
+from stylesplat.errors import StyleSplatError
+
+
+@dataclass(frozen=True)
+class Import:
+    """Make a scene of a splat that exists already, without training.
+
+    Example: stylesplat import garden.ply garden -o garden-scene
+    """
+
+    splat: Positional[Path]
+    """A .ply (also SuperSplat's compressed one), .spz or .splat file."""
+    output: Output
+    """Folder of the scene to make."""
+    capture: Positional[Path | None] = None
+    """Folder with the posed photos that it was made from, and label maps in object_mask/. Without
+    it the scene gets views on circles around the content."""
+    masks: Path | None = None
+    """Folder of label maps; by default the capture's object_mask/."""
+    frame: Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"] = "capture"
+    """World frame of the splat; an import that does not fit says which one does."""
+    up: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
+    """Which way is up, where there is no capture; -y by default."""
+    device: Device = "auto"
+    """Where to render; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.scene_folder import SCENE, save
+        from stylesplat.verbs.import_ import import_
+
+        if self.capture is None and (self.masks is not None or self.frame != "capture"):
+            raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
+        refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+        capture = None
+        if self.capture is not None:
+            capture = open_capture(self.capture, masks=self.masks).at(1.0)
+        scene = import_(self.splat, capture, frame=self.frame, up=self.up, device=self.device)
+        save(scene, self.output, overwrite=self.overwrite)
+        return dict(scene.metrics)

@@ -1,0 +1,123 @@
+"""`stylesplat mask`: read the photos, find what they show, write the label maps."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from stylesplat.cli.options import Device, Json, Overwrite, refuse_given
+from stylesplat.cli.parse import parse_named_box, parse_stroke
+
+if TYPE_CHECKING:
+    from stylesplat.masks.boxes.grabcut import Box, Stroke
+    from stylesplat.scene.capture import Capture
+    from stylesplat.scene.scene import Scene
+
+DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
+PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
+
+
+@dataclass(frozen=True)
+class Mask:
+    """Give photos their label maps, which say what object each pixel shows.
+
+    Example: stylesplat mask garden --box vase=IMG_0007.jpg:500,300,800,700
+    """
+
+    capture: Positional[Path]
+    """Folder with the posed photos; the label maps go into its object_mask/."""
+    method: Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"] | None = None
+    """files takes masks of another program and grabcut cuts out what boxes hold, by default what
+    the other options call for; the others find all objects with that model."""
+    source: Annotated[Path | None, arg(name="from")] = None
+    """What another program made: a folder with pictures of ids named like the photos (DEVA,
+    Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
+    box: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VIEW:x0,y0,x1,y1 around an object, in photo pixels. May be repeated, for other objects
+    and for other photos of the same; one photo often suffices."""
+    stroke: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VIEW:x,y,x,y,... along a line over an object that has a box there, where the cut took
+    it for background. May be repeated."""
+    not_stroke: UseAppendAction[tuple[str, ...]] = ()
+    """The same over what is not the object, where the cut took too much."""
+    model: str | None = None
+    """Folder or hub name of another checkpoint of the method."""
+    scene: Path | None = None
+    """A scene of these photos, on which masks of different photos meet; by default a splat is
+    trained for about a minute."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.captures.capture_folder import OBJECT_MASK
+        from stylesplat.io.captures.label_folder import refuse_label_maps
+        from stylesplat.verbs.load import load
+        from stylesplat.verbs.mask import mask
+
+        method = self.method or ("files" if self.source else "grabcut")
+        of_others = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
+        refuse_given(self, of_others.get(method, (*DRAWN, "source")), f"--method {method}")
+        boxes, strokes = self._boxes(), self._strokes()
+        output = self.capture / OBJECT_MASK
+        progress = None if method in of_others else output.with_suffix(".partial")
+        capture = load(self.capture, masks=False)
+        refuse_label_maps(capture, output, overwrite=self.overwrite)
+        masked = mask(
+            capture,
+            boxes=boxes,
+            strokes=strokes,
+            source=self.source,
+            method=method,
+            model=self.model,
+            scene=self._scene(),
+            device=self.device,
+            progress=progress,
+        )
+        result = self._write(masked, output)
+        if progress:
+            shutil.rmtree(progress)
+        return result
+
+    def _boxes(self) -> "dict[str, list[tuple[str, Box]]]":
+        boxes: dict[str, list[tuple[str, Box]]] = {}
+        for name, view, box in map(parse_named_box, self.box):
+            boxes.setdefault(name, []).append((view, box))
+        return boxes
+
+    def _strokes(self) -> "dict[str, list[tuple[str, Stroke]]]":
+        from stylesplat.masks.boxes.grabcut import Stroke
+
+        strokes: dict[str, list[tuple[str, Stroke]]] = {}
+        for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
+            for name, view, points in map(parse_stroke, texts):
+                strokes.setdefault(name, []).append((view, Stroke(points, over_object)))
+        return strokes
+
+    def _scene(self) -> "Scene | None":
+        from stylesplat.io.scene_folder import open
+
+        return open(self.scene) if self.scene else None
+
+    def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
+        from stylesplat.drawing.preview import mask_preview
+        from stylesplat.io.captures.label_folder import write_label_maps
+        from stylesplat.io.images import write_image
+        from stylesplat.verbs.load import load
+
+        found = write_label_maps(masked, output, overwrite=self.overwrite)
+        ids = sorted(set[int]().union(*found.values()))
+        names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
+        write_image(mask_preview(load(self.capture), names), output / PREVIEW)
+        return {
+            "masks": output,
+            "preview": output / PREVIEW,
+            "photos": len(found),
+            "of": len(masked),
+            "ids": ids,
+            "names": names,
+        }

@@ -1,0 +1,36 @@
+"""`stylesplat objects`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+from stylesplat.cli.options import Json
+
+SHEET = "objects.png"
+
+
+@dataclass(frozen=True)
+class Objects:
+    """List the objects of a scene and draw a contact sheet of them.
+
+    Example: stylesplat objects garden-scene
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene; the sheet is written there as objects.png."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.drawing.object_sheet import object_sheet
+        from stylesplat.io.images import write_image
+        from stylesplat.io.scene_folder import open
+        from stylesplat.verbs.objects import objects
+
+        scene = open(self.scene)
+        found = objects(scene)
+        names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
+        write_image(object_sheet(scene.splats, scene.cameras, names=names), self.scene / SHEET)
+        return {"objects": found, "sheet": self.scene / SHEET}

@@ -1,0 +1,143 @@
+"""`stylesplat stylize`."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional, UseAppendAction
+
+from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+from stylesplat.cli.parse import parse_style
+from stylesplat.errors import StyleSplatError
+from stylesplat.stylization.style_config import Network
+
+if TYPE_CHECKING:
+    from stylesplat.stylization.style import Recipe, StyledObject
+
+SETTINGS = (
+    "steps",
+    "pattern",
+    "layers",
+    "scale",
+    "rotate",
+    "region",
+    "intensity",
+    "color",
+    "content",
+    "smoothness",
+    "view_dependence",
+    "max_growth",
+    "seed",
+)
+
+
+@dataclass(frozen=True)
+class Stylize:
+    """Repaint objects of a scene, each in the style of a picture.
+
+    Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    output: Output
+    """Folder of the styled scene to make."""
+    style: UseAppendAction[tuple[str, ...]] = ()
+    """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id. May
+    be repeated."""
+    recipe: Path | None = None
+    """YAML file with objects, styles and settings instead of --style; options given
+    here precede its own. A styled scene's recipe.json is one too."""
+    preset: Literal["default", "paper"] = "default"
+    """Settings to start from; paper is the method as published (which used --features vgg16)."""
+    steps: int | None = None
+    """Optimiser steps per object, 300 by default."""
+    features: Network | None = None
+    """Network whose features are matched, by default compact, which ships with the package."""
+    weights: Path | None = None
+    """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
+    pattern: Literal["small", "medium", "large", "photo"] | None = None
+    """Size of strokes and shapes, medium by default; photo matches at the photos' size."""
+    layers: tuple[int, ...] | None = None
+    """Groups of network layers that are matched, of 1 to 4; 3 by default."""
+    scale: float | None = None
+    """Size of the style picture relative to the object, 2 by default: more makes larger strokes."""
+    rotate: float | None = None
+    """Degrees to turn the style picture by, counter-clockwise."""
+    region: tuple[int, int, int, int] | None = None
+    """x0 y0 x1 y1: the part of the style picture to use, in its pixels."""
+    intensity: float | None = None
+    """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
+    color: Literal["style", "keep", "blend", "free"] | None = None
+    """Whose hues the object gets: the style's (default), its own, both, or what matching gives."""
+    content: float | None = None
+    """Weight of keeping what it looks like; 0 by default, 0.5 shows more of it, 2 mostly it."""
+    smoothness: float | None = None
+    """Weight of the total variation; 0 by default, 1 calms, 5 makes flat areas."""
+    view_dependence: Literal["keep", "drop", "train"] | None = None
+    """Whether highlights and reflections stay, are painted over (default), or are trained too."""
+    max_growth: float | None = None
+    """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none."""
+    max_memory: float = 1.5
+    """GiB for prepared views; what does not fit takes longer."""
+    seed: int | None = None
+    """The same seed and number of threads give the same result."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.scene_folder import SCENE, open, save
+        from stylesplat.verbs.stylize import stylize
+
+        recipe = self._recipe()
+        refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+        styled = stylize(
+            open(self.scene),
+            recipe,
+            features=self.features,
+            weights=self.weights,
+            max_memory=self.max_memory,
+            device=self.device,
+        )
+        save(styled, self.output, overwrite=self.overwrite)
+        return {name: value for name, value in styled.metrics.items() if name != "train"}
+
+    def _recipe(self) -> "Recipe":
+        """The recipe of a file, or of objects and pictures that all have the same settings."""
+        from stylesplat.stylization.recipe import read_recipe
+        from stylesplat.stylization.style import Recipe, Style, StyledObject
+        from stylesplat.stylization.style_config import PRESETS
+
+        settings = given(self, SETTINGS)
+        if self.recipe is None:
+            styles = [parse_style(text) for text in self.style]
+            if not styles:
+                raise StyleSplatError(
+                    "Nothing to stylise. Pass --style OBJECT=IMAGE at least once, or --recipe FILE."
+                )
+            return Recipe(
+                tuple(
+                    StyledObject(name, Style(*pictures, preset=self.preset, **settings))
+                    for name, pictures in styles
+                )
+            )
+        if self.style:
+            name = parse_style(self.style[0])[0]
+            raise StyleSplatError(
+                f"Got --style and --recipe. Write {name} into {self.recipe}, or pass only --style."
+            )
+        recipe = read_recipe(self.recipe, defaults=PRESETS[self.preset])
+        return Recipe(tuple(_overridden(each, settings) for each in recipe.objects))
+
+
+def _overridden(each: "StyledObject", settings: dict[str, Any]) -> "StyledObject":
+    """An object of a recipe with the settings that precede its own."""
+    from stylesplat.stylization.style import Style
+
+    style = Style(*each.style.pictures, config=each.style.config, **settings)
+    intensity = settings.get("intensity", each.intensity)
+    return replace(each, style=style, intensity=intensity)

@@ -1,0 +1,76 @@
+"""`stylesplat train`."""
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional
+
+from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+
+PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a splat with objects from posed photos.
+
+    Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
+    """
+
+    capture: Positional[Path]
+    """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/."""
+    output: Output
+    """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
+    preset: Literal["default", "paper"] = "default"
+    """Settings to start from; paper takes 30,000 steps."""
+    steps: int | None = None
+    """Optimiser steps, one photo each."""
+    max_seconds: float | None = None
+    """Train for this long instead of for a number of steps."""
+    max_gaussians: int | None = None
+    """The number of Gaussians grows up to here."""
+    downscale: float = 1.0
+    """How many times smaller the photos are made."""
+    test_every: int | None = None
+    """Every this many photos one is held out to measure quality; 0 trains on all."""
+    masks: Path | None = None
+    """Folder of label maps; by default the capture's object_mask/."""
+    segment: Literal["joint", "lift"] = "joint"
+    """How Gaussians learn their objects: with their colours, as in the paper, or by lifting the
+    label maps afterwards, which is faster."""
+    seed: int | None = None
+    """The same seed and number of threads give the same result."""
+    device: Device = "auto"
+    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    max_memory: float | None = None
+    """GiB for photos and label maps, 1 by default; what does not fit is read again."""
+    overwrite: Overwrite = False
+    restart: FlagCreatePairsOff[bool] = False
+    """Forget an interrupted run."""
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.scene_folder import SCENE, save
+        from stylesplat.training.train_config import PRESETS
+        from stylesplat.verbs.train import train
+
+        names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
+        config = replace(PRESETS[self.preset], **given(self, names))
+        refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+        output = self.output.resolve()
+        partial = output.with_name(output.name + PARTIAL)
+        checkpoint = partial / f"checkpoint_{self.segment}.pt"
+        capture = open_capture(self.capture, masks=self.masks).at(self.downscale)
+        if self.restart:
+            shutil.rmtree(partial, ignore_errors=True)
+        scene = train(
+            capture, config, segment=self.segment, device=self.device, checkpoint=checkpoint
+        )
+        save(scene, self.output, overwrite=self.overwrite)
+        shutil.rmtree(partial, ignore_errors=True)
+        return dict(scene.metrics)

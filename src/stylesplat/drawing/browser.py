@@ -1,0 +1,97 @@
+"""Splats in a browser."""
+
+import time
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import up_vector
+from stylesplat.scene.splats import Splats
+
+if TYPE_CHECKING:
+    import viser
+
+HOST = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
+START_DISTANCE = 2.0  # from the middle along each axis, in median distances of the Gaussians
+MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
+
+
+def serve(
+    splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
+) -> "viser.ViserServer":
+    """Show splats in a browser, in their mean colours (spherical harmonics of degree 0).
+
+    Args:
+        splats: The Gaussians.
+        cameras: Where the photos were taken, to start at the first of them and to know what is
+            up; without them the start is a guess.
+        port: Port on 127.0.0.1, or the next free one.
+        block: Serve until Ctrl-C; otherwise return at once.
+
+    Returns:
+        The running server; `stop()` ends it.
+
+    Raises:
+        StyleSplatError: If viser is not installed or there is nothing to show.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise StyleSplatError(
+            "The viewer needs viser, which is not installed. Run `pip install stylesplat[view]`."
+        ) from error
+    if not len(splats):
+        raise StyleSplatError("These splats are empty, so there is nothing to view.")
+    server = viser.ViserServer(host=HOST, port=port, label="StyleSplat")
+    splats = splats.detach().to("cpu")
+    _add_splats(server, splats)
+    _place_camera(server, splats, cameras)
+    if block:
+        _serve_until_interrupted(server)
+    return server
+
+
+def covariances(splats: Splats) -> Float[Tensor, "N 3 3"]:
+    """World covariance of each Gaussian."""
+    axes = rotation_matrices(splats.quats) * splats.scales.exp()[:, None]
+    return axes @ axes.mT
+
+
+def _add_splats(server: "viser.ViserServer", splats: Splats) -> None:
+    server.scene.add_gaussian_splats(
+        "/splats",
+        centers=splats.means.numpy(),
+        covariances=covariances(splats).numpy(),
+        rgbs=rgb_from_sh0(splats.sh0[:, 0]).clamp(0, 1).numpy(),
+        opacities=torch.sigmoid(splats.opacities)[:, None].numpy(),
+    )
+
+
+def _place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
+    middle = splats.means.median(dim=0).values
+    if cameras is None:
+        spread = (splats.means - middle).norm(dim=-1).median()
+        position = middle + START_DISTANCE * spread
+    else:
+        position, forward = cameras.positions[0], cameras.viewmats[0, 2, :3]
+        middle = position + ((middle - position) @ forward).clamp(min=MIN_DISTANCE) * forward
+        server.scene.set_up_direction(up_vector(cameras).numpy())
+        server.initial_camera.fov = 2 * float(
+            torch.atan(cameras.sizes[0, 1] / (2 * cameras.Ks[0, 1, 1]))
+        )
+    server.initial_camera.position = position.numpy()
+    server.initial_camera.look_at = middle.numpy()
+
+
+def _serve_until_interrupted(server: "viser.ViserServer") -> None:
+    try:
+        while True:
+            time.sleep(1)
+    except KeyboardInterrupt:
+        server.stop()

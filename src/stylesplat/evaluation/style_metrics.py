@@ -1,0 +1,164 @@
+"""The numbers by which a stylisation is judged, for each object and for the scene around it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.consistency import view_consistency
+from stylesplat.evaluation.measure import changes, object_nnfm
+from stylesplat.evaluation.statistics import content_ssim, object_statistics_distance
+from stylesplat.progress import say
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import Box, ObjectView, find_boxes
+from stylesplat.stylization.paint_objects import moved
+from stylesplat.stylization.repaint import (
+    Studio,
+    StyleJob,
+    object_views,
+    see_object,
+    target_features,
+)
+
+LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever the pattern
+VIEWS = 4  # of the object, and of the scene
+STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
+
+
+def measure_painted(
+    studio: Studio, jobs: Sequence[StyleJob], styled: Splats, *, held_out: Cameras | None = None
+) -> dict[str, Any]:
+    """What painting some objects did to them and to the scene.
+
+    Args:
+        studio: The scene before, and the views that were optimised on.
+        jobs: The objects and their styles.
+        styled: The scene after; it may have more Gaussians.
+        held_out: Views to measure on; those of the studio by default.
+
+    Returns:
+        What `measure_changes` returns, and by name in `objects` what `measure_object` does.
+    """
+    base, training = studio.splats, studio.cameras
+    measured = replace(studio, cameras=held_out or training)
+    jobs = [moved(job, base) for job in jobs]
+    objects = {job.name: measure_object(measured, job, styled, fallback=training) for job in jobs}
+    picked = torch.stack([job.picked for job in jobs]).any(dim=0)
+    return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
+
+
+def measure_object(
+    studio: Studio, job: StyleJob, styled: Splats, *, fallback: Cameras
+) -> dict[str, float]:
+    """How close an object is to its style, what is left of it, and whether views agree.
+
+    What cannot be told, because the style is too small at the size of comparison, is left out.
+
+    Args:
+        studio: The scene before, and the views to measure on.
+        job: The object and its style.
+        styled: The scene after; it may have more Gaussians.
+        fallback: Views to measure on if the studio's do not show the object.
+
+    Returns:
+        What `measure_style` and `measure_look` return.
+    """
+    base = studio.splats
+    cameras = showing(base, job.picked, studio.cameras, fallback=fallback)
+    try:
+        numbers = measure_style(replace(studio, cameras=cameras), job, styled)
+    except StyleSplatError as error:  # the style is done all the same
+        say(f"{job.name} is not compared with its style: {error}")
+        numbers = {}
+    return numbers | measure_look(base, styled, cameras, job.picked)
+
+
+@torch.no_grad()
+def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, float]:
+    """How close an object is to its style. Its views and all style features are in float32.
+
+    Args:
+        studio: The scene before, and the views to measure on.
+        job: The object and its style.
+        styled: The scene after; it may have more Gaussians.
+
+    Returns:
+        `nnfm_before`, `nnfm_after`, `statistics_before` and `statistics_after` (see
+        `style_statistics_distance`).
+    """
+    layers, boxes = job.config.layers, see_object(studio, job, studio.cameras)
+    views, targets = _object_in_styles(studio, job, boxes, layers)
+    rest = (views, targets, studio.network, layers)
+    numbers = {
+        "nnfm_before": object_nnfm(studio.splats, *rest),
+        "nnfm_after": object_nnfm(styled, *rest),
+    }
+    layers = STATISTICS[: studio.network.depth]
+    views, targets = _object_in_styles(studio, job, boxes, layers)
+    rest = (views, targets, studio.network, layers)
+    return numbers | {
+        "statistics_before": object_statistics_distance(studio.splats, *rest),
+        "statistics_after": object_statistics_distance(styled, *rest),
+    }
+
+
+@torch.no_grad()
+def measure_look(
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+) -> dict[str, float]:
+    """What is left of an object, and whether views agree: what can be told without its style.
+
+    Args:
+        base: The scene before.
+        styled: The scene after; it may have more Gaussians.
+        cameras: The views to measure on.
+        picked: The object's Gaussians in `base`.
+
+    Returns:
+        `content_ssim`, if it can be told, and what `view_consistency` returns.
+    """
+    few = cameras[evenly(range(len(cameras)), VIEWS)]
+    similarity = content_ssim(base, styled, few, picked)
+    numbers = {} if similarity is None else {"content_ssim": similarity}
+    return numbers | view_consistency(base, styled, cameras, picked)
+
+
+@torch.no_grad()
+def measure_changes(
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+) -> dict[str, int | float]:
+    """What `changes` finds in a few of the views."""
+    few = cameras[evenly(range(len(cameras)), VIEWS)]
+    return changes(base, styled, few, picked)
+
+
+def showing(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    cameras: Cameras,
+    *,
+    fallback: Cameras,
+) -> Cameras:
+    """The cameras, or the others if these do not show the object."""
+    return cameras if find_boxes(splats, cameras, picked) else fallback
+
+
+def _object_in_styles(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], layers: Sequence[int]
+) -> tuple[list[ObjectView], list[Tensor]]:
+    """Views of the object, and the features of the style image, for some layer groups."""
+    config = replace(job.config, layers=tuple(layers))
+    views = object_views(studio, replace(job, config=config), boxes, LENGTH)
+    return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)

@@ -1,0 +1,142 @@
+"""From a folder to a capture."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures import cut_outs
+from stylesplat.io.captures.colmap import find_sparse, read_colmap
+from stylesplat.io.captures.photos import Photo, fit_photo
+from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
+from stylesplat.io.label_maps import match_label_maps, read_names
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.lazy import Lazy
+
+OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
+ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
+
+
+@dataclass(frozen=True)
+class CaptureFiles:
+    """A capture on disk whose headers are read, to be taken at one size or several."""
+
+    path: Path
+    """Its folder."""
+    cameras: Cameras
+    """One per photo, at full size."""
+    photos: list[Photo]
+    """At full size."""
+    masks: Path | Literal[False] | None
+    """The folder of label maps; False if none are wanted."""
+    points: Float[Tensor, "M 3"] | None
+    """Sparse points in the world."""
+    point_colors: UInt8[Tensor, "M 3"] | None
+    """Colours of `points`."""
+    cut_out: bool
+    """Whether the photos are transparent where the object is not."""
+
+    def at(self, downscale: float | int) -> Capture:
+        """The capture with photos, label maps and cameras so many times smaller.
+
+        Raises:
+            StyleSplatError: If the factor is less than 1, or a label map is damaged or does not
+                fit its photo.
+        """
+        if not 1 <= downscale < math.inf:
+            raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
+        cameras = self.cameras.downscale(downscale)
+        sizes = cameras.sizes.tolist()
+        files = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
+        photos, alphas = Lazy([file.read for file in files]), None
+        if self.cut_out:
+            photos, alphas = cut_outs.split_alpha(files)
+        label_maps, names = None, {}
+        if self.masks:
+            label_maps = match_label_maps(self.masks, cameras.names, files)
+            names = read_names(self.masks)
+        elif alphas is not None and self.masks is None:
+            label_maps, names = cut_outs.object_maps(alphas), cut_outs.NAMES
+        return Capture(
+            cameras=cameras,
+            photos=photos,
+            label_maps=label_maps,
+            points=self.points,
+            point_colors=self.point_colors,
+            path=self.path,
+            object_names=names,
+            alphas=alphas,
+            full=self.cameras,
+            downscale=float(downscale),
+        )
+
+
+Masks = Path | str | Literal[False] | None
+
+
+def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
+    """Read the headers of a capture, for whoever needs it at more than one size.
+
+    Raises:
+        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
+            does not fit the others.
+    """
+    folder = Path(path)
+    posed = _read_poses(folder)
+    _check_poses(posed, folder)
+    photos = [fit_photo(*each) for each in zip(posed.paths, posed.lenses, strict=True)]
+    pinholes = [photo.lens.pinhole() for photo in photos]
+    cameras = Cameras(
+        viewmats=posed.viewmats.float(),
+        Ks=torch.stack([pinhole.K for pinhole in pinholes]),
+        sizes=torch.tensor([pinhole.size for pinhole in pinholes]),
+        names=posed.names,
+    )
+    if masks is None and (folder / OBJECT_MASK).is_dir():
+        masks = folder / OBJECT_MASK
+    return CaptureFiles(
+        path=folder,
+        cameras=cameras,
+        photos=photos,
+        masks=masks if masks is None or masks is False else Path(masks),
+        points=posed.points,
+        point_colors=posed.point_colors,
+        cut_out=cut_outs.are_cut_out(photos),
+    )
+
+
+def _read_poses(folder: Path) -> PosedFiles:
+    if not folder.is_dir():
+        raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
+    sparse = find_sparse(folder)
+    if sparse:
+        return read_colmap(folder, sparse)
+    if (folder / TRANSFORMS).is_file():
+        return read_transforms(folder)
+    raise StyleSplatError(
+        f"{folder} is not a capture: it has neither sparse/0/cameras.bin (or .txt) nor "
+        f"{TRANSFORMS}. Pose the photos with COLMAP first."
+    )
+
+
+def _check_poses(posed: PosedFiles, folder: Path) -> None:
+    bad = [name for name, m in zip(posed.names, posed.viewmats, strict=True) if not _is_rigid(m)]
+    if bad:
+        raise StyleSplatError(
+            f"{len(bad)} of the {len(posed.names)} poses in {folder} are NaN or no rotation and "
+            f"shift, the first that of {bad[0]}. Pose the photos again."
+        )
+
+
+def _is_rigid(viewmat: Float[Tensor, "4 4"]) -> bool:
+    rotation = viewmat[:3, :3]
+    error = (rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max()
+    finite = bool(viewmat.isfinite().all())
+    return finite and bool(error < ROTATION_TOLERANCE) and bool(torch.det(rotation) > 0)

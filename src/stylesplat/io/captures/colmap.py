@@ -1,0 +1,89 @@
+"""COLMAP reconstructions, binary or text."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_check import check_complete
+from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.files import reason
+
+# All that pycolmap raises on bad files
+MALFORMED = (ValueError, IndexError, KeyError, RuntimeError, MemoryError)
+
+
+def find_sparse(folder: Path) -> Path | None:
+    """The folder with the reconstruction of a capture, if it has one."""
+    for sparse in (folder / "sparse" / "0", folder / "sparse"):
+        if any((sparse / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
+            return sparse
+    return None
+
+
+def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
+    """Read the poses, cameras and points of a capture; photos are sorted by name.
+
+    Args:
+        folder: The capture, with `images/` or `images_2/` and so on.
+        sparse: The reconstruction inside it, as `find_sparse` finds it.
+
+    Raises:
+        StyleSplatError: If a file is missing, truncated or malformed, or no photo is posed.
+    """
+    model = _read(sparse)
+    images = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
+    if not images:
+        raise StyleSplatError(
+            f"{sparse} has {model.num_cameras()} cameras and {model.num_images()} images, none of "
+            "them posed. Run the reconstruction again."
+        )
+    lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
+    viewmats = torch.eye(4, dtype=torch.float64).repeat(len(images), 1, 1)
+    viewmats[:, :3] = torch.from_numpy(np.stack([i.cam_from_world().matrix() for i in images]))
+    points, point_colors = _points(model)
+    photos = _find_photos(folder)
+    return PosedFiles(
+        names=tuple(image.name for image in images),
+        paths=tuple(photos / image.name for image in images),
+        lenses=tuple(lenses[image.camera_id] for image in images),
+        viewmats=viewmats,
+        points=points,
+        point_colors=point_colors,
+    )
+
+
+def _read(sparse: Path) -> pycolmap.Reconstruction:
+    check_complete(sparse)
+    try:
+        return pycolmap.Reconstruction(sparse)
+    except MALFORMED as error:
+        raise StyleSplatError(
+            f"Cannot read the reconstruction {sparse}: {reason(error)}. Copy it again."
+        ) from error
+
+
+def _find_photos(folder: Path) -> Path:
+    """`images`, or the largest of the smaller copies."""
+    if (folder / "images").is_dir():
+        return folder / "images"
+    copies = [p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdecimal()]
+    if not copies:
+        raise StyleSplatError(f"{folder} has a reconstruction but no images/. Add the photos.")
+    return min(copies, key=lambda p: int(p.name[7:]))
+
+
+def _points(
+    model: pycolmap.Reconstruction,
+) -> tuple[Float[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
+    points = [point for _, point in sorted(model.points3D.items())]
+    if not points:
+        return None, None
+    places = np.stack([point.xyz for point in points]).astype(np.float32)
+    colors = np.stack([point.color for point in points]).astype(np.uint8)
+    return torch.from_numpy(places), torch.from_numpy(colors)

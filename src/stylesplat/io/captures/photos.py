@@ -1,0 +1,198 @@
+"""Photos on disk, as the pinhole cameras of a capture see them."""
+
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from PIL import ExifTags, Image, ImageOps
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.lens import Lens
+from stylesplat.io.files import reason
+
+# All that Pillow raises on bad files
+UNREADABLE = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    EOFError,
+    struct.error,
+    Image.DecompressionBombError,
+)
+UPRIGHT = 1  # EXIF's orientation of a photo to be shown as it is stored
+MAX_GREY = 0xFFFF  # Pillow's mode I is of 32 bits, but holds 16-bit grey of PGM files too
+OPAQUE = 128  # the alpha from which a pixel shows something
+BLACK, WHITE = 0, 255
+QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+
+
+def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
+    """Read a picture upright, as sRGB.
+
+    The EXIF rotation is applied, transparency shows white, grey becomes RGB and of 16 bits the
+    upper 8 are taken.
+
+    Raises:
+        StyleSplatError: If there is no such file or it is no readable picture.
+    """
+    return torch.from_numpy(_rgb(_decode(Path(path), upright=True), WHITE))
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo of a capture: where it lies and what to do with it."""
+
+    path: Path
+    """The file."""
+    upright: bool
+    """Whether its EXIF rotation applies; some poses were found without it."""
+    lens: Lens
+    """What it was taken with, in the file's pixels."""
+    size: tuple[int, int]
+    """Width and height to give it once undistorted."""
+
+    def read(self) -> UInt8[Tensor, "H W 3"]:
+        """Read, rotate, undistort and shrink (every pixel then averages what it covers).
+
+        Transparency shows black.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        return self.read_with_alpha()[..., :3].contiguous()
+
+    def read_with_alpha(self) -> UInt8[Tensor, "H W D"]:
+        """The same, with alpha as a fourth channel if the file has transparency.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        pixels = self.lens.undistort(_premultiplied(_decode(self.path, upright=self.upright)))
+        if pixels.shape[1::-1] != self.size:
+            pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
+        return torch.from_numpy(pixels)
+
+    def is_cut_out(self) -> bool:
+        """Whether the file has transparent pixels; looks for them only if it may have some.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        return self.has_alpha() and bool(
+            (_decode(self.path, upright=self.upright)[:, :, 3:] < OPAQUE).any()
+        )
+
+    def has_alpha(self) -> bool:
+        """Whether the file has transparency, be it opaque everywhere; reads its header.
+
+        Raises:
+            StyleSplatError: If the file is no longer readable.
+        """
+        try:
+            with Image.open(self.path) as image:
+                return image.has_transparency_data
+        except UNREADABLE as error:
+            raise unreadable(self.path, error) from error
+
+    def resized(self, width: int, height: int) -> "Photo":
+        """The same photo, to be given another size."""
+        return replace(self, size=(width, height))
+
+
+def fit_photo(path: Path, lens: Lens) -> Photo:
+    """Find how a photo and its camera go together, without decoding the photo.
+
+    Upright is preferred to as stored, and the camera's exact size to a multiple of it; for a
+    multiple, as in `images_2`, the camera is scaled.
+
+    Raises:
+        StyleSplatError: If the file is missing or no picture, or its shape is not the camera's.
+    """
+    stored, upright = photo_sizes(path)
+    choices = ((upright, True), (stored, False))
+    fits = [c for c in choices if c[0] == lens.size]
+    fits += [c for c in choices if same_shape(c[0], lens.size)]
+    if not fits:
+        raise StyleSplatError(
+            f"The photo {path} is {upright[0]}x{upright[1]}, which is no multiple of its camera's "
+            f"{lens.width}x{lens.height}. Put back the photos that were posed."
+        )
+    size, is_upright = fits[0]
+    lens = lens if size == lens.size else lens.scaled(*size)
+    return Photo(path, is_upright, lens, lens.pinhole().size)
+
+
+def photo_sizes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Width and height as stored, and after the EXIF rotation, from the file's header.
+
+    Raises:
+        StyleSplatError: If the file is missing or no picture.
+    """
+    try:
+        with Image.open(path) as image:
+            turned = _orientation(image) in QUARTER_TURNS
+            width, height = image.size
+            return (width, height), (height, width) if turned else (width, height)
+    except UNREADABLE as error:
+        raise unreadable(path, error) from error
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether one is a multiple of the other, but for rounding either side to a whole pixel."""
+    return abs(size[0] * other[1] - size[1] * other[0]) <= max(other)
+
+
+def unreadable(path: Path, error: Exception) -> StyleSplatError:
+    """What to tell the user about a picture that Pillow could not read."""
+    if isinstance(error, FileNotFoundError):
+        return StyleSplatError(f"There is no image {path}. Check the name and the folder.")
+    return StyleSplatError(f"Cannot read the image {path}: {reason(error)}. Replace the file.")
+
+
+def _decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
+    """RGB, or RGBA where the file has transparency."""
+    try:
+        with Image.open(path) as image:
+            turn = upright and _orientation(image) != UPRIGHT
+            return _pixels(ImageOps.exif_transpose(image) if turn else image)
+    except UNREADABLE as error:
+        raise unreadable(path, error) from error
+
+
+def _orientation(image: Image.Image) -> int:
+    """Of a PNG only if it precedes the pixels: to look behind them, Pillow decodes them all."""
+    if image.format == "PNG" and "exif" not in image.info:
+        return UPRIGHT
+    return image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+
+
+def _pixels(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
+    if image.mode == "F":
+        raise ValueError("its pixels are floating-point numbers")
+    if image.mode.startswith("I"):  # 16-bit grey, which convert("RGB") would clip
+        deep = np.asarray(image)
+        if deep.min() < 0 or deep.max() > MAX_GREY:
+            raise ValueError("its pixels do not fit into 16 bits")
+        grey = (deep >> 8).astype(np.uint8)
+        return np.repeat(grey[:, :, None], 3, axis=2)
+    return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+
+
+def _premultiplied(pixels: UInt8[np.ndarray, "H W D"]) -> UInt8[np.ndarray, "H W D"]:
+    """The same over black; averages of such pixels are free of the colours that nobody sees."""
+    if pixels.shape[2] == 3:
+        return pixels
+    return np.concatenate([_rgb(pixels, BLACK), pixels[:, :, 3:]], axis=2)
+
+
+def _rgb(pixels: UInt8[np.ndarray, "H W D"], behind: int) -> UInt8[np.ndarray, "H W 3"]:
+    """What shows before a grey level."""
+    if pixels.shape[2] == 3:
+        return pixels
+    colors, alpha = pixels[:, :, :3].astype(np.uint16), pixels[:, :, 3:].astype(np.uint16)
+    return ((colors * alpha + behind * (255 - alpha) + 127) // 255).astype(np.uint8)

@@ -1,0 +1,65 @@
+"""Splats as .splat, the 32-byte rows of antimatter15/splat: one colour per Gaussian."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import atomic_path
+from stylesplat.io.splats.splat_ply import check_splats
+from stylesplat.scene.splats import SH_C0, Splats
+
+ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
+
+
+def read_dot_splat(path: Path | str) -> Splats:
+    """Read a .splat file.
+
+    Raises:
+        StyleSplatError: If the file is missing, truncated, or holds numbers that are not finite.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+    if len(content) % ROW.itemsize:
+        raise StyleSplatError(
+            f"Cannot read {path}: {len(content)} bytes are no whole number of Gaussians of "
+            f"{ROW.itemsize}. Export it again."
+        )
+    rows = np.frombuffer(content, ROW)
+    rgba = _floats(rows["rgba"]) / 255
+    splats = Splats(
+        means=_floats(rows["mean"]),
+        quats=(_floats(rows["quat"]) - 128) / 128,
+        scales=_floats(rows["scale"]).log(),
+        opacities=rgba[:, 3].clamp(HALF_STEP, 1 - HALF_STEP).logit(),
+        sh0=((rgba[:, :3] - 0.5) / SH_C0)[:, None],
+        shN=torch.zeros(len(rows), 0, 3),
+    )
+    return check_splats(splats, path)
+
+
+def write_dot_splat(splats: Splats, path: Path | str) -> None:
+    """Write a .splat file, the largest and most opaque Gaussians first."""
+    alphas = torch.sigmoid(splats.opacities)
+    order = torch.argsort(splats.scales.sum(dim=1).exp() * alphas, descending=True, stable=True)
+    colors = 0.5 + SH_C0 * splats.sh0[:, 0]
+    rows = np.empty(len(splats), ROW)
+    rows["mean"] = splats.means[order].numpy()
+    rows["scale"] = splats.scales[order].exp().numpy()
+    rows["rgba"] = _bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
+    quats = torch.nn.functional.normalize(splats.quats, dim=1)
+    rows["quat"] = _bytes(128 + 128 * quats)[order]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(rows.tobytes())
+
+
+def _bytes(values: torch.Tensor) -> np.ndarray:
+    return values.round().clamp(0, 255).to(torch.uint8).numpy()
+
+
+def _floats(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.array(values, np.float32))

@@ -1,0 +1,112 @@
+"""Splats as SPZ, Niantic's compressed format: gzip (versions 1 to 3) or zstd (version 4)."""
+
+import struct
+import zlib
+from pathlib import Path
+
+import gsply
+import torch
+import zstandard
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import atomic_path
+from stylesplat.io.splats.gsply_data import from_gsply
+from stylesplat.scene.splats import Splats
+
+POSITION = 2**23 - 1  # largest fixed-point coordinate
+FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
+FLIP = torch.tensor([1.0, -1.0, -1.0])  # PLY's x right, y down to SPZ's x right, y up, and back
+FLIP_SH = torch.tensor([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])  # per band
+MAGIC = b"NGSP"
+GZIP = b"\x1f\x8b"
+HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, degree, fraction, flags, 0
+TABLE = struct.Struct("<4sIIBBBBI")  # version 4: the same, but number of streams, their table
+STREAM = struct.Struct("<QQ")  # bytes before and after compression
+SMALLEST_ROW = 19  # bytes of a Gaussian without higher bands, before compression
+BANDS = (0, 3, 8, 15)  # bytes of higher bands of a colour channel at each degree
+EXTENSIONS = 2**20  # bytes that may follow the Gaussians
+LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
+
+
+def read_spz(path: Path | str) -> Splats:
+    """Read an SPZ file into PLY's axes.
+
+    Raises:
+        StyleSplatError: If the file is missing, damaged, or claims more Gaussians than it can hold.
+    """
+    path = Path(path)
+    try:
+        _check(path.read_bytes())
+        data = gsply.read_spz(path)
+    except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
+        raise StyleSplatError(f"Cannot read {path} as SPZ: {error}. Export it again.") from error
+    splats = from_gsply(data, path)
+    return _flipped(splats)
+
+
+def write_spz(splats: Splats, path: Path | str) -> None:
+    """Write SPZ: about ten times smaller than PLY, its numbers rounded.
+
+    Raises:
+        StyleSplatError: If the splats reach farther than SPZ can express.
+    """
+    reach = float(splats.means.abs().max()) if len(splats) else 0.0
+    bits = [b for b in FRACTION if reach * 2**b <= POSITION]
+    if not bits:
+        raise StyleSplatError(
+            f"Cannot export to {path}: the splats reach {reach:.0f} units from the origin, which "
+            "SPZ cannot express. Export a .ply."
+        )
+    flipped = _flipped(splats)
+    data = gsply.GSData(
+        means=flipped.means.numpy(),
+        scales=flipped.scales.numpy(),
+        quats=flipped.quats.numpy(),
+        opacities=flipped.opacities.numpy(),
+        sh0=flipped.sh0[:, 0].numpy(),
+        shN=flipped.shN.numpy(),
+    )
+    with atomic_path(path) as temporary:
+        gsply.write_spz(temporary, data, fractional_bits=max(bits))
+
+
+def _flipped(splats: Splats) -> Splats:
+    """The same splats, turned half around the x axis."""
+    bands = splats.shN.shape[1]
+    return Splats(
+        means=splats.means * FLIP,
+        quats=torch.cat([splats.quats[:, :2], -splats.quats[:, 2:]], dim=1),
+        scales=splats.scales,
+        opacities=splats.opacities,
+        sh0=splats.sh0,
+        shN=splats.shN * FLIP_SH[:bands, None],
+    )
+
+
+def _check(content: bytes) -> None:
+    """Raise a ValueError unless the header's count fits the file, before memory is taken for it."""
+    packed = zlib.decompressobj(wbits=31) if content.startswith(GZIP) else None
+    head = packed.decompress(content, HEADER.size) if packed else content[: HEADER.size]
+    magic, version, count, degree, *_ = HEADER.unpack(head)
+    if magic != MAGIC or degree >= len(BANDS):
+        raise ValueError("it has no SPZ header")
+    if count * SMALLEST_ROW > LARGEST_RATIO * len(content):
+        raise ValueError(f"it claims {count} Gaussians, which {len(content)} bytes cannot hold")
+    if packed:
+        rows = count * (SMALLEST_ROW + (version >= 3) + 3 * BANDS[degree])
+        packed.decompress(packed.unconsumed_tail, rows + EXTENSIONS)
+        if not packed.eof or packed.unused_data:
+            raise ValueError("it is cut off, or holds more than its header says")
+    else:
+        _check_streams(content)
+
+
+def _check_streams(content: bytes) -> None:
+    """Raise a ValueError unless the streams of version 4 are as long as its table says."""
+    *_, streams, table = TABLE.unpack_from(content)
+    start = table + streams * STREAM.size
+    for index in range(streams):
+        packed, unpacked = STREAM.unpack_from(content, table + index * STREAM.size)
+        if zstandard.frame_content_size(content[start : start + packed]) not in (-1, unpacked):
+            raise ValueError("it holds more than its header says")
+        start += packed

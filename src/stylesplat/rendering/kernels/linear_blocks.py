@@ -1,0 +1,195 @@
+"""What each Gaussian contributes to each pixel, kept, and images made from it.
+
+With geometry and opacities frozen an image is linear in the colours. The weights of the picked
+Gaussians are kept for the 16 pixels of each block that they touch, as float16, tile by tile and
+front to back.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+
+from stylesplat.rendering.kernels import vec, vecs
+from stylesplat.rendering.kernels.blend import (
+    BLOCKS,
+    PIXELS,
+    aligned,
+    block_corner,
+    block_pixels,
+    cross,
+    open_block,
+    tile_corner,
+)
+from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
+from stylesplat.rendering.kernels.rows import Place, spread
+
+COLORS = vecs.channels(3)
+NONE = vecs.channels(0)
+
+
+class Kept(NamedTuple):
+    """The weights of some Gaussians in one image."""
+
+    starts: np.ndarray
+    """Cuts `gaussians` and `masks` into tiles: [tiles + 1]."""
+    firsts: np.ndarray
+    """Where each tile's weights begin, in blocks: [tiles]."""
+    gaussians: np.ndarray
+    """The number, among the picked, of every entry's Gaussian."""
+    masks: np.ndarray
+    """The blocks that it touches."""
+    weights: np.ndarray
+    """Float16 as uint16, 16 a block."""
+
+
+@no_type_check
+@serial_kernel
+def count_pairs(lists, picked):
+    """Entries and (entry, block) pairs of picked ranks, counted up tile by tile [tiles + 1]."""
+    starts, ranks, masks = lists
+    entries = np.zeros(starts.shape[0], np.int64)
+    pairs = np.zeros(starts.shape[0], np.int64)
+    for tile in range(starts.shape[0] - 1):
+        entries[tile + 1], pairs[tile + 1] = entries[tile], pairs[tile]
+        for entry in range(starts[tile], starts[tile + 1]):
+            todo = np.int64(masks[entry])
+            if picked[ranks[entry]] >= 0 and todo != 0:
+                entries[tile + 1] += 1
+                while todo != 0:
+                    todo &= todo - 1
+                    pairs[tile + 1] += 1
+    return entries, pairs
+
+
+@no_type_check
+@inner
+def pass_block(row, corner, block):
+    """Take from a block the light that a Gaussian blocks; what it adds to the pixels."""
+    pixel_x, pixel_y = block_pixels(corner[0], corner[1])
+    before = vec.load(block.flat, block.first)
+    crossing = cross(row, pixel_x - spread(row, 0), pixel_y - spread(row, 1), before)
+    vec.store(block.flat, block.first, crossing.after)
+    return crossing.weight
+
+
+@no_type_check
+@inner
+def open_tile(light, corner, size):
+    """Transmittance 1 in the blocks of a tile, 0 outside the image."""
+    width, height = size
+    for block in range(BLOCKS):
+        x, y = block_corner(corner, block)
+        open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
+
+
+@no_type_check
+@kernel
+def keep_weights(rows, lists, picked, size, kept, threads):
+    """Fill `kept` from lists that `blend` has cut.
+
+    `picked` gives the number of a rank among the picked Gaussians, or -1.
+    """
+    starts, ranks, masks = lists
+    kept_starts, firsts, gaussians, kept_masks, weights = kept
+    width, height = size
+    for thread in numba.prange(threads):
+        light = aligned(BLOCKS * PIXELS)
+        for tile in range(thread, starts.shape[0] - 1, threads):
+            corner = tile_corner(tile, width)
+            open_tile(light, corner, (width, height))
+            place, pair = kept_starts[tile], firsts[tile]
+            for entry in range(starts[tile], starts[tile + 1]):
+                rank, todo = ranks[entry], np.int64(masks[entry])
+                mine = picked[rank] >= 0 and todo != 0
+                if mine:
+                    gaussians[place], kept_masks[place] = picked[rank], masks[entry]
+                    place += 1
+                row = Place(rows.flat, rank * rows.stride)
+                while todo != 0:
+                    block = vec.lowest_bit(todo)
+                    todo &= todo - 1
+                    light_of_block = Place(light, block * PIXELS)
+                    weight = pass_block(row, block_corner(corner, block), light_of_block)
+                    if mine:
+                        vec.store_halves(weights, pair * PIXELS, weight)
+                        pair += 1
+
+
+@no_type_check
+@inner
+def read_tile(state, image, corner, size):
+    """Three channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
+    width, height = size
+    for block in range(BLOCKS):
+        left, top = block_corner(corner, block)
+        for lane in range(PIXELS):
+            x, y = left + (lane & 3), top + (lane >> 2)
+            inside = x < width and y < height
+            for c in range(3):
+                value = image[(y * width + x) * 3 + c] if inside else np.float32(0)
+                state[(block * 3 + c) * PIXELS + lane] = value
+
+
+@no_type_check
+@inner
+def write_tile(state, image, corner, size):
+    """The reverse of `read_tile`."""
+    width, height = size
+    for block in range(BLOCKS):
+        left, top = block_corner(corner, block)
+        for lane in range(PIXELS):
+            x, y = left + (lane & 3), top + (lane >> 2)
+            if x < width and y < height:
+                for c in range(3):
+                    image[(y * width + x) * 3 + c] = state[(block * 3 + c) * PIXELS + lane]
+
+
+@no_type_check
+@kernel
+def compose(kept, colors, background, image, size, threads):
+    """Fill a flat image with the background and what Gaussians of flat `colors` [M*4] add."""
+    starts, firsts, gaussians, masks, weights = kept
+    for thread in numba.prange(threads):
+        state = aligned(3 * BLOCKS * PIXELS)
+        for tile in range(thread, firsts.shape[0], threads):
+            corner = tile_corner(tile, size[0])
+            read_tile(state, background, corner, size)
+            pair = firsts[tile]
+            for entry in range(starts[tile], starts[tile + 1]):
+                row, todo = np.int64(gaussians[entry]) * 4, np.int64(masks[entry])
+                while todo != 0:
+                    place = vec.lowest_bit(todo) * (3 * PIXELS)
+                    todo &= todo - 1
+                    weight = vec.load_halves(weights, pair * PIXELS)
+                    sums = vecs.load_vecs(state, place, COLORS)
+                    sums = vecs.add_scaled_row(sums, weight, colors, row)
+                    vecs.store_vecs(state, place, sums)
+                    pair += 1
+            write_tile(state, image, corner, size)
+
+
+@no_type_check
+@kernel
+def compose_backward(kept, v_image, size, out):
+    """Add each thread's gradients of the colours to its own flat rows `out` [threads, M*16]."""
+    starts, firsts, gaussians, masks, weights = kept
+    for thread in numba.prange(out.shape[0]):
+        state = aligned(3 * BLOCKS * PIXELS)
+        mine = out[thread]
+        for tile in range(thread, firsts.shape[0], out.shape[0]):
+            if starts[tile] == starts[tile + 1]:
+                continue
+            read_tile(state, v_image, tile_corner(tile, size[0]), size)
+            pair = firsts[tile]
+            for entry in range(starts[tile], starts[tile + 1]):
+                todo = np.int64(masks[entry])
+                sums = vecs.zeros(COLORS)
+                while todo != 0:
+                    place = vec.lowest_bit(todo) * (3 * PIXELS)
+                    todo &= todo - 1
+                    weight = vec.load_halves(weights, pair * PIXELS)
+                    sums = vecs.add_products(sums, weight, vecs.load_vecs(state, place, COLORS))
+                    pair += 1
+                row = np.int64(gaussians[entry]) * vec.LANES
+                vecs.add_lane_sums(mine, row, vecs.zeros(NONE), sums)

@@ -1,0 +1,166 @@
+"""Linear rendering: with geometry and opacities frozen, an image is linear in the colours.
+
+`I = B + W c`: W holds what each picked Gaussian contributes to each pixel (alpha times
+transmittance), B is the image of everything else. One pass of the CPU rasteriser yields both;
+after that an image costs a sparse product.
+"""
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from numba import get_num_threads
+from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
+
+from stylesplat.rendering import cpu
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.kernels import linear_blocks, vec
+from stylesplat.rendering.kernels.linear_blocks import Kept
+from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.sh import SH_C0
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+HEADROOM = 1e3  # a constant band that keeps colours positive whatever the other bands
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """One camera's image as a function of the colours of some Gaussians."""
+
+    gaussians: Int[Tensor, " M"]
+    """Which Gaussians of the scene show: those of the picked that reach a pixel."""
+    background: Float[Tensor, "H W 3"]
+    """The image of everything else, what hides it in front taken into account."""
+    coverage: Float[Tensor, "H W"]
+    """The opaque share of the picked Gaussians in each pixel: the row sums of the weights."""
+    origin: Float[Tensor, "1 3"]
+    """Where the camera is: colours depend on the direction."""
+    kept: Kept
+    """The weights."""
+    bands: Float[Tensor, "M 3"] | None = None
+    """What the higher bands of colour add as seen from there, if they are fixed."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the weights and images take."""
+        images = self.background.nbytes + self.coverage.nbytes
+        return images + self.gaussians.nbytes + sum(array.nbytes for array in self.kept)
+
+    def image(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
+        """The image when the Gaussians have these colours, which gradients reach."""
+        return _Compose.apply(colors, self)
+
+    def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
+        """The image with the colours of these splats, which gradients reach."""
+        shown = self.gaussians
+        if self.bands is not None:
+            return self.image((splats.sh0[shown, 0] * SH_C0 + self.bands).relu())
+        dirs = splats.means[shown] - self.origin
+        sh = splats.sh0[shown], splats.shN[shown]
+        return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh))
+
+    def with_fixed_bands(self, splats: Splats) -> "Contributions":
+        """The same for splats that differ from these at most in `sh0`: quicker."""
+        shown = self.gaussians
+        dirs = splats.means[shown] - self.origin
+        raised = torch.full_like(splats.sh0[shown], HEADROOM)  # above the clamp at black
+        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, raised, splats.shN[shown])
+        return replace(self, bands=colors - HEADROOM * SH_C0)
+
+    def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
+        """What each Gaussian contributes to some pixels, or to all: column sums of the weights."""
+        counted = torch.ones_like(self.background)
+        if pixels is not None:
+            counted *= pixels[:, :, None]
+        return _color_gradients(self, counted)[:, 0]
+
+
+@torch.no_grad()
+def contributions(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Contributions:
+    """Render everything but some Gaussians and keep what these contribute.
+
+    Args:
+        splats: The scene, on the CPU.
+        camera: One camera.
+        picked: The Gaussians whose colours are to vary.
+    """
+    drawing = _draw_others(splats, camera, picked)
+    numbers, shown = _number_shown(drawing.tiled, picked)
+    background, coverage = drawing.image.split((3, 1), dim=2)
+    return Contributions(
+        gaussians=shown,
+        background=background.contiguous(),
+        coverage=coverage[:, :, 0].contiguous(),
+        origin=camera.positions.to(splats.means),
+        kept=_keep(drawing.tiled, numbers, camera.size),
+    )
+
+
+def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing:
+    """Colours of all but the picked Gaussians, and the coverage of these."""
+    gaussians, camera = activated(splats), beside(splats, camera)
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    dirs = splats.means - camera.positions
+    colors = cpu.spherical_harmonics(splats.sh_degree, dirs, splats.sh0, splats.shN)
+    colors = torch.cat([colors * ~picked[:, None], picked[:, None].to(colors)], dim=1)
+    return cpu.draw(projected, gaussians.opacities, colors, camera.size)
+
+
+def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
+    """Count the picked Gaussians that are drawn: the number of each rank or -1, and who it is."""
+    _, ranks, masks = tiled.lists
+    drawn = np.zeros(len(tiled.order), bool)
+    drawn[ranks[masks != 0]] = True
+    drawn &= picked.numpy()[tiled.order]
+    numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)
+    return numbers, torch.from_numpy(tiled.order[drawn].astype(np.int64))
+
+
+def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
+    starts, firsts = linear_blocks.count_pairs(tiled.lists, numbers)
+    gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
+    weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
+    kept = Kept(starts, firsts[:-1].copy(), gaussians, masks, weights)
+    threads = get_num_threads()
+    linear_blocks.keep_weights(tiled.rows, tiled.lists, numbers, size, kept, threads)
+    return kept
+
+
+def _size(view: Contributions) -> tuple[int, int]:
+    height, width, _ = view.background.shape
+    return width, height
+
+
+def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
+    partial = cpu.partial_sums(len(view.gaussians), vec.LANES)
+    flat = v_image.contiguous().view(-1).numpy()
+    linear_blocks.compose_backward(view.kept, flat, _size(view), partial.flatten(1).numpy())
+    return partial.sum(dim=0)[:, :3]
+
+
+class _Compose(Function):
+    @staticmethod
+    def forward(ctx, colors, view):
+        image = torch.empty_like(view.background)
+        rows = torch.nn.functional.pad(colors.detach(), (0, 1)).view(-1)
+        linear_blocks.compose(
+            view.kept,
+            rows.numpy(),
+            view.background.view(-1).numpy(),
+            image.view(-1).numpy(),
+            _size(view),
+            get_num_threads(),
+        )
+        ctx.view = view
+        return image
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_image):
+        return _color_gradients(ctx.view, v_image), None

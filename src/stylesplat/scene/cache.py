@@ -1,0 +1,93 @@
+"""A store of bounded size."""
+
+import ctypes
+import mmap
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+Key = TypeVar("Key", bound=Hashable)
+T = TypeVar("T", bound=tuple[Tensor | None, ...])
+
+GIB = 2**30
+TIDY_EVERY = 2**27  # bytes kept; the steps' own buffers then have to be mapped anew: a tenth second
+
+
+class Cache(Generic[Key]):
+    """Tuples of tensors by key, as many as fit; what was used longest ago is forgotten first.
+
+    What is kept are copies on the CPU.
+    """
+
+    def __init__(self, budget: int) -> None:
+        """Start empty.
+
+        Args:
+            budget: Bytes that all items together may take; what is larger alone is not kept.
+        """
+        self._items: OrderedDict[Key, tuple[Tensor | None, ...]] = OrderedDict()
+        self._budget = budget
+        self._used = 0
+        self._since_tidied = 0
+
+    @property
+    def used(self) -> int:
+        """Bytes of what is kept."""
+        return self._used
+
+    def get(self, key: Key, make: Callable[[], T]) -> T:
+        """What is kept under a key, or what `make` gives, which is then kept."""
+        if key in self._items:
+            self._items.move_to_end(key)
+            return self._items[key]  # pyright: ignore[reportReturnType]
+        item = make()
+        if size_of(item) <= self._budget:
+            item = _apart(item)
+            self._items[key] = item
+            self._used += size_of(item)
+            self._since_tidied += size_of(item)
+        while self._used > self._budget:
+            self._drop(next(iter(self._items)))
+        if self._since_tidied > TIDY_EVERY:
+            self._since_tidied = 0
+            _tidy_heap()
+        return item
+
+    def forget(self, unwanted: Callable[[Key], bool]) -> None:
+        """Drop the items whose keys are unwanted."""
+        for key in [key for key in self._items if unwanted(key)]:
+            self._drop(key)
+
+    def _drop(self, key: Key) -> None:
+        self._used -= size_of(self._items.pop(key))
+
+
+def _tidy_heap() -> None:
+    """Give freed memory back to the system, where that is glibc's.
+
+    `runtime.py` lets the heap keep it. The few bytes of each kept tensor's head lie in what was
+    freed by decoding, so that the next photo does not fit there again: 6 MB a photo are lost.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def _apart(item: T) -> T:
+    """Copies in pages of their own, which return to the system when they go."""
+    copies = [t if t is None or t.nbytes == 0 else _copy(t) for t in item]
+    make = getattr(type(item), "_make", type(item))  # a NamedTuple takes its items one by one
+    return make(copies)
+
+
+def _copy(tensor: Tensor) -> Tensor:
+    pages = mmap.mmap(-1, tensor.nbytes)
+    return torch.frombuffer(pages, dtype=tensor.dtype).view(tensor.shape).copy_(tensor)
+
+
+def size_of(item: tuple[Tensor | None, ...]) -> int:
+    """Bytes of some tensors together."""
+    return sum(t.nbytes for t in item if t is not None)

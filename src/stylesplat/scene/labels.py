@@ -1,0 +1,30 @@
+"""What label maps and masks are, and how they change their size."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Int, Shaped
+from torch import Tensor
+
+BACKGROUND = 0  # the label id that means 'no object'
+MAX_ID = 2**24 - 1  # what three bytes hold, as in RGB-coded label maps
+
+Mask = Bool[Tensor, "H W"]
+Labels = Int[Tensor, "H W"]
+OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
+
+
+def ids_of(labels: OwnLabels) -> set[int]:
+    """The ids of the objects in a label map; sooner than `unique`, which sorts all pixels."""
+    return {*labels.flatten().bincount().nonzero()[:, 0].tolist()} - {BACKGROUND}
+
+
+def resize_labels(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[Tensor, "h w"]:
+    """A map of another height and width: the nearest pixels, between pixel centres."""
+    if tuple(labels.shape) == tuple(size):
+        return labels
+    y, x = (
+        ((torch.arange(new) + 0.5) * old / new).long()
+        for new, old in zip(size, labels.shape, strict=True)
+    )
+    return labels[y[:, None].to(labels.device), x.to(labels.device)]

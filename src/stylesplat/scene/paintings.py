@@ -1,0 +1,106 @@
+"""What has been painted on a scene, and what it takes to change or undo that."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.scene.splats import Splats
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that something was made from."""
+
+    path: Path | None
+    """Where it lay; None if it was never a file."""
+    sha256: str | None = None
+    """Digest of its content; None if nobody took it."""
+
+
+@dataclass(frozen=True)
+class Painting:
+    """One object, as it was painted once."""
+
+    name: str
+    """What it was called then: a name, or a label id."""
+    picked: Bool[Tensor, " N"]
+    """Its Gaussians, whatever the name means now."""
+    styles: tuple[Source, ...]
+    """The pictures whose style it has."""
+    settings: Mapping[str, Any]
+    """All of them, as plain values; the intensity among them is that at first."""
+    intensity: float
+    """How much of the new colours shows now, 0 to 1.5."""
+    features: str
+    """The network whose features were matched."""
+    weights: Source | None = None
+    """The network's file, if it was not its own."""
+    upon: Mapping[str, float] = field(default_factory=dict)
+    """The paintings that were there before, by name, and how strong they were then."""
+
+
+@dataclass(frozen=True)
+class Unsplit:
+    """What it takes to undo splits, besides the colours before."""
+
+    count: int
+    """How many Gaussians there were; what follows them is new."""
+    rows: Int[Tensor, " R"]
+    """Those that were split."""
+    scales: Float[Tensor, "R 3"]
+    """Theirs before."""
+    opacities: Float[Tensor, " R"]
+    """Theirs before."""
+
+
+@dataclass(frozen=True)
+class Colors:
+    """The colours of all Gaussians of a scene."""
+
+    sh0: Float[Tensor, "N 1 3"]
+    """Constant band."""
+    shN: Float[Tensor, "N _ 3"]
+    """Higher bands."""
+
+    @classmethod
+    def of(cls, splats: Splats) -> "Colors":
+        """Those of splats."""
+        return cls(splats.sh0, splats.shN)
+
+    def on(self, splats: Splats) -> Splats:
+        """The splats in these colours."""
+        return replace(splats, sh0=self.sh0.to(splats.sh0), shN=self.shN.to(splats.shN))
+
+    def __getitem__(self, rows: Int[Tensor, " M"]) -> "Colors":
+        return Colors(self.sh0[rows], self.shN[rows])
+
+
+@dataclass(frozen=True)
+class Painted:
+    """All that was painted on a scene, in order."""
+
+    paintings: tuple[Painting, ...]
+    """At least one, of Gaussians that no two of them share."""
+    before: Colors
+    """Without any painting."""
+    full: Colors
+    """With all of them at intensity 1."""
+    unsplit: Unsplit | None = None
+    """The shapes of Gaussians that were split; None if none were."""
+    origin: Path | None = None
+    """The folder of the scene before; None if it had none."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the objects, in order."""
+        return tuple(painting.name for painting in self.paintings)
+
+    @property
+    def everything(self) -> Bool[Tensor, " N"]:
+        """All Gaussians that were painted."""
+        return torch.stack([painting.picked for painting in self.paintings]).any(dim=0)

@@ -1,0 +1,34 @@
+"""Some of many: items at equal distances, cameras that are far from each other."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import torch
+
+from stylesplat.scene.cameras import Cameras
+
+T = TypeVar("T")
+
+
+def evenly(items: Sequence[T], count: int) -> list[T]:
+    """At most `count` of the items, at equal distances."""
+    count = min(count, len(items))
+    return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]
+
+
+def far_apart(cameras: Cameras, count: int) -> list[int]:
+    """Rows of some cameras that are far from each other, whatever their order.
+
+    The first is the one farthest from the middle of all; each other the one farthest from those
+    that are chosen.
+    """
+    positions = cameras.positions.cpu()
+    gaps = (positions - positions.mean(dim=0)).norm(dim=1)
+    rows: list[int] = []
+    while len(rows) < min(count, len(cameras)):
+        row = int(gaps.argmax())
+        distances = (positions - positions[row]).norm(dim=1)
+        gaps = distances if not rows else torch.minimum(gaps, distances)
+        rows.append(row)
+        gaps[rows] = -1.0  # also where several cameras share a position
+    return rows

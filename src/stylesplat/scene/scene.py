@@ -1,0 +1,128 @@
+"""The `Scene` noun: splats with all that is known about them."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.paintings import Painted
+from stylesplat.scene.splats import Splats
+
+Which = Literal["test", "train", "all"]
+
+MAX_NAME = 100  # characters of an object's name
+RESERVED = "__metadata__"  # of safetensors files
+# Folders, the sign of OBJECT=IMAGE, control characters and line ends, halves of characters
+UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """Gaussians that have a name."""
+
+    picked: Bool[Tensor, " N"]
+    """Which they are."""
+    how: Mapping[str, Any] = field(default_factory=dict)
+    """How they were chosen, as plain values: `ids`, `threshold`, `gaussians` and so on."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Gaussians, the cameras that they were photographed by, named objects, what was painted.
+
+    Scenes are never changed: every verb takes one and returns another.
+    """
+
+    splats: Splats
+    """As they look now. Of degree 3 once they come from disk."""
+    cameras: Cameras
+    """All cameras of the capture, at the photos' full size."""
+    held_out: tuple[str, ...] = ()
+    """Names of the cameras whose photos were not trained on."""
+    downscale: float = 1.0
+    """How many times smaller than the photos the views are that it was made from."""
+    objects: Mapping[str, SceneObject] = field(default_factory=dict)
+    """The objects that have a name."""
+    painted: Painted | None = None
+    """What was painted; None if nothing was."""
+    path: Path | None = None
+    """The folder that it was opened from."""
+    capture: Path | None = None
+    """The folder of the photos, where they were then."""
+    info: Mapping[str, Any] = field(default_factory=dict)
+    """How it was made, as plain values: settings, versions of libraries."""
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    """What was measured, as plain values."""
+
+    def views(self, which: Which = "all") -> Cameras:
+        """The cameras of the held-out (test), training or all views, at the photos' size.
+
+        Raises:
+            StyleSplatError: If there are none.
+        """
+        held_out = set(self.held_out)
+        rows = [
+            row
+            for row, name in enumerate(self.cameras.names)
+            if which == "all" or (name in held_out) == (which == "test")
+        ]
+        if not rows:
+            raise StyleSplatError(f"The scene has no {which} views. Choose all views, or an orbit.")
+        return self.cameras[rows]
+
+    def working_views(self) -> tuple[Cameras, Cameras | None]:
+        """Training views, and held-out views if there are any, at the size that it was made at."""
+        training = self.views("train").downscale(self.downscale)
+        return training, self.views("test").downscale(self.downscale) if self.held_out else None
+
+    @property
+    def unpainted(self) -> Splats:
+        """The Gaussians there are in the colours that they had before anything was painted."""
+        return self.painted.before.on(self.splats) if self.painted else self.splats
+
+    def with_object(self, name: str, found: SceneObject) -> "Scene":
+        """The scene with one more named object, or with another of that name.
+
+        Raises:
+            StyleSplatError: If objects cannot be called that.
+        """
+        check_name(name)
+        return replace(self, objects={**self.objects, name: found})
+
+
+def check_name(name: str) -> None:
+    """Raise a StyleSplatError if an object cannot be called that."""
+    fault = name_fault(name)
+    if fault:
+        raise StyleSplatError(
+            f"Cannot call an object {brief(name)!r}: {fault}. Choose another name."
+        )
+
+
+def can_be_called(name: str) -> bool:
+    """Whether an object can be called that; `name_fault` says why not."""
+    return name_fault(name) is None
+
+
+def name_fault(name: str) -> str | None:
+    """Why an object cannot be called that; None if it can."""
+    if not name.strip():
+        return "a name must not be empty"
+    if name.isdecimal():
+        return "numbers are label ids"
+    if UNFIT.search(name):
+        return "names must not contain '=', slashes or control characters"
+    if name == RESERVED:
+        return "files of objects use that name for themselves"
+    return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
+
+
+def brief(name: str) -> str:
+    """A name as a message can hold it."""
+    return name if len(name) <= MAX_NAME else f"{name[:20]}..."

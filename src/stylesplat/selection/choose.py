@@ -1,0 +1,210 @@
+"""Which Gaussians are meant: objects by id, pixels, words and shapes, united, less what is not."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.selection.detector import Detector
+from stylesplat.selection.identities import object_ids
+from stylesplat.selection.margins import grow, shrink
+from stylesplat.selection.pick import THRESHOLD, Box, Point, pick, pick_objects, resolve_ids
+from stylesplat.selection.shapes import in_box, in_sphere, surface_point
+from stylesplat.selection.text import clear_winner, rank_objects
+
+# Selections with these are not the whole object
+SHAPING = frozenset({"plus", "minus", "box3d", "sphere", "grow", "shrink"})
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which Gaussians are meant: all that is named, less what is taken away."""
+
+    ids: tuple[int, ...] = ()
+    """Label ids."""
+    boxes: tuple[tuple[str, Box], ...] = ()
+    """A view and a rectangle of its pixels: the object that shows most inside."""
+    points: tuple[tuple[str, Point], ...] = ()
+    """A view and a pixel: the object that shows there."""
+    not_points: tuple[tuple[str, Point], ...] = ()
+    """Objects that are not meant."""
+    text: str | None = None
+    """A few words: the object that they mean."""
+    box3d: tuple[float, ...] = ()
+    """Two corners in the world, the lower one first."""
+    sphere: tuple[str, tuple[float, ...]] | None = None
+    """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
+    plus: tuple[str, ...] = ()
+    """Earlier names that are part of it."""
+    minus: tuple[str, ...] = ()
+    """Earlier names that are not."""
+    grow: float | None = None
+    """Share of its extent by which to grow what was chosen by all that is above."""
+    shrink: float | None = None
+    """Share of its extent by which to shrink it."""
+
+    def __post_init__(self) -> None:
+        if self.grow is not None and self.shrink is not None:
+            raise StyleSplatError("An object cannot grow and shrink. Pass --grow or --shrink.")
+        if self.text is not None and not self.text.strip():
+            raise StyleSplatError(
+                "The text is empty. Say what to find, such as --text 'red chair'."
+            )
+
+
+class Rules(NamedTuple):
+    """How the Gaussians of an object are told from others."""
+
+    threshold: float = THRESHOLD
+    """Probability of the object above which a Gaussian belongs to it."""
+    remove_outliers: bool = True
+    """Whether to drop Gaussians that lie apart from the rest of an object."""
+
+
+RULES = Rules()
+
+
+def choose(
+    scene: Scene, choice: Choice, *, rules: Rules = RULES, detector: Detector | None = None
+) -> SceneObject:
+    """Pick the Gaussians that are meant.
+
+    Args:
+        scene: Where they are.
+        choice: Which.
+        rules: How they are told from others.
+        detector: What finds `choice.text`.
+
+    Raises:
+        StyleSplatError: If the scene has no such object, the text means none or several, or
+            nothing is left.
+    """
+    without = _ids_at(scene, choice.not_points)
+    masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
+    named, scores = _ids(scene, choice), {}
+    if choice.text is not None:
+        assert detector is not None  # whoever takes texts loads one
+        scores = _scores(scene, choice.text, detector, without)
+        named += (_winner(scene, scores, choice.text),)
+    ids = tuple(id for id in dict.fromkeys(named) if id not in without)
+    if ids:
+        masks.append(pick(scene.splats, object_id=ids, **rules._asdict()))
+    if not masks:
+        raise StyleSplatError(
+            "Nothing says which Gaussians. Say it with --id, --point, --box, --text, --box3d, "
+            "--sphere or --plus; --not-point only takes away."
+        )
+    mask = torch.stack(masks).any(dim=0)
+    for each in _taken_away(scene, choice, without, rules.threshold):
+        mask &= ~each
+    if not mask.any():
+        raise StyleSplatError("Nothing is left of the selection. Take away less.")
+    mask = _resized(scene, mask, choice)
+    how: dict[str, Any] = {"ids": list(ids), "threshold": rules.threshold}
+    how |= {"gaussians": int(mask.sum())}
+    how |= {key: value for key, value in asdict(choice).items() if value and key != "ids"}
+    return SceneObject(mask, how | ({"scores": scores} if scores else {}))
+
+
+def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
+    """The Gaussians that a name or a label id means.
+
+    Of what was painted by its label id, it means those that were painted: a split moves the
+    borders between objects a little.
+
+    Raises:
+        StyleSplatError: If the scene knows neither.
+    """
+    if name in scene.objects:
+        return scene.objects[name].picked
+    for painting in scene.painted.paintings if scene.painted else ():
+        if painting.name == name:
+            return painting.picked
+    if name.isdecimal() and scene.splats.classifier is not None:
+        return pick(scene.splats, object_id=int(name))
+    ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
+    known = ", ".join([*scene.objects, *ids]) or "none"
+    raise StyleSplatError(
+        f"The scene has no object {name!r}. Names and ids: {known}. "
+        "Name one with `stylesplat select SCENE --name NAME --id N`."
+    )
+
+
+def names_of(scene: Scene, id: int) -> list[str]:
+    """What the whole object of a label id is called."""
+    return [
+        name
+        for name, each in scene.objects.items()
+        if each.how.get("ids") == [id] and not SHAPING & each.how.keys()
+    ]
+
+
+def _taken_away(
+    scene: Scene, choice: Choice, without: Sequence[int], threshold: float
+) -> Iterator[Bool[Tensor, " N"]]:
+    """Gaussians that are not meant, with their strays."""
+    for name in choice.minus:
+        yield find_object(scene, name)
+    if without:
+        picked = pick_objects(scene.splats, without, threshold=threshold, remove_outliers=False)
+        yield from picked.values()
+
+
+def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:
+    called = {id: name for name, each in scene.objects.items() for id in each.how.get("ids", [])}
+    return clear_winner(scores, text, called)
+
+
+def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
+    """The label ids that are named or pointed at."""
+    found = list(resolve_ids(scene.splats, object_id=choice.ids)) if choice.ids else []
+    for view, box in choice.boxes:
+        found += resolve_ids(scene.splats, box=box, camera=_camera(scene, view))
+    return (*found, *_ids_at(scene, choice.points))
+
+
+def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
+    return [
+        id
+        for view, point in points
+        for id in resolve_ids(scene.splats, point=point, camera=_camera(scene, view))
+    ]
+
+
+def _scores(
+    scene: Scene, text: str, detector: Detector, without: Sequence[int]
+) -> dict[int, float]:
+    """How well a text fits each object that may be meant, as it looks without a style."""
+    ranking = rank_objects(scene.unpainted, scene.cameras, text, detector)
+    return {id: score for id, score in ranking.items() if id not in without}
+
+
+def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
+    splats = scene.splats
+    if choice.box3d:
+        low, high = torch.tensor(choice.box3d).view(2, 3)
+        yield in_box(splats, low, high)
+    if choice.sphere:
+        view, (*place, radius) = choice.sphere
+        if view:
+            x, y = place
+            centre = surface_point(splats, _camera(scene, view), (x, y))
+        else:
+            centre = torch.tensor(place)
+        yield in_sphere(splats, centre, radius)
+
+
+def _resized(scene: Scene, mask: Bool[Tensor, " N"], choice: Choice) -> Bool[Tensor, " N"]:
+    if choice.grow is not None:
+        return grow(scene.splats, mask, choice.grow)
+    return mask if choice.shrink is None else shrink(scene.splats, mask, choice.shrink)
+
+
+def _camera(scene: Scene, view: str) -> Cameras:
+    return scene.cameras[scene.cameras.index(view)]

@@ -1,0 +1,70 @@
+"""What the identities say: the object of every Gaussian and of every pixel."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.splats import Classifier, Splats
+
+MIN_COVERAGE = 0.5  # of a pixel, below which it shows mostly what lies behind all Gaussians
+
+
+def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifier]:
+    """The identities and their classifier.
+
+    Raises:
+        StyleSplatError: If the splats were made without label maps.
+    """
+    if splats.identities is None or splats.classifier is None:
+        raise StyleSplatError(
+            "These splats have no identities, so no objects are known. Train from a capture with "
+            "label maps, or import with one (`object_mask/` or --masks); or pick by shape, with "
+            "--box3d or --sphere."
+        )
+    return splats.identities, splats.classifier
+
+
+def object_ids(splats: Splats) -> tuple[int, ...]:
+    """The label ids that can be selected: all but background, in ascending order.
+
+    Raises:
+        StyleSplatError: If the splats have no identities.
+    """
+    _, classifier = require_identities(splats)
+    return tuple(sorted(set(classifier.ids) - {BACKGROUND}))
+
+
+@torch.no_grad()
+def class_probabilities(splats: Splats) -> Float[Tensor, "N K"]:
+    """How likely each Gaussian belongs to each class of the classifier (softmax).
+
+    Raises:
+        StyleSplatError: If the splats have no identities.
+    """
+    identities, classifier = require_identities(splats)
+    return classifier.logits(identities).softmax(dim=-1)
+
+
+@torch.no_grad()
+def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
+    """The label map that one camera sees: the class of each pixel's composited identity.
+
+    Args:
+        splats: Gaussians with identities.
+        camera: A single camera.
+
+    Returns:
+        Label ids, 0 where the Gaussians cover less than half of a pixel.
+
+    Raises:
+        StyleSplatError: If the splats have no identities.
+    """
+    identities, classifier = require_identities(splats)
+    image, alphas, _ = rasterize(splats, camera, features=identities, sh_degree=0)
+    classes = classifier.logits(image[0, ..., 3:]).argmax(dim=-1)
+    labels = torch.tensor(classifier.ids, device=classes.device)[classes]
+    return torch.where(alphas[0, ..., 0] < MIN_COVERAGE, BACKGROUND, labels)

@@ -1,0 +1,171 @@
+"""What a scene remembers of its paintings: added, blended, taken back."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.paintings import Colors, Painted, Painting, Unsplit
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.paint_objects import Styled
+
+
+def require_painted(scene: Scene) -> Painted:
+    """What was painted on a scene.
+
+    Raises:
+        StyleSplatError: If nothing was.
+    """
+    if scene.painted is None:
+        raise StyleSplatError(
+            f"{scene.path or 'The scene'} is not styled. Style it first: "
+            f"`stylesplat stylize {scene.path or 'SCENE'} --style OBJECT=IMAGE -o STYLED`."
+        )
+    return scene.painted
+
+
+def refuse_painted(scene: Scene, picks: Mapping[str, Bool[Tensor, " N"]]) -> None:
+    """Check that objects may be painted: what they looked like before is kept once.
+
+    Raises:
+        StyleSplatError: If Gaussians of one were painted before, or its name was.
+    """
+    if scene.painted is None:
+        return
+    where = scene.path or "the scene"
+    for name, picked in picks.items():
+        for painting in scene.painted.paintings:
+            if painting.name == name or (painting.picked & picked.to("cpu")).any():
+                known = "" if painting.name == name else f", as a part of {painting.name}"
+                raise StyleSplatError(
+                    f"{name} is styled in {where} already{known}. Change its strength with "
+                    f"`adjust`, or start from the scene before: `stylesplat adjust {where} --undo "
+                    "-o SCENE`."
+                )
+
+
+def strengths(scene: Scene) -> dict[str, float]:
+    """How strong each painting of a scene is, by name."""
+    return {p.name: p.intensity for p in scene.painted.paintings} if scene.painted else {}
+
+
+def with_paintings(scene: Scene, styled: Styled, paintings: Sequence[Painting]) -> Scene:
+    """The scene with what was painted on it, and all that undoes that.
+
+    Args:
+        scene: As it was painted upon.
+        styled: Its Gaussians after; those that are new follow all others.
+        paintings: What is new, its Gaussians being those of `scene`.
+    """
+    parents, known = styled.parents.cpu(), scene.painted
+    mine = torch.stack([painting.picked for painting in paintings]).any(dim=0)[parents]
+    splats, base = styled.splats.to("cpu"), styled.base.to("cpu")
+    before, full = Colors.of(base), Colors.of(styled.full.to("cpu"))
+    if known is not None:
+        before = known.before[parents]
+        full = _where(mine, full, known.full[parents])
+    every = (*(known.paintings if known else ()), *paintings)
+    painted = Painted(
+        paintings=tuple(replace(each, picked=each.picked[parents]) for each in every),
+        before=before,
+        full=full,
+        unsplit=_unsplit(scene, base),
+        origin=known.origin if known else _absolute(scene.path),
+    )
+    objects = {
+        name: replace(each, picked=each.picked[parents]) for name, each in scene.objects.items()
+    }
+    return replace(scene, splats=splats, objects=objects, painted=painted)
+
+
+def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
+    """A styled scene whose paintings are stronger or weaker.
+
+    Args:
+        scene: With something painted.
+        intensities: By name; paintings that are not named stay as they are.
+    """
+    painted = require_painted(scene)
+    splats = scene.splats
+    base, full = painted.before.on(splats), painted.full.on(splats)
+    paintings = []
+    for each in painted.paintings:
+        wanted = intensities.get(each.name, each.intensity)
+        if wanted != each.intensity:
+            picked = each.picked.to(splats.device)
+            mixed = blend_colors(base, full, picked, wanted)
+            splats = blend_colors(splats, mixed, picked, 1.0)
+        paintings.append(replace(each, intensity=wanted))
+    return replace(scene, splats=splats, painted=replace(painted, paintings=tuple(paintings)))
+
+
+def unpainted(scene: Scene) -> Scene:
+    """A styled scene as it was before anything was painted on it, to the bit.
+
+    Of objects that were named since, what was there before stays.
+
+    Raises:
+        StyleSplatError: If nothing was painted.
+    """
+    painted = require_painted(scene)
+    splats, objects = painted.before.on(scene.splats), dict(scene.objects)
+    if painted.unsplit is not None:
+        shape = painted.unsplit
+        splats = splats[torch.arange(shape.count)]
+        splats = replace(
+            splats,
+            scales=splats.scales.index_copy(0, shape.rows, shape.scales),
+            opacities=splats.opacities.index_copy(0, shape.rows, shape.opacities),
+        )
+        objects = {
+            name: _first(each, shape.count)
+            for name, each in objects.items()
+            if each.picked[: shape.count].any() or not each.picked.any()  # not of new ones alone
+        }
+    return replace(
+        scene,
+        splats=splats,
+        objects=objects,
+        painted=None,
+        metrics=scene.metrics.get("train", {}),
+    )
+
+
+def _first(each: SceneObject, count: int) -> SceneObject:
+    return replace(each, picked=each.picked[:count])
+
+
+def _where(mine: Bool[Tensor, " N"], one: Colors, other: Colors) -> Colors:
+    mask = mine[:, None, None]
+    return Colors(torch.where(mask, one.sh0, other.sh0), torch.where(mask, one.shN, other.shN))
+
+
+def _absolute(path: Path | None) -> Path | None:
+    return path and path.resolve()
+
+
+def _unsplit(scene: Scene, base: Splats) -> Unsplit | None:
+    """How to undo this split, and those before it."""
+    before, known = scene.splats, scene.painted.unsplit if scene.painted else None
+    count = known.count if known else len(before)
+    changed = (base.scales[:count] != before.scales[:count]).any(dim=1)
+    if known is not None:
+        changed[known.rows] = False  # their shapes before are kept already
+    if known is None and not changed.any():
+        return None
+    rows = changed.nonzero()[:, 0]
+    found = Unsplit(count, rows, before.scales[rows], before.opacities[rows])
+    if known is None:
+        return found
+    return Unsplit(
+        count,
+        torch.cat([known.rows, found.rows]),
+        torch.cat([known.scales, found.scales]),
+        torch.cat([known.opacities, found.opacities]),
+    )

@@ -1,0 +1,156 @@
+"""Where an object is seen: cameras cut to it, and the features that are its own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.progress import say, track
+from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import COVERED, contributed, coverage
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.features.network import Cells
+
+SURVEY_SIZE = 160  # longer side of the renders in which objects are looked for
+STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
+MARGIN = 12  # pixels around a box at most: what lies beyond hardly moves a deep feature (< 1 %)
+MEBIBYTE = 2**20
+MIN_CELLS = 16  # views that show fewer features of the object are skipped
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where an object lies in one camera's image."""
+
+    camera: Cameras
+    """The camera alone, at full size."""
+    low: Float[Tensor, " 2"]
+    """Left and top, in pixels."""
+    high: Float[Tensor, " 2"]
+    """Right and bottom."""
+
+    @property
+    def length(self) -> float:
+        """The longer side."""
+        return float((self.high - self.low).max())
+
+
+@dataclass(frozen=True)
+class ObjectView:
+    """A view of an object, cut to what its features depend on."""
+
+    camera: Cameras
+    """One camera, whose image is the cut."""
+    cells: tuple[Bool[Tensor, "_ _"], ...]
+    """For each block of features, which of them are the object's."""
+    pixels: Bool[Tensor, "H W"]
+    """Which pixels are the object's."""
+    linear: Contributions | None = None
+    """The image as a function of the object's colours; None if it is rasterised every time."""
+
+    def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
+        """The view of splats that differ from the scene at most in the object's colours."""
+        if self.linear is not None:
+            return self.linear.render(splats)
+        return rasterize(splats, self.camera)[0][0]
+
+    def weights(self, splats: Splats, picked: Bool[Tensor, " N"]) -> Float[Tensor, " N"]:
+        """What each picked Gaussian contributes to the view, summed over its pixels."""
+        if self.linear is not None:
+            weights = splats.means.new_zeros(len(splats))
+            return weights.index_copy_(0, self.linear.gaussians, self.linear.weights())
+        width, height = self.camera.size
+        everywhere = splats.means.new_ones(height, width, 1)
+        return contributed(splats, self.camera, everywhere)[:, 0] * picked
+
+    def with_fixed_bands(self, splats: Splats) -> "ObjectView":
+        """The same, quicker, for splats that differ from these at most in `sh0`."""
+        linear = self.linear and self.linear.with_fixed_bands(splats)
+        return replace(self, linear=linear)
+
+
+def find_boxes(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> list[Box]:
+    """Find in which views an object shows, and where; what hides it is taken into account."""
+    boxes = []
+    for index in track(range(len(cameras)), "looking for the object"):
+        camera = cameras[index]
+        small = camera.at_most(SURVEY_SIZE)
+        covered = coverage(splats, small, picked) > COVERED
+        if covered.any():
+            ratio = camera.sizes[0] / small.sizes[0]
+            low, high = _extent(covered)
+            boxes.append(Box(camera, low * ratio, high * ratio))
+    return boxes
+
+
+def _extent(covered: Bool[Tensor, "H W"]) -> tuple[Tensor, Tensor]:
+    """Left, top and right, bottom of nearly all that is covered; strays are left outside."""
+    pixels = covered.nonzero().flip(1).cpu()  # x, y
+    few = int(STRAY * len(pixels))
+    ordered = pixels.sort(dim=0).values
+    return ordered[few], ordered[len(ordered) - 1 - few] + 1
+
+
+def typical_length(boxes: Sequence[Box]) -> float:
+    """The median of the object's longer sides."""
+    return median(box.length for box in boxes)
+
+
+def cut_views(
+    splats: Splats,
+    boxes: Sequence[Box],
+    picked: Bool[Tensor, " N"],
+    cells: Sequence[Cells],
+    *,
+    zoom: float,
+    max_memory: float = 0.0,
+) -> list[ObjectView]:
+    """Cut views to an object and mark its features; skip those where it hardly shows.
+
+    Args:
+        splats: The scene.
+        boxes: Where the object lies.
+        picked: The object's Gaussians.
+        cells: Where the features of each block lie.
+        zoom: Size of the views, as a multiple of the cameras'.
+        max_memory: Bytes that linear views may take; what does not fit is rasterised each time.
+    """
+    views, used, full = [], 0, False
+    keeps = max_memory > 0 and splats.device.type == "cpu"
+    for box in track(boxes, "cutting the views"):
+        camera = _cut(box, zoom, cells)
+        linear = contributions(splats, camera, picked) if keeps and not full else None
+        seen = linear.coverage if linear else coverage(splats, camera, picked)
+        masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
+        if all(mask.sum() >= MIN_CELLS for mask in masks):
+            used += linear.nbytes if linear else 0
+            if used > max_memory:
+                full, linear = True, None
+            views.append(ObjectView(camera, masks, seen > COVERED, linear))
+    if keeps and full:
+        _say_full(views, max_memory)
+    return views
+
+
+def _say_full(views: Sequence[ObjectView], max_memory: float) -> None:
+    kept = sum(view.linear is not None for view in views)
+    say(
+        f"{kept} of {len(views)} views fit into {max_memory / MEBIBYTE:.0f} MB; the others are "
+        "rasterised in every step, which takes longer. Raise --max-memory to keep more."
+    )
+
+
+def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> Cameras:
+    """The camera of a box and of the pixels around it that its features depend on."""
+    camera = box.camera.downscale(1 / zoom)
+    low = (box.low * zoom).floor() - min(MARGIN, max(c.before for c in cells))
+    high = (box.high * zoom).ceil() + min(MARGIN, max(c.size - c.before for c in cells))
+    low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
+    return crop(camera, low.tolist(), (high - low).tolist())

@@ -1,0 +1,252 @@
+"""Objects repainted in their styles: one, one step by step, or several of a scene."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.progress import task
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.precision import fastest_dtype
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
+from stylesplat.stylization.style_images import read_style
+
+MIN_GAUSSIANS = 50  # fewer cannot show a texture
+MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
+GIBIBYTE = 2**30
+REPORT_EVERY = 10  # steps between two updates of the loss shown
+
+
+@dataclass(frozen=True)
+class Styled:
+    """A styled scene, and the way back from it."""
+
+    splats: Splats
+    """With the new colours. Split Gaussians' further children follow all others."""
+    full: Splats
+    """The same at full intensity."""
+    base: Splats
+    """The same with the colours before."""
+    parents: Int[Tensor, " N"]
+    """Which Gaussian of the scene before each one comes from."""
+
+
+def paint(
+    splats: Splats,
+    capture: Capture | Cameras,
+    picked: Bool[Tensor, " N"],
+    style: Path | str | Float[Tensor, "H W 3"],
+    *,
+    config: StyleConfig | None = None,
+    network: FeatureNetwork | None = None,
+) -> Splats:
+    """Repaint one object in the style of a picture.
+
+    Nothing but the picked Gaussians changes: of these the colours, and those too large to show
+    strokes are split. The new ones follow all others.
+
+    Args:
+        splats: The scene.
+        capture: Views from which to look at the object; their photos are not used.
+        picked: The object's Gaussians.
+        style: A picture's file, or its colours in 0..1.
+        config: Settings; see `StyleConfig` and `PRESETS`.
+        network: Whose features are matched; the package's own by default.
+
+    Raises:
+        StyleSplatError: As `paint_objects` does, and if the picture is unreadable.
+    """
+    studio, job = _one_object(splats, capture, picked, style, config, network)
+    return _repaint_whole(studio, job).splats
+
+
+def paint_live(
+    splats: Splats,
+    capture: Capture | Cameras,
+    picked: Bool[Tensor, " N"],
+    style: Path | str | Float[Tensor, "H W 3"],
+    *,
+    config: StyleConfig | None = None,
+    network: FeatureNetwork | None = None,
+) -> Iterator[Repainted]:
+    """As `paint`, step by step, to show it, to stop early or to go on later.
+
+    Example::
+
+        live = paint_live(splats, capture, picked, "wave.jpg")
+        for state in live:
+            show(state.splats)
+            if state.step == 100:
+                break  # keep state.splats, or go on: `for state in live`
+
+    Yields:
+        The state after every step, at the intensity of `config`.
+
+    Raises:
+        StyleSplatError: As `paint` does.
+    """
+    studio, job = _one_object(splats, capture, picked, style, config, network)
+    for state in repaint(studio, job):
+        yield state if job.config.intensity == 1 else replace(state, splats=_blended(state, job))
+
+
+def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dict[str, float]]:
+    """Repaint several objects, each in its own style and by itself: their order is immaterial.
+
+    Args:
+        studio: The scene, and views to optimise on.
+        jobs: Which Gaussians take which style.
+
+    Returns:
+        The styled scene, and by name the seconds that each object took.
+
+    Raises:
+        StyleSplatError: If two objects share Gaussians or a name, an object has too few or is
+            not seen, or a style image is too small.
+    """
+    check_jobs(jobs)
+    base = studio.splats
+    nobody = torch.arange(len(base), device=base.device)
+    styled, seconds = Styled(base, base, base, nobody), {}
+    for job in jobs:
+        began = time.perf_counter()
+        job = moved(job, base)
+        styled = _merge(styled, _repaint_whole(studio, job), job.picked)
+        seconds[job.name] = time.perf_counter() - began
+    return styled, seconds
+
+
+def open_studio(
+    splats: Splats,
+    cameras: Cameras,
+    network: FeatureNetwork,
+    *,
+    held_out: Cameras | None = None,
+    max_memory: float = MAX_MEMORY,
+) -> Studio:
+    """What repainting needs besides a job.
+
+    Args:
+        splats: The scene.
+        cameras: Views to optimise on.
+        network: Whose features are matched.
+        held_out: More views in which nothing but the object may change.
+        max_memory: GiB that linear views may take; see `cut_views`.
+
+    Raises:
+        StyleSplatError: If `max_memory` is negative.
+    """
+    if not max_memory >= 0:
+        raise StyleSplatError(f"Cannot keep views in {max_memory} GiB. Pass 0 or more.")
+    device = splats.device
+    return Studio(
+        splats=splats.detach(),
+        cameras=cameras,
+        every_camera=cameras if held_out is None else cameras + held_out,
+        network=network.to(device),
+        precision=fastest_dtype(device.type),
+        max_memory=max_memory * GIBIBYTE,
+    )
+
+
+def _one_object(
+    splats: Splats,
+    capture: Capture | Cameras,
+    picked: Bool[Tensor, " N"],
+    style: Path | str | Float[Tensor, "H W 3"],
+    config: StyleConfig | None,
+    network: FeatureNetwork | None,
+) -> tuple[Studio, StyleJob]:
+    """What `paint` and `paint_live` are given, checked."""
+    config = config or StyleConfig()
+    cameras = capture.cameras if isinstance(capture, Capture) else capture
+    network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
+    if isinstance(style, Tensor):
+        image = style
+    else:
+        image = read_style(style, rotate=config.rotate, region=config.region)
+    job = StyleJob("object", picked, (image,), config)
+    check_jobs([job])
+    return open_studio(splats, cameras, network), moved(job, splats)
+
+
+def moved(job: StyleJob, splats: Splats) -> StyleJob:
+    """The job on the device of the splats."""
+    styles = tuple(style.to(splats.means) for style in job.styles)
+    return replace(job, picked=job.picked.to(splats.device), styles=styles)
+
+
+def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
+    """All steps of one object, with a progress bar."""
+    state = None
+    with task(job.name, job.config.steps) as bar:
+        for state in repaint(studio, job):
+            bar.advance()
+            if state.step % REPORT_EVERY == 0:
+                bar.note(f"NNFM {state.nnfm:.3f}")
+    assert state is not None  # there is at least one step
+    return Styled(_blended(state, job), state.splats, state.base, state.parents)
+
+
+def _blended(state: Repainted, job: StyleJob) -> Splats:
+    """The state's colours at the intensity that is wanted."""
+    mask = job.picked[state.parents]
+    return blend_colors(state.base, state.splats, mask, job.config.intensity)
+
+
+def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:
+    """Add an object that was styled by itself; its rows and children take the place of the old."""
+    count = len(picked)
+
+    def merged(old: Splats, new: Splats) -> Splats:
+        tensors = {}
+        for name, theirs in new.tensors().items():
+            ours = old.tensors()[name]
+            mask = picked.view(-1, *[1] * (ours.ndim - 1))
+            shared = torch.where(mask, theirs[:count], ours[:count])
+            tensors[name] = torch.cat([shared, ours[count:], theirs[count:]])
+        return replace(old, **tensors)
+
+    return Styled(
+        splats=merged(styled.splats, alone.splats),
+        full=merged(styled.full, alone.full),
+        base=merged(styled.base, alone.base),
+        parents=torch.cat([styled.parents, alone.parents[count:]]),
+    )
+
+
+def check_jobs(jobs: Sequence[StyleJob]) -> None:
+    """Raise a StyleSplatError if these objects cannot be repainted in one scene."""
+    if not jobs:
+        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
+    for job in jobs:
+        count = int(job.picked.sum())
+        if count < MIN_GAUSSIANS:
+            raise StyleSplatError(
+                f"Cannot stylise {job.name}: it has {count} Gaussians, too few for a texture "
+                f"(at least {MIN_GAUSSIANS}). Pick more of it."
+            )
+    for one, other in combinations(jobs, 2):
+        shared = int((one.picked & other.picked).sum())
+        if one.name == other.name:
+            raise StyleSplatError(
+                f"{one.name} was given twice. Give it once; several pictures make one style: "
+                f"{one.name}=a.jpg,b.jpg."
+            )
+        if shared:
+            raise StyleSplatError(
+                f"Cannot stylise {one.name} and {other.name} at once: they share {shared} "
+                f"Gaussians. Pick objects that do not overlap."
+            )

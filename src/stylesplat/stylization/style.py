@@ -1,0 +1,144 @@
+"""What an object is to look like: pictures, and how to take their style."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.paintings import Source
+from stylesplat.stylization.plain_settings import with_settings
+from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_images import read_style
+
+Picture = Path | str | Float[Tensor, "_ _ 3"]
+"""A file, or colours in 0..1."""
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Style:
+    """One or several pictures, and how to take their style.
+
+    Example:
+        >>> Style("night.jpg", scale=2).config.scale
+        2.0
+        >>> Style("wave.jpg", "night.jpg", preset="paper").config.steps
+        500
+    """
+
+    pictures: tuple[Picture, ...]
+    """Each place of the object takes the best match of all."""
+    config: StyleConfig
+    """Settings."""
+
+    def __init__(
+        self,
+        *pictures: Picture,
+        config: StyleConfig | None = None,
+        preset: str = "default",
+        **settings: Any,
+    ) -> None:
+        """Take a style.
+
+        Args:
+            pictures: Files, or colours in 0..1.
+            config: All settings; by default those of the preset.
+            preset: `default`, or `paper` for the method as published.
+            settings: Fields of `StyleConfig` to change, such as `scale=2`.
+
+        Raises:
+            StyleSplatError: If there is no picture, no such preset or setting, or a setting is
+                out of range.
+        """
+        if not pictures:
+            raise StyleSplatError("A style has at least one picture. Pass a file: Style('a.jpg').")
+        if preset not in PRESETS:
+            raise StyleSplatError(f"There is no preset {preset!r}. Use {' or '.join(PRESETS)}.")
+        object.__setattr__(self, "pictures", pictures)
+        object.__setattr__(self, "config", with_settings(config or PRESETS[preset], settings))
+
+    def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
+        """The pictures as they are to be used: cropped and turned.
+
+        Raises:
+            StyleSplatError: If one is missing, unreadable or too small.
+        """
+        config = self.config
+        return tuple(
+            picture
+            if isinstance(picture, Tensor)
+            else read_style(picture, rotate=config.rotate, region=config.region)
+            for picture in self.pictures
+        )
+
+    def sources(self) -> tuple[Source, ...]:
+        """Where the pictures come from, with the digests of their content."""
+        return tuple(map(_source, self.pictures))
+
+
+@dataclass(frozen=True)
+class StyledObject:
+    """One object of a recipe."""
+
+    name: str
+    """A name that `select` gave, or a label id."""
+    style: Style
+    """What it is to look like."""
+    features: Network | None = None
+    """The network whose features are matched; None leaves it to whoever uses the recipe."""
+    weights: Source | None = None
+    """The network's file; None for its own."""
+    intensity: float | None = None
+    """How strong it is to be in the end; None for the style's."""
+    upon: Mapping[str, float] | None = None
+    """The objects that were painted before it, and how strong they were then; None leaves that
+    to whoever uses the recipe."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Which objects to repaint, and how."""
+
+    objects: tuple[StyledObject, ...] = field(default_factory=tuple)
+    """Each once, in order."""
+
+
+def as_recipe(
+    styles: "Mapping[str, Style | Picture | Sequence[Picture]] | Recipe",
+) -> Recipe:
+    """Objects and their styles, as they are easily written, as a recipe."""
+    if isinstance(styles, Recipe):
+        return styles
+    return Recipe(tuple(StyledObject(str(n), as_style(style)) for n, style in styles.items()))
+
+
+def as_style(style: Style | Picture | Sequence[Picture]) -> Style:
+    """A picture, or several, as a style with the default settings."""
+    if isinstance(style, Style):
+        return style
+    return Style(style) if isinstance(style, Path | str | Tensor) else Style(*style)
+
+
+def digest(path: Path) -> str:
+    """The SHA-256 of a file.
+
+    Raises:
+        StyleSplatError: If it cannot be read.
+    """
+    try:
+        return sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}. Check the name.") from error
+
+
+def _source(picture: Picture) -> Source:
+    if isinstance(picture, Tensor):
+        colors = picture.detach().to("cpu", torch.float32).contiguous()
+        return Source(None, sha256(colors.numpy().tobytes()).hexdigest())
+    path = Path(picture).resolve()
+    return Source(path, digest(path))

@@ -1,0 +1,111 @@
+"""The losses of one step and their gradients (StyleSplat section 3.3)."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int, Integer
+from torch import Tensor
+
+from stylesplat.metrics.psnr import decibels
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.training import growth, schedule
+from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
+from stylesplat.training.parts import parts_for
+from stylesplat.training.run import Run
+from stylesplat.training.state import State
+from stylesplat.training.training_views import View
+
+NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
+NEIGHBOR_SAMPLES = 1000
+NEIGHBORS = 5
+
+
+class Outcome(NamedTuple):
+    """What a step finds; nothing of it has been waited for."""
+
+    seen: Bool[Tensor, " N"]
+    """Which Gaussians the camera sees."""
+    scores: Float[Tensor, "2"]
+    """Loss and PSNR."""
+
+
+def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcome:
+    """Compare a render with the photo of the step, and fill `.grad` of the parameters.
+
+    Where a photo is transparent, it and the render are laid over the same random colour: only
+    Gaussians that are as transparent fit all colours.
+
+    Args:
+        run: What stays the same.
+        state: Before the step.
+        generator: Source of randomness, on the device.
+    """
+    progress, config = run.progress(state), run.config
+    row = run.row(state.step)
+    factor = schedule.photo_downscale(progress, run.cameras[row].size, config)
+    view = run.views(row, factor)
+    classes = view.classes if state.step % config.identity_every == 0 else None
+    for param in state.params.values():
+        param.grad = None
+    splats = state.splats
+    background, target = _behind(view, generator)
+    render, _, info = rasterize(
+        splats,
+        view.camera,
+        features=None if classes is None else splats.identities,
+        features_move_geometry=config.identity_geometry,
+        background=background,
+        sh_degree=schedule.sh_degree(progress, config),
+    )
+    image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
+    loss, error = photometric_loss(image, target)
+    loss = loss + growth.regularizer(state.params)
+    if classes is not None:
+        loss = loss + _identity_losses(run, state, (rendered, classes), generator)
+    loss.backward()
+    seen = (info["radii"][0] > 0).all(dim=-1)
+    return Outcome(seen, torch.stack([loss.detach(), decibels(error)]))
+
+
+def _behind(
+    view: View, generator: torch.Generator
+) -> tuple[Float[Tensor, "3"] | None, Float[Tensor, "H W 3"]]:
+    """The colour behind everything, None for black; and the photo before it."""
+    if view.alpha is None:
+        return None, view.photo
+    color = torch.rand(3, generator=generator, device=view.photo.device)
+    return color, view.photo + (1 - view.alpha) * color
+
+
+def _identity_losses(
+    run: Run,
+    state: State,
+    view: tuple[Float[Tensor, "H W 16"], Integer[Tensor, "H W"]],
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    """Of a view's rendered identities and its classes; now and then of neighbours in 3D too."""
+    splats, stride = state.splats, run.config.identity_stride
+    assert splats.identities is not None and splats.classifier is not None
+    y, x = run.offset(state.step)
+    pixels, targets = (each[y::stride, x::stride].flatten(0, 1) for each in view)
+    loss = identity_loss(pixels, targets.long(), splats.classifier)
+    if state.step // run.config.identity_every % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
+        sample, neighbors = neighbors_of_some(splats.means.detach(), generator)
+        loss = loss + neighbor_loss(
+            splats.identities[sample], splats.identities[neighbors], splats.classifier
+        )
+    return loss
+
+
+def neighbors_of_some(
+    means: Float[Tensor, "N 3"], generator: torch.Generator
+) -> tuple[Int[Tensor, " S"], Int[Tensor, "S k"]]:
+    """Rows of random Gaussians, and of the nearest others of each.
+
+    Args:
+        means: More of them than neighbours.
+        generator: Source of randomness, on their device.
+    """
+    count = min(NEIGHBOR_SAMPLES, len(means))
+    sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
+    return sample, parts_for(means.device).nearest(means, sample, NEIGHBORS)

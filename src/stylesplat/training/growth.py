@@ -1,0 +1,97 @@
+"""Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
+
+Kheradmand et al. 2024. A Gaussian that is joined by copies is made fainter and smaller so that
+the sum looks as before; noise in proportion to transparency lets Gaussians explore.
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.training.adam import Moments
+from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, Geometry, parts_for
+
+MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
+NOISE_RATE = 80.0  # official: 5e5 times the learning rate of the means, 1.6e-4
+OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
+SCALE_WEIGHT = 0.01
+
+Params = dict[str, Tensor]
+
+
+def regularizer(params: Params) -> Float[Tensor, ""]:
+    """Pulls opacities and sizes towards 0."""
+    opacity = torch.sigmoid(params["opacities"]).mean()
+    return OPACITY_WEIGHT * opacity + SCALE_WEIGHT * params["scales"].exp().mean()
+
+
+@torch.no_grad()
+def add_noise(params: Params, unit: float, generator: torch.Generator) -> None:
+    """Move the means at random, along their own covariance, the fainter the more.
+
+    Args:
+        params: Trained tensors; the means change in place.
+        unit: Of length, smaller as training goes on.
+        generator: Source of randomness, on their device.
+    """
+    geometry = Geometry(**{name: params[name].detach() for name in Geometry._fields})
+    noise = torch.randn(geometry.means.shape, generator=generator, device=geometry.means.device)
+    parts_for(noise.device).drift(geometry, noise, NOISE_RATE * unit)
+
+
+@torch.no_grad()
+def refine(
+    params: Params,
+    moments: Moments,
+    names: tuple[str, ...],
+    count: int,
+    generator: torch.Generator,
+    *,
+    preference: Float[Tensor, " N"] | None = None,
+) -> tuple[Params, Moments]:
+    """Move the dead Gaussians and grow to `count` in all.
+
+    Args:
+        params: Trained tensors.
+        moments: Their optimiser state.
+        names: Which of them have one row per Gaussian.
+        count: Gaussians wanted; fewer than there are changes nothing but the dead.
+        generator: Source of randomness, on their device.
+        preference: Factors on the chances, which are the opacities, of being copied.
+
+    Returns:
+        The new tensors and state; rows that were moved or copied start from zero moments.
+    """
+    opacities = torch.sigmoid(params["opacities"])
+    alive = (opacities > DEAD_OPACITY).nonzero()[:, 0]
+    dead = (opacities <= DEAD_OPACITY).nonzero()[:, 0]
+    n = len(opacities)
+    needed = len(dead) + max(count - n, 0)
+    if needed == 0 or len(alive) == 0:
+        return params, moments
+    chances = opacities if preference is None else opacities * preference
+    drawn = torch.multinomial(chances[alive], needed, replacement=True, generator=generator)
+    sources = alive[drawn]
+    rows = torch.cat([torch.arange(n, device=sources.device), sources[len(dead) :]])
+    rows[dead] = sources[: len(dead)]
+    params = dict(params) | _shrunk_sources(params, sources)
+    fresh = rows.clone()
+    fresh[dead] = -1
+    fresh[n:] = -1
+    fresh[sources] = -1
+    taken = {name: params[name].detach()[rows].requires_grad_() for name in names}
+    return params | taken, moments.take(fresh, names)
+
+
+def _shrunk_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
+    """Opacities and scales with which a source and its copies together look as before."""
+    copies = torch.bincount(sources, minlength=len(params["opacities"])) + 1
+    opacities, scales = params["opacities"].detach().clone(), params["scales"].detach().clone()
+    new_opacities, new_scales = parts_for(sources.device).relocated(
+        torch.sigmoid(opacities[sources]),
+        scales[sources].exp(),
+        copies[sources].clamp(max=MAX_COPIES),
+    )
+    opacities[sources] = torch.logit(new_opacities.clamp(DEAD_OPACITY, MAX_OPACITY))
+    scales[sources] = new_scales.log()
+    return {"opacities": opacities, "scales": scales}

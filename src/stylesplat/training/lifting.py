@@ -1,0 +1,89 @@
+"""Label maps onto any splats, in closed form: what contributes to a pixel takes its label."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.progress import track
+from stylesplat.rendering.shares import PRIOR, label_votes
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+
+SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
+REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
+MANY = 2048  # classes beyond which they stay where chance put them
+
+
+@torch.no_grad()
+def lift(
+    splats: Splats,
+    capture: Capture,
+    *,
+    rows: Sequence[int] | None = None,
+) -> Splats:
+    """Give every Gaussian the labels of the pixels that it contributes to.
+
+    A render is linear in what Gaussians carry, so how much each contributes to the pixels of a
+    label is a gradient: one pass over the views, no training. All views together outvote the
+    mistakes of each.
+
+    Args:
+        splats: The scene.
+        capture: Posed label maps of it.
+        rows: The views to use; all by default.
+
+    Returns:
+        The splats with identities and a classifier, as after training, and with `confidence`.
+
+    Raises:
+        StyleSplatError: If the capture has no label maps, or no Gaussian shows in them.
+    """
+    maps = _label_maps(capture, rows)
+    ids, votes = label_votes(splats, capture.cameras, maps)
+    if not votes.any():
+        raise StyleSplatError(
+            "None of the Gaussians shows in the capture's label maps. Check that the splat and the "
+            "cameras share a world frame."
+        )
+    seen = votes.sum(dim=1)
+    confidence = votes.amax(dim=1) / seen.clamp(min=PRIOR)
+    votes[:, ids.index(BACKGROUND)] += PRIOR
+    shares = votes / votes.sum(dim=1, keepdim=True)
+    codes = class_codes(len(ids)).to(shares)
+    classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
+    return replace(splats, identities=shares @ codes, classifier=classifier, confidence=confidence)
+
+
+def class_codes(count: int) -> Float[Tensor, "K 16"]:
+    """Directions that tell classes apart: at right angles if there is room, else far apart."""
+    if count <= IDENTITY_SIZE:
+        return torch.eye(count, IDENTITY_SIZE)
+    generator = torch.Generator().manual_seed(0)
+    codes = torch.randn(count, IDENTITY_SIZE, generator=generator)
+    codes = torch.nn.functional.normalize(codes, dim=1)
+    if count > MANY:
+        return codes
+    for _ in range(REPULSIONS):
+        closeness = (codes @ codes.T).fill_diagonal_(-1)
+        push = (8 * closeness).softmax(dim=1) @ codes
+        codes = torch.nn.functional.normalize(codes - 0.1 * push, dim=1)
+    return codes
+
+
+def _label_maps(
+    capture: Capture, rows: Sequence[int] | None
+) -> Iterator[tuple[int, Int[Tensor, "H W"]]]:
+    if capture.label_maps is None:
+        raise StyleSplatError(
+            "The capture has no label maps to lift. Put them into `object_mask/`, or name their "
+            "folder with --masks."
+        )
+    for index in track(range(len(capture.cameras)) if rows is None else rows, "lifting labels"):
+        labels = capture.label_maps[index]
+        if labels is not None:
+            yield index, labels

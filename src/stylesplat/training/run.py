@@ -1,0 +1,64 @@
+"""What stays the same in the course of training."""
+
+from dataclasses import dataclass
+
+import torch
+
+from stylesplat.scene.cameras import Cameras
+from stylesplat.training.state import State
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import Views
+
+STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbers
+EPOCHS, NUMBERS, OFFSETS, PURPOSES = 0, 1, 2, 3  # what randomness is for, and of how many kinds
+
+
+@dataclass(frozen=True)
+class Run:
+    """What stays the same in the course of training."""
+
+    config: TrainConfig
+    """How to train."""
+    rows: tuple[int, ...]
+    """Photos to train on."""
+    views: Views
+    """Loads them."""
+    cameras: Cameras
+    """Of all photos."""
+    extent: float
+    """Unit of length of the scene."""
+    device: torch.device
+    """Where to train."""
+
+    def progress(self, state: State) -> float:
+        """The share of the run that is done."""
+        if self.config.max_seconds is not None:
+            return min(state.seconds / self.config.max_seconds, 1.0)
+        return min(state.step / max(self.config.steps, 1), 1.0)
+
+    def row(self, step: int) -> int:
+        """The photo of a step: every photo once, in random order, then all over again."""
+        epoch, place = divmod(step, len(self.rows))
+        shuffle = _generator(self.config.seed, EPOCHS, epoch, torch.device("cpu"))
+        return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
+
+    def generator(self, step: int) -> torch.Generator:
+        """Randomness of one step, on the device.
+
+        It follows from seed and step alone, so that a run that is continued needs no memory of it.
+        """
+        return _generator(self.config.seed, NUMBERS, step, self.device)
+
+    def offset(self, step: int) -> tuple[int, int]:
+        """The row and column from which on every n-th pixel has its identity looked at.
+
+        Drawn by the program, which so need not wait for the device.
+        """
+        draw = _generator(self.config.seed, OFFSETS, step, torch.device("cpu"))
+        y, x = torch.randint(self.config.identity_stride, (2,), generator=draw).tolist()
+        return y, x
+
+
+def _generator(seed: int, purpose: int, number: int, device: torch.device) -> torch.Generator:
+    mixed = (seed * STRIDE + number) * PURPOSES + purpose
+    return torch.Generator(device).manual_seed(mixed % 2**63)

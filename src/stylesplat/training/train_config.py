@@ -1,0 +1,80 @@
+"""Settings of training."""
+
+from dataclasses import dataclass, replace
+
+from stylesplat.errors import StyleSplatError
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How to train. Everything scheduled is a share of the run, so any length works."""
+
+    steps: int = 5000
+    """Optimiser steps, one photo each."""
+    max_seconds: float | None = None
+    """Train for this long instead of for a number of steps."""
+    max_gaussians: int = 100_000
+    """The number of Gaussians grows up to here."""
+    test_every: int = 8
+    """Every this many photos one is held out to measure quality; 0 trains on all."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics, 0 to 3."""
+    seed: int = 0
+    """Seed of everything random; the same seed and thread count reproduce a run."""
+    coarse_to_fine: bool = True
+    """Start on photos of a quarter, then half the size."""
+    growth_end: float = 0.4
+    """Share of the run after which no Gaussians are added."""
+    object_growth: float = 4.0
+    """How many times likelier an object's Gaussians are to be copied than the background's."""
+    object_pixels: float | None = None
+    """Largest standard deviation of an object's Gaussians, in pixels at the median distance.
+
+    Small ones carry finer strokes and cost some sharpness elsewhere; None sets no limit.
+    """
+    refine_every: int = 100
+    """Steps between moving dead Gaussians and adding new ones."""
+    identity_every: int = 2
+    """Steps between those that train identities too; they cost over twice as much."""
+    identity_stride: int = 3
+    """The identity loss looks at every n-th pixel along x and y, from a random offset."""
+    means_rate: float = 4.8e-4
+    """Learning rate of the means at first, over the scene's extent; it falls to a hundredth."""
+    bands_rate: float = 5e-4
+    """Learning rate of the higher colour bands."""
+    classifier_rate: float = 2.5e-3
+    """Learning rate of the classifier."""
+    identity_geometry: bool = False
+    """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
+    max_memory: float = 1.0
+    """GiB for photos and label maps; what does not fit is read again."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "max_seconds", "max_gaussians", "refine_every"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise StyleSplatError(f"Cannot train with {name} {value}: it must exceed 0.")
+        if not self.max_memory >= 0:
+            raise StyleSplatError(
+                f"Cannot train with max_memory {self.max_memory}: it must not be less than 0."
+            )
+
+
+PRESETS = {
+    "default": TrainConfig(),
+    "paper": replace(
+        TrainConfig(),
+        steps=30_000,
+        max_gaussians=1_000_000,
+        coarse_to_fine=False,
+        growth_end=0.5,
+        object_growth=1.0,
+        identity_every=1,
+        identity_stride=1,
+        means_rate=1.6e-4,
+        bands_rate=1.25e-4,
+        classifier_rate=5e-4,
+        identity_geometry=True,
+    ),
+}
+"""Named settings: `paper` follows StyleSplat and Gaussian Grouping."""

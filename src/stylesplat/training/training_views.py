@@ -1,0 +1,138 @@
+"""Training photos and label classes at every size that the schedule asks for."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import cv2
+import torch
+from jaxtyping import Float, Integer, UInt8
+from torch import Tensor
+
+from stylesplat.scene.cache import GIB, Cache
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import resize_labels
+from stylesplat.training.classes import class_type, to_classes
+
+COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
+
+
+class View(NamedTuple):
+    """What one step learns from, on the device."""
+
+    camera: Cameras
+    """Of the photo's size."""
+    photo: Float[Tensor, "H W 3"]
+    """In 0..1, over black."""
+    alpha: Float[Tensor, "H W 1"] | None
+    """How opaque it is; None if it is everywhere."""
+    classes: Integer[Tensor, "H W"] | None
+    """The class of each pixel, in the smallest type; None without a label map."""
+
+
+Views = Callable[[int, int], View]
+"""From a row of the capture and a downscale to what there is to learn."""
+
+
+class Pixels(NamedTuple):
+    """The same as it is kept."""
+
+    photo: UInt8[Tensor, "H W 3"]
+    """Over black."""
+    alpha: UInt8[Tensor, "H W"] | None
+    """255 is opaque."""
+    classes: Integer[Tensor, "H W"] | None
+    """In the smallest type."""
+
+
+def split_views(capture: Capture, test_every: int) -> tuple[list[int], list[int]]:
+    """Rows to train on and rows held out: every `test_every`-th, none if that is 0."""
+    rows = range(len(capture))
+    held_out = list(rows[::test_every]) if test_every > 0 and len(rows) > 1 else []
+    return [row for row in rows if row not in held_out], held_out
+
+
+def training_views(
+    capture: Capture,
+    rows: Sequence[int],
+    *,
+    ids: tuple[int, ...],
+    device: torch.device,
+    max_memory: float,
+) -> Views:
+    """A loader that keeps what fits, of one size at a time.
+
+    If all photos fit at full size they are decoded once, and smaller ones made of what is kept.
+
+    Args:
+        capture: Photos, and label maps if there are ids.
+        rows: Those that will be asked for.
+        ids: Label id of each class.
+        device: Where views are wanted; what is kept stays in the computer's memory.
+        max_memory: GiB.
+    """
+    cache: Cache[tuple[int, int]] = Cache(int(max_memory * GIB))
+    all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= max_memory * GIB
+    latest = [1]
+
+    def kept(row: int, factor: int) -> Pixels:
+        if factor == 1:
+            return cache.get((row, 1), lambda: _read(capture, row, ids))
+        size = capture.cameras[row].downscale(factor).size
+        return cache.get((row, factor), lambda: _resized(whole(row), size))
+
+    def whole(row: int) -> Pixels:
+        return kept(row, 1) if all_fit else _read(capture, row, ids)
+
+    def view(row: int, factor: int) -> View:
+        if factor != latest[0]:
+            latest[0] = factor
+            cache.forget(lambda key: key[1] not in ({1, factor} if all_fit else {factor}))
+        return _on(device, capture.cameras[row].downscale(factor), kept(row, factor))
+
+    return view
+
+
+def _bytes(capture: Capture, row: int, ids: tuple[int, ...]) -> int:
+    """Of a photo with its label map; nothing is read."""
+    width, height = capture.cameras[row].size
+    alpha = 0 if capture.alphas is None else 1
+    return width * height * (3 + alpha + (class_type(len(ids)).itemsize if ids else 0))
+
+
+def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> Pixels:
+    labels = capture.labels(row) if ids else None
+    classes = None if labels is None else to_classes(labels, ids)
+    return Pixels(capture.photos[row], capture.alpha(row), classes)
+
+
+def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
+    """The averages of what each pixel covers; of classes the nearest."""
+    if pixels.photo.shape[1::-1] == size:
+        return pixels
+    photo, alpha = (
+        None if t is None else cv2.resize(t.numpy(), size, interpolation=cv2.INTER_AREA)
+        for t in pixels[:2]
+    )
+    classes = None if pixels.classes is None else resize_labels(pixels.classes, size[::-1])
+    return Pixels(
+        torch.from_numpy(photo), None if alpha is None else torch.from_numpy(alpha), classes
+    )
+
+
+def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> View:
+    photo, alpha, classes = (None if t is None else _upload(t, device) for t in pixels)
+    assert photo is not None
+    return View(
+        camera=camera,
+        photo=photo.float().div_(255),
+        alpha=None if alpha is None else alpha[..., None].float().div_(255),
+        classes=classes,
+    )
+
+
+def _upload(tensor: Tensor, device: torch.device) -> Tensor:
+    """Onto the device, in bytes and without waiting for it."""
+    if device.type != "cuda":
+        return tensor.to(device)
+    return tensor.pin_memory().to(device, non_blocking=True)

@@ -1,0 +1,140 @@
+"""`import`: a splat of another program in, a scene out; no training."""
+
+import time
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.fit import CLOSER, frame_fits
+from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.io.splats.splat_files import read_splats
+from stylesplat.progress import say
+from stylesplat.rendering.device import pick_device
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.frames import known_frames, posed_as, seen_from
+from stylesplat.scene.resized import at_most
+from stylesplat.scene.ring import ring_cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.naming import with_names
+from stylesplat.training.lifting import lift
+
+FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+
+WORKING_SIZE = 960  # pixels of the longer side at which labels are lifted and styles matched
+CHECK_SIZE = 240  # and at which the fit to the photos is checked
+MEASURED = 8  # views that are compared with their photos
+
+
+def import_(
+    splat: Path | str | Splats,
+    capture: Capture | None = None,
+    *,
+    frame: FrameName = "capture",
+    up: Up | None = None,
+    device: str = "auto",
+) -> Scene:
+    """Make a scene of a splat, with the cameras and label maps of a capture if there is one.
+
+    The splat stays as it is: same frame, same Gaussians, same order.
+
+    Args:
+        splat: A .ply, .spz or .splat file, or what was read from one.
+        capture: The photos that it was made from. Without them the scene gets cameras on circles
+            around the content.
+        frame: The world frame of the splat, if it is not the capture's.
+        up: Which way is up, for the circles; by default -y, as COLMAP has it.
+        device: Where to render.
+
+    Returns:
+        The scene. Its metrics are `seconds`, `gaussians`, and with photos `psnr` and `ssim`, with
+        label maps `confidence` (mean share of a Gaussian's pixels that have its label),
+        `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps.
+
+    Raises:
+        StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
+            option means nothing.
+    """
+    _refuse_idle_options(capture, frame, up)
+    start = time.perf_counter()
+    splats = splat if isinstance(splat, Splats) else read_splats(splat)
+    file = None if isinstance(splat, Splats) else Path(splat)
+    if capture is None:
+        scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
+        say(
+            f"No photos: {len(scene.cameras)} views around the content. "
+            "`stylesplat render` shows them."
+        )
+    else:
+        splats = splats.to(pick_device(device))
+        _check_fit(splats, str(file or "The splat"), at_most(capture, CHECK_SIZE), frame)
+        scene = _with_photos(splats, capture, frame)
+    libraries = {"stylesplat": version("stylesplat")}
+    info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
+    seconds = round(time.perf_counter() - start, 2)
+    metrics = {"gaussians": len(splats), **scene.metrics, "seconds": seconds}
+    return replace(scene, info=info, metrics=metrics)
+
+
+def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
+    """The scene of photos that show the splat: in its frame, with its labels, compared."""
+    cameras = seen_from(capture.full_cameras, known_frames(capture.full_cameras)[frame])
+    small = posed_as(at_most(capture, WORKING_SIZE), cameras)
+    metrics: dict[str, Any] = {}
+    if small.label_maps is None:
+        say("No label maps: objects can be picked by --box3d and --sphere only.")
+    else:
+        splats = lift(splats, small)
+        assert splats.confidence is not None
+        seen = splats.confidence[splats.confidence > 0]
+        metrics["confidence"] = float(seen.mean())
+        metrics["unseen_gaussians"] = len(splats) - len(seen)
+    metrics |= evaluate_views(splats, small, evenly(range(len(small)), MEASURED))
+    scene = Scene(
+        splats=splats.to("cpu"),
+        cameras=cameras,
+        downscale=small.downscale,
+        capture=capture.path and capture.path.resolve(),
+        info={"settings": {"frame": frame}},
+        metrics=metrics,
+    )
+    return with_names(scene, capture.object_names)
+
+
+def _refuse_idle_options(capture: Capture | None, frame: FrameName, up: Up | None) -> None:
+    """Raise a StyleSplatError for options that would change nothing."""
+    if capture is None and frame != "capture":
+        raise StyleSplatError("--frame needs the capture. Name its folder as well.")
+    if capture is not None and up is not None:
+        raise StyleSplatError("--up is for splats without photos. Leave it out.")
+
+
+def _check_fit(splats: Splats, name: str, small: Capture, frame: FrameName) -> None:
+    """Raise a StyleSplatError if renders do not show what the photos do; say which frame does."""
+    frames = known_frames(small.cameras)
+    gain = frame_fits(splats, small, {frame: frames.pop(frame)})[frame]
+    if gain > CLOSER:
+        return
+    gains = frame_fits(splats, small, frames)
+    best = max(gains, key=lambda each: gains[each])
+    fault = (
+        f"{name} does not show what the photos in {small.path} do (renders are {gain:+.1f} dB "
+        "from pictures of one colour)"
+    )
+    if gains[best] > CLOSER:
+        raise StyleSplatError(
+            f"{fault}, but it does in the frame of another program. Pass --frame {best}."
+        )
+    raise StyleSplatError(
+        f"{fault}. Give the capture that it was made from, or leave out the capture."
+    )
+
+
+def _direction(up: Up) -> torch.Tensor:
+    return torch.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)

@@ -1,0 +1,29 @@
+"""`view`: look at a scene in the browser."""
+
+from typing import TYPE_CHECKING
+
+from stylesplat.drawing.browser import serve
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+
+if TYPE_CHECKING:
+    import viser
+
+
+def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "viser.ViserServer":
+    """Show a scene in a browser, in its mean colours (spherical harmonics of degree 0).
+
+    Args:
+        what: A scene, or splats alone, of which nobody knows what is up.
+        port: Port on 127.0.0.1, or the next free one.
+        block: Serve until Ctrl-C; otherwise return at once.
+
+    Returns:
+        The running server; `stop()` ends it.
+
+    Raises:
+        StyleSplatError: If viser is not installed or there is nothing to show.
+    """
+    if isinstance(what, Splats):
+        return serve(what, port=port, block=block)
+    return serve(what.splats, cameras=what.cameras, port=port, block=block)

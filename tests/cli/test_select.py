@@ -1,0 +1,54 @@
+"""The verb `select`."""
+
+from pathlib import Path
+
+import stylesplat as ss
+from balls import CAMERAS
+from color_detector import ColorDetector
+from command_line import complaint, result
+from stylesplat.io.captures.photos import read_image
+from stylesplat.selection.identities import render_labels
+
+
+def test_select_by_id_and_by_point(scene: Path, capsys):
+    by_id = result(capsys, "select", scene, "--name", "red", "--id", 3, "--keep-outliers")
+    assert by_id["ids"] == [3] and by_id["gaussians"] == 80
+    assert read_image(by_id["picture"]).shape[1] > 3 * 480, "three views of it"
+    labels = render_labels(ss.open(scene).splats, CAMERAS[2])
+    y, x = (labels == 7).nonzero().median(dim=0).values.tolist()
+    place = f"{CAMERAS.names[2]}:{x},{y}"
+    assert result(capsys, "select", scene, "--name", "green", "--point", place)["ids"] == [7]
+    box = f"{CAMERAS.names[2]}:{x - 1},{y - 1},{x + 2},{y + 2}"
+    assert result(capsys, "select", scene, "--name", "also", "--box", box)["ids"] == [7]
+    after = ss.open(scene)
+    assert set(after.objects) == {"red", "green", "also"}
+    assert after.objects["green"].how["points"][0][0] == CAMERAS.names[2]
+    names = {e["id"]: e["names"] for e in result(capsys, "objects", scene)["objects"]}
+    assert names == {3: ["red"], 7: ["green", "also"], 300: []}
+
+
+def test_select_grows_and_shrinks(scene: Path, capsys):
+    red = ("select", scene, "--name", "red", "--id", 3)
+    plain = result(capsys, *red)["gaussians"]
+    assert result(capsys, *red, "--grow", 0.2)["gaussians"] > plain
+    assert 0 < result(capsys, *red, "--shrink", 0.1)["gaussians"] < plain
+    for bad in ("nan", 0, 3):
+        assert "Give more than 0 and at most 1" in complaint(capsys, *red, "--grow", bad)
+
+
+def test_select_by_text(scene: Path, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "stylesplat.verbs.select.load_detector", lambda *a: asked.append(a) or ColorDetector()
+    )
+    found = result(capsys, "select", scene, "--name", "it", "--text", "blue", "--model", "a/b")
+    assert found["ids"] == [300] and found["scores"].keys() == {"300"}
+    assert asked[0][0] == "a/b"
+
+
+def test_select_by_text_with_a_real_detector(scene: Path, tiny_model, capsys, monkeypatch):
+    """Random weights find what fits by chance, and that is said in one line."""
+    monkeypatch.setattr("stylesplat.selection.text.CHANCE", 1.0)
+    folder = tiny_model("grounding-dino")
+    asked = ("select", scene, "--name", "it", "--text", "red ball", "--model", folder)
+    assert "what fits 'red ball'. By id, with scores: 3 (0." in complaint(capsys, *asked)

@@ -1,0 +1,56 @@
+"""The picture that `stylesplat select` draws of what it found."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from stylesplat.cli.select import Select
+from stylesplat.io import scene_folder
+from stylesplat.io.captures.photos import read_image
+from stylesplat.scene.scene import Scene
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    scene_folder.save(Scene(SPLATS, CAMERAS), tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def selected(folder: Path, name: str, *ids: int) -> dict[str, Any]:
+    return Select(folder, name, id=ids).run()
+
+
+def test_a_picture_of_it(scene: Path):
+    found = selected(scene, "red", 3)
+    assert found["picture"] == scene / "selections" / "red.png"
+    before = read_image(found["picture"])
+    assert "picture" not in scene_folder.open(scene).objects["red"].how
+    selected(scene, "red", 7)
+    assert (read_image(found["picture"]) != before).any(), "it shows the last one of that name"
+
+
+def test_no_two_names_share_a_picture(scene: Path):
+    names = ["vase", "Vase", "a.b", "a-b", "a b", ".", "..", "花瓶", "花", "x" * 99, "x" * 100]
+    pictures = [selected(scene, name, 3)["picture"] for name in names]
+    assert len({str(path).lower() for path in pictures}) == len(names)
+    assert {path.parent for path in pictures} == {scene / "selections"}
+    assert sorted(pictures) == sorted((scene / "selections").iterdir())
+    assert scene_folder.open(scene).objects.keys() == set(names)
+
+
+def test_what_shows_in_no_view_has_no_picture(scene: Path, said: list[str]):
+    shown = selected(scene, "red", 3)
+    above = SPLATS.means.clone()
+    above[200:280] = torch.tensor([0.0, 0.0, 60.0])  # the red ball, above all cameras
+    scene_folder.save(Scene(replace(SPLATS, means=above), CAMERAS), scene / "other")
+    (scene / "other" / "selections").mkdir()
+    old = scene / "other" / "selections" / "red.png"
+    old.write_bytes(shown["picture"].read_bytes())
+    found = selected(scene / "other", "red", 3)
+    assert found["picture"] is None and found["gaussians"] == 80
+    assert not old.exists(), "the picture of an earlier choice would be wrong"
+    assert "red shows in none of the views" in "\n".join(said)

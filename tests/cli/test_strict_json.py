@@ -1,0 +1,70 @@
+"""JSON as its standard has it: neither files nor `--json` hold NaN or Infinity, which it lacks."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from painted_balls import TRAINED, painted, write_pictures
+from stylesplat.cli import main
+from stylesplat.evaluation import style_metrics as report
+from stylesplat.io import scene_folder
+from stylesplat.io.files import strict_json
+from stylesplat.verbs import evaluate as verb
+
+MEASURED = {"psnr": math.inf, "rmse": math.nan, "by": {"vase": -math.inf}, "all": [math.nan, 1.5]}
+WRITTEN = {"psnr": None, "rmse": None, "by": {"vase": None}, "all": [None, 1.5]}
+
+
+def strictly(text: str) -> Any:
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(autouse=True)
+def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "LENGTH", 30.0)
+
+
+def test_files_of_a_scene(tmp_path: Path):
+    styled = painted(TRAINED, "red", write_pictures(tmp_path)[0])
+    how = {**styled.objects["red"].how, "threshold": math.nan}
+    objects = {**styled.objects, "red": replace(styled.objects["red"], how=how)}
+    info = {"settings": {"largest": math.inf}}
+    styled = replace(styled, metrics=MEASURED, objects=objects, info=info)
+    scene_folder.save(styled, tmp_path / "scene")
+    files = {path.name: strictly(path.read_text()) for path in (tmp_path / "scene").glob("*.json")}
+    assert files.keys() >= {"scene.json", "metrics.json", "objects.json", "recipe.json"}
+    assert files["metrics.json"] == WRITTEN
+    assert scene_folder.open(tmp_path / "scene").metrics == WRITTEN
+
+
+def test_what_commands_print(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    styled = painted(TRAINED, "red", write_pictures(tmp_path)[0])
+    scene_folder.save(styled, tmp_path / "scene")
+    monkeypatch.setattr(verb, "evaluate", lambda *_, **__: MEASURED)
+    assert main(["evaluate", str(tmp_path / "scene"), "--json"]) == 0
+    assert strictly(capsys.readouterr().out) == WRITTEN
+    assert scene_folder.open(tmp_path / "scene").metrics["evaluate"] == WRITTEN
+
+
+@pytest.mark.parametrize(
+    "number",
+    [math.nan, np.float64("nan"), np.float32("inf"), torch.tensor(math.nan), np.array(-math.inf)],
+)
+def test_numbers_of_all_kinds(number: Any):
+    assert strictly(strict_json({"a": {"b": (number,)}})) == {"a": {"b": [None]}}
+
+
+@pytest.mark.parametrize("number", [3, np.int64(3), torch.tensor(3), np.array(3)])
+def test_whole_numbers_of_all_kinds(number: Any):
+    assert strict_json([number]) == "[3]"

@@ -1,0 +1,54 @@
+"""The verb `stylize`."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+import stylesplat as ss
+from command_line import QUICK, result, run
+
+SPLIT = ("sh0", "shN", "scales", "opacities")  # what a Gaussian that is split and painted changes
+
+pytestmark = pytest.mark.usefixtures("small_measurements")
+
+
+def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Path, capsys):
+    assert run("select", scene, "--name", "red", "--id", 3, "--keep-outliers") == 0
+    assert run("select", scene, "--name", "green", "--id", 7, "--keep-outliers") == 0
+    out = scene.parent / "styled"
+    metrics = result(
+        capsys,
+        "stylize",
+        scene,
+        "-o",
+        out,
+        "--style",
+        f"red={style}",
+        "--style",
+        f"green={style}",
+        "--steps",
+        3,
+        *QUICK,
+    )
+    assert (scene / "selections").exists() and not (out / "selections").exists(), "left behind"
+    before, styled = ss.open(scene).splats, ss.open(out)
+    after = styled.splats[torch.arange(len(before))]
+    new = len(styled.splats) - len(before)
+    assert before.identities is not None
+    painted = (before.identities[:, 1] + before.identities[:, 2]) > 0
+    for name, tensor in before.tensors().items():
+        kept = ~painted if name in SPLIT else torch.ones_like(painted)
+        assert torch.equal(tensor[kept], after.tensors()[name][kept]), name
+    assert (before.sh0[painted] != after.sh0[painted]).any(dim=(1, 2)).all()
+    assert metrics["changed_gaussians"] == 160 + new
+    assert 0 < new <= 160, "as many again, at most"
+    assert set(metrics["nnfm_before"]) == set(metrics["nnfm_after"]) == {"red", "green"}
+    assert metrics["steps"] == 6 and metrics["precision"].startswith(("float", "bfloat"))
+    assert set(metrics["seconds_by_object"]) == {"red", "green"}
+    assert styled.painted is not None
+    assert torch.equal(styled.painted.before.sh0[: len(before)], before.sh0)
+    recipe = json.loads((out / "recipe.json").read_text())
+    assert len(recipe["objects"][0]["sha256"]) == 64
+    assert styled.metrics["train"] == {"psnr": 30.0}

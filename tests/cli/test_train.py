@@ -1,0 +1,130 @@
+"""The verb `train`: a scene, and runs that are interrupted."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+import torch
+
+import stylesplat as ss
+from balls import CAMERAS
+from command_line import complaint, result, run
+from stylesplat.training.loop import fit
+
+STOP = 5  # steps after which Ctrl-C is pressed
+
+
+@pytest.fixture
+def interrupted(monkeypatch: pytest.MonkeyPatch):
+    """Run a command, and press Ctrl-C in the middle of its training."""
+
+    def interrupted(*arguments: object) -> None:
+        def stop(state, *_: object) -> None:
+            if state.step >= STOP:
+                signal.raise_signal(signal.SIGINT)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                "stylesplat.verbs.train.fit",
+                lambda *args, **options: fit(*args, on_progress=stop, **options),
+            )
+            assert run(*arguments) == 130
+
+    return interrupted
+
+
+def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
+    out = tmp_path / "scene"
+    metrics = result(capsys, "train", capture, "-o", out, "--steps", 40, "--device", "cpu")
+    assert metrics == json.loads((out / "metrics.json").read_text())
+    assert {"psnr", "ssim", "seconds", "steps", "gaussians", "steps_per_second"} <= set(metrics)
+    assert metrics["steps"] == 40
+    scene = ss.open(out)
+    assert len(scene.splats) == metrics["gaussians"]
+    assert scene.splats.classifier is not None
+    assert scene.splats.classifier.ids == (0, 3, 7, 300)
+    assert scene.held_out == ("0000.jpg",)
+    assert torch.allclose(scene.cameras.viewmats, CAMERAS.viewmats, atol=1e-6)
+    assert [*tmp_path.iterdir()] == [out], "nothing is left beside it"
+
+
+def test_labels_lifted_after_training(capture: Path, tmp_path: Path, capsys):
+    out = tmp_path / "scene"
+    options = ("--steps", 40, "--segment", "lift", "--device", "cpu")
+    result(capsys, "train", capture, "-o", out, *options)
+    scene = ss.open(out)
+    assert scene.splats.classifier is not None
+    assert scene.splats.classifier.ids == (0, 3, 7, 300)
+    assert scene.info["settings"]["segment"] == "lift"
+    assert [*tmp_path.iterdir()] == [out]
+
+
+def test_train_keeps_what_is_there(capture: Path, scene: Path, capsys):
+    before = (scene / "splats.ply").read_bytes()
+    assert run("train", capture, "-o", scene, "--steps", 1) == 1
+    assert "--overwrite" in capsys.readouterr().err
+    assert (scene / "splats.ply").read_bytes() == before
+    assert run("train", capture, "-o", scene, "--steps", 1, "--overwrite") == 0
+    assert (scene / "splats.ply").read_bytes() != before
+
+
+def test_an_interrupted_run_lies_beside_the_scene_and_continues(
+    capture: Path, tmp_path: Path, capsys, interrupted
+):
+    out = tmp_path / "scene"
+    command = ("train", capture, "-o", out, "--steps", 12)
+    interrupted(*command)
+    assert not out.exists()
+    assert [p.name for p in (tmp_path / "scene.partial").iterdir()] == ["checkpoint_joint.pt"]
+    assert run(*command) == 0
+    assert "Continuing" in capsys.readouterr().err
+    assert ss.open(out).metrics["steps"] == 12
+    assert [*tmp_path.iterdir()] == [out], "what was interrupted is done"
+
+
+def test_overwriting_continues_too_and_keeps_the_scene_until_then(
+    capture: Path, scene: Path, capsys, interrupted
+):
+    before = {p.name: p.read_bytes() for p in scene.iterdir()}
+    command = ("train", capture, "-o", scene, "--steps", 12, "--overwrite")
+    interrupted(*command)
+    assert {p.name: p.read_bytes() for p in scene.iterdir()} == before
+    assert ss.open(scene).metrics == {"psnr": 30.0}, "still readable"
+    assert "--overwrite" in complaint(capsys, *command[:-1])
+    assert (scene.parent / "scene.partial" / "checkpoint_joint.pt").exists()
+    assert run(*command) == 0
+    assert "Continuing" in capsys.readouterr().err
+    assert ss.open(scene).metrics["steps"] == 12
+    assert not (scene.parent / "scene.partial").exists()
+
+
+def test_restart_begins_anew(capture: Path, tmp_path: Path, capsys, interrupted):
+    out = tmp_path / "scene"
+    interrupted("train", capture, "-o", out, "--steps", 12)
+    # With other settings the run cannot be continued
+    other = ("train", capture, "-o", out, "--steps", 6, "--seed", 3)
+    assert "another steps, seed" in complaint(capsys, *other)
+    assert (tmp_path / "scene.partial" / "checkpoint_joint.pt").exists()
+    assert run(*other, "--restart") == 0
+    assert "Continuing" not in capsys.readouterr().err
+    assert ss.open(out).metrics["steps"] == 6
+    assert [*tmp_path.iterdir()] == [out]
+
+
+def test_what_is_wrong_costs_no_checkpoint(capture: Path, tmp_path: Path, capsys):
+    checkpoint = tmp_path / "scene.partial" / "checkpoint_joint.pt"
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"hours of work")
+    options = ("-o", tmp_path / "scene", "--overwrite", "--restart", "--steps")
+    complaint(capsys, "train", tmp_path / "typo", *options, 1)
+    complaint(capsys, "train", capture, *options, 0)
+    damaged = complaint(capsys, "train", capture, "-o", tmp_path / "scene", "--steps", 1)
+    assert "Cannot continue" in damaged
+    assert checkpoint.read_bytes() == b"hours of work"
+
+
+def test_a_folder_with_other_files_is_left_alone(capture: Path, tmp_path: Path, capsys):
+    (tmp_path / "checkpoint.pt").touch()
+    (tmp_path / "thesis.tex").touch()
+    assert "--overwrite" in complaint(capsys, "train", capture, "-o", tmp_path)

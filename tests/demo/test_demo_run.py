@@ -1,0 +1,55 @@
+"""The whole demo, on a still life of few small photos."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+import stylesplat as ss
+from stylesplat.demo import demo_run as run
+from stylesplat.demo.demo_capture import MARKER, write_demo_capture
+from stylesplat.demo.demo_run import run_demo
+from stylesplat.errors import StyleSplatError
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.verbs.train import train
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    def capture(folder: Path) -> Path:
+        path = folder / "small"
+        if not (path / MARKER).is_file():
+            write_demo_capture(path, views=9, width=120, height=90)
+        return path
+
+    monkeypatch.setattr(run, "demo_capture", capture)
+    monkeypatch.setattr(run, "TRAINING", replace(run.TRAINING, steps=60))
+    # Labels that are lifted are there after few steps
+    monkeypatch.setattr(run, "train", partial(train, segment="lift"))
+    monkeypatch.setattr(run, "STYLING", StyleConfig(steps=2, pattern="large", max_growth=1.0))
+    monkeypatch.setattr("stylesplat.verbs.render.ORBIT_FRAMES", 3)
+
+
+def test_all_of_it_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    out = tmp_path / "demo"
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "stylize", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run_demo(out)
+    trained = (out / "scene" / "splats.ply").stat().st_mtime_ns
+    made = run_demo(out)
+    assert (out / "scene" / "splats.ply").stat().st_mtime_ns == trained, "it is not trained twice"
+    assert made.keys() == {"report", "splat", "video", "seconds"}
+    assert all(made[what].stat().st_size > 0 for what in ("report", "splat", "video"))
+    assert not [*out.glob("*.partial")]
+    scene, styled = ss.open(out / "scene"), ss.open(out / "styled")
+    assert {*scene.objects} >= {"vase", "teapot"}
+    assert styled.painted is not None and styled.painted.names == ("vase", "teapot")
+    assert len(ss.load(out / "capture" / "small")) == 9
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        run_demo(out)

@@ -1,0 +1,190 @@
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import _viewmat
+from stylesplat.evaluation.consistency import (
+    MAX_PAIRS,
+    OCCLUDED,
+    Look,
+    view_consistency,
+    view_pairs,
+    warped_difference,
+)
+from stylesplat.rendering.sh import sh0_from_rgb
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+DEPTH, FOCAL, SIDE = 4.0, 32.0, 24
+COUNT = 1500
+
+
+def camera(viewmat: torch.Tensor) -> Cameras:
+    K = torch.tensor([[FOCAL, 0.0, SIDE / 2], [0.0, FOCAL, SIDE / 2], [0.0, 0.0, 1.0]])
+    return Cameras(viewmat[None], K[None], torch.tensor([[SIDE, SIDE]]), ("a",))
+
+
+def wall(viewmat: torch.Tensor, colors: torch.Tensor) -> Look:
+    """A plane that fills the image, at one depth."""
+    surface = torch.tensor([1.0, DEPTH]).expand(SIDE, SIDE, 2).clone()
+    return Look(camera(viewmat), colors, surface)
+
+
+def noise() -> torch.Tensor:
+    return torch.rand(SIDE, SIDE, 6, generator=torch.Generator().manual_seed(0))
+
+
+def shifted(pixels: float) -> torch.Tensor:
+    """A camera moved to the right, in which a wall appears that many pixels to the left."""
+    viewmat = torch.eye(4)
+    viewmat[0, 3] = -pixels * DEPTH / FOCAL
+    return viewmat
+
+
+@pytest.fixture(scope="module")
+def ball() -> Splats:
+    """A matte ball of radius 0.5 whose colour changes smoothly along it."""
+    index = torch.arange(COUNT) + 0.5
+    z, turn = 1 - 2 * index / COUNT, index * math.pi * (1 + 5**0.5)
+    ring = (1 - z * z).sqrt()
+    means = 0.5 * torch.stack([ring * turn.cos(), ring * turn.sin(), z], dim=1)
+    return Splats(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(COUNT, 1),
+        scales=torch.full((COUNT, 3), math.log(0.02)),
+        opacities=torch.full((COUNT,), 4.0),
+        sh0=sh0_from_rgb(0.5 + 0.6 * means)[:, None],
+        shN=torch.zeros(COUNT, 3, 3),
+    )
+
+
+@pytest.fixture(scope="module")
+def arc() -> Cameras:
+    """Ten views 5 degrees apart, 64x64 pixels."""
+    angles = [math.radians(5 * i) for i in range(10)]
+    viewmats = torch.stack([_viewmat((-3 * math.sin(a), -3 * math.cos(a), 0.5)) for a in angles])
+    K = torch.tensor([[120.0, 0.0, 32.0], [0.0, 120.0, 32.0], [0.0, 0.0, 1.0]]).repeat(10, 1, 1)
+    return Cameras(viewmats, K, torch.full((10, 2), 64), tuple(f"{i}" for i in range(10)))
+
+
+def everything(splats: Splats) -> torch.Tensor:
+    return torch.ones(len(splats), dtype=torch.bool)
+
+
+@pytest.mark.parametrize("pixels", [3, -3])
+def test_a_shifted_wall_matches_itself(pixels: int):
+    colors = noise()
+    moved = wall(shifted(pixels), colors.roll(-pixels, dims=1))
+    found = warped_difference(wall(torch.eye(4), colors), moved)
+    assert found.shape == (SIDE * (SIDE - 3), 6)  # three columns have left the image
+    assert found.abs().max() < 1e-5  # whole pixels: nothing is interpolated, but for rounding
+
+
+def test_a_rolled_camera_matches():
+    colors, roll = noise(), torch.eye(4)
+    roll[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])  # the picture turns clockwise
+    turned = colors.rot90(-1)
+    found = warped_difference(wall(torch.eye(4), colors), wall(roll, turned))
+    assert found.shape == (SIDE * SIDE, 6)
+    assert found.abs().max() < 1e-5
+    assert warped_difference(wall(torch.eye(4), colors), wall(roll, colors)).abs().max() > 0.5
+
+
+def test_half_a_pixel_is_the_mean_of_two():
+    colors = noise()
+    found = warped_difference(
+        wall(torch.eye(4), colors), wall(shifted(0.5), torch.zeros_like(colors))
+    )
+    between = (colors[:, :-1] + colors[:, 1:]) / 2
+    torch.testing.assert_close(found.view(SIDE, SIDE, 6)[:, :-1], between, atol=1e-5, rtol=0)
+
+
+def test_what_is_not_the_same_surface_is_left_out():
+    colors = noise()
+    a, b = (wall(torch.eye(4), colors) for _ in range(2))
+    a.surface[0] *= 0.4  # a row that the object hardly covers
+    a.surface[1, :, 1] *= 1 + 1.5 * OCCLUDED
+    a.surface[2, :, 1] *= 1 - 1.5 * OCCLUDED
+    a.surface[3, :, 1] *= 1 + 0.5 * OCCLUDED
+    assert len(warped_difference(a, b)) == SIDE * (SIDE - 3)
+    b.surface[4] *= 0.4
+    assert len(warped_difference(a, b)) == SIDE * (SIDE - 4)
+
+
+def test_what_is_behind_the_other_camera_is_left_out():
+    turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    found = warped_difference(wall(turned, noise()), wall(torch.eye(4), noise()))
+    assert len(found) == 0
+
+
+def test_pairs():
+    assert view_pairs(3, 1) == [(0, 1), (1, 2)]
+    assert view_pairs(5, 7) == [(0, 4)]
+    assert view_pairs(1, 1) == view_pairs(0, 7) == []
+    many = view_pairs(100, 7)
+    assert len(set(many)) == MAX_PAIRS
+    assert all(b - a == 7 and b < 100 for a, b in many)
+
+
+def test_a_matte_ball_is_consistent_and_a_glossy_one_is_not(ball: Splats, arc: Cameras):
+    shN = torch.zeros_like(ball.shN)
+    shN[:, 2] = 1.0  # brighter from one side, along x
+    found = view_consistency(ball, replace(ball, shN=shN), arc, everything(ball))
+    assert found["short_range_rmse_base"] < 0.01  # 2.5 of 255: errors of depth
+    assert found["long_range_rmse_base"] < 0.02
+    # A step of 5 degrees near the y axis changes x by sin(5), the colour by SH_C1 times that.
+    assert found["short_range_rmse"] == pytest.approx(0.49 * math.sin(math.radians(5)), rel=0.2)
+    assert found["long_range_rmse"] > 4 * found["short_range_rmse"]
+
+
+def test_noise_that_views_share_is_consistent(ball: Splats, arc: Cameras):
+    generator = torch.Generator().manual_seed(0)
+    loud = torch.randn(ball.shN.shape, generator=generator)
+    found = view_consistency(ball, replace(ball, shN=loud), arc, everything(ball))
+    assert found["short_range_rmse"] > 3 * found["short_range_rmse_base"]
+    same = view_consistency(ball, ball, arc, everything(ball))
+    assert same["short_range_rmse"] == same["short_range_rmse_base"]
+    assert same["long_range_rmse"] == same["long_range_rmse_base"]
+
+
+def test_colours_beyond_white_are_white(ball: Splats, arc: Cameras):
+    shN = torch.randn(ball.shN.shape, generator=torch.Generator().manual_seed(0))
+    white = replace(ball, sh0=ball.sh0 + 200, shN=shN)
+    found = view_consistency(ball, white, arc, everything(ball))
+    assert found["short_range_rmse"] < 1e-6  # the weights of four white pixels, rounded
+
+
+def test_the_styled_scene_may_have_more_gaussians(ball: Splats, arc: Cameras):
+    more = replace(ball, **{k: torch.cat([t, t[:9]]) for k, t in ball.tensors().items()})
+    more.opacities[-9:] = -20.0  # not seen
+    found = view_consistency(ball, more, arc, everything(ball))
+    assert found["short_range_rmse"] == pytest.approx(found["short_range_rmse_base"], rel=1e-4)
+
+
+def test_the_rest_of_the_scene_does_not_count(ball: Splats, arc: Cameras):
+    """A second ball stands beside the first and glitters."""
+    beside = replace(ball, means=ball.means * 0.1 + torch.tensor([0.0, 0.0, -0.8]))
+    generator = torch.Generator().manual_seed(0)
+    glitter = replace(beside, shN=10 * torch.randn(ball.shN.shape, generator=generator))
+    base, styled = (
+        replace(ball, **{k: torch.cat([t, other.tensors()[k]]) for k, t in ball.tensors().items()})
+        for other in (beside, glitter)
+    )
+    mine = torch.arange(len(base)) < COUNT
+    found = view_consistency(base, styled, arc[:5], mine)
+    assert found["short_range_rmse"] == pytest.approx(found["short_range_rmse_base"], rel=1e-4)
+    found = view_consistency(base, styled, arc[:5], ~mine)
+    assert found["short_range_rmse"] > 5 * found["short_range_rmse_base"]
+
+
+def test_too_few_views(ball: Splats, arc: Cameras):
+    assert view_consistency(ball, ball, arc[:1], everything(ball)) == {}
+    assert view_consistency(ball, ball, arc, ~everything(ball)) == {}
+
+
+def test_cameras_are_downscaled(ball: Splats, arc: Cameras):
+    large, small = (arc[:2].downscale(64 / side) for side in (640, 320))
+    found = view_consistency(ball, ball, large, everything(ball))
+    assert found == pytest.approx(view_consistency(ball, ball, small, everything(ball)), rel=1e-4)

@@ -1,0 +1,175 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from stylesplat.evaluation.statistics import (
+    content_ssim,
+    moments,
+    object_statistics_distance,
+    pool,
+    style_statistics_distance,
+)
+from stylesplat.metrics.ssim import ssim, ssim_map
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.target import style_features
+
+PICKED = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)  # the first ball
+BLOCKS = (1, 2)
+
+
+def rows(count: int, seed: int = 0) -> torch.Tensor:
+    return 2 + torch.randn(count, 5, generator=torch.Generator().manual_seed(seed))
+
+
+def repainted(mask: torch.Tensor, seed: int = 0) -> Splats:
+    """The scene with other colours of some Gaussians."""
+    noise = torch.randn(SPLATS.sh0.shape, generator=torch.Generator().manual_seed(seed))
+    return replace(SPLATS, sh0=SPLATS.sh0 + noise * mask[:, None, None])
+
+
+def object_views(rows: list[int]) -> list[ObjectView]:
+    """Whole views, with features in an arbitrary half of them."""
+    views = []
+    for row in rows:
+        cells = [torch.zeros(36 // s, 48 // s, dtype=torch.bool) for s in (1, 2)]
+        for mask in cells:
+            mask[:, row : row + 20] = True
+        views.append(ObjectView(CAMERAS[row], tuple(cells), cells[0]))
+    return views
+
+
+def test_equal_sets_have_no_distance():
+    feats = rows(40)
+    assert style_statistics_distance(feats, feats) == 0
+    shuffled_twice = torch.cat([feats, feats]).flip(0)
+    assert style_statistics_distance(shuffled_twice, feats) < 1e-6
+
+
+def test_distance_matches_its_formula():
+    x, y = rows(40), 3 * rows(70, seed=1)
+    mean = (x.mean(0) - y.mean(0)).norm() / y.mean(0).norm()
+    covariances = [t.T.cov(correction=0) for t in (x, y)]
+    spread = (covariances[0] - covariances[1]).norm() / covariances[1].norm()
+    found = style_statistics_distance(x, y)
+    torch.testing.assert_close(found, (mean + spread) / 2)
+    torch.testing.assert_close(style_statistics_distance(7 * x, 7 * y), found)
+
+
+def test_a_missing_colour_is_noticed():
+    style = torch.eye(2).repeat_interleave(10, dim=0)
+    assert style_statistics_distance(style[:10], style) > 0.5  # NNFM would call it perfect
+
+
+def test_styles_without_contrast_or_features():
+    flat = torch.ones(6, 3)
+    assert style_statistics_distance(flat, flat) == 0
+    assert style_statistics_distance(0 * flat, 0 * flat) == 0
+    assert torch.isfinite(style_statistics_distance(rows(6)[:, :3], 0 * flat))
+
+
+def test_pooled_moments_are_those_of_all_rows():
+    parts = [100 + rows(n, seed=n) for n in (3, 50, 17)]  # sums of squares would lose digits
+    found = pool(pool(moments(parts[0]), moments(parts[1])), moments(parts[2]))
+    everything = torch.cat(parts)
+    assert found.count == 70
+    torch.testing.assert_close(found.mean, everything.mean(0))
+    expected = everything.double().T.cov(correction=0).float()
+    torch.testing.assert_close(found.covariance, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_one_channel():
+    assert moments(rows(4)[:, :1]).covariance.shape == (1, 1)
+
+
+def test_object_statistics_pool_the_views(network: FeatureNetwork, stripes: torch.Tensor):
+    views = object_views([0, 1, 2])
+    targets = style_features(stripes, network, BLOCKS, length=48.0)
+    rest = (views, targets, network, BLOCKS)
+    found = object_statistics_distance(SPLATS, *rest)
+    distances = []
+    for number, target in enumerate(targets):
+        feats = []
+        for view in views:
+            image = rasterize(SPLATS, view.camera)[0][0].clamp(0, 1)
+            feats.append(network(image, BLOCKS)[number][view.cells[number]])
+        distances.append(style_statistics_distance(torch.cat(feats), target))
+    assert found == pytest.approx(float(sum(distances)) / len(BLOCKS), rel=1e-4)
+    assert found > 0.1
+
+
+def test_an_object_in_its_own_style(network: FeatureNetwork):
+    views = object_views([3])
+    image = rasterize(SPLATS, views[0].camera)[0][0].clamp(0, 1)
+    feats = network(image, BLOCKS)
+    targets = [f[cells] for f, cells in zip(feats, views[0].cells, strict=True)]
+    rest = (views, targets, network, BLOCKS)
+    assert object_statistics_distance(SPLATS, *rest) < 1e-6
+    other = repainted(torch.ones(len(SPLATS)))
+    assert object_statistics_distance(other, *rest) > 0.05
+
+
+def test_the_map_of_ssim_has_its_mean():
+    generator = torch.Generator().manual_seed(0)
+    x, y = (torch.rand(30, 41, generator=generator) for _ in range(2))
+    expected = ssim(x[..., None].expand(-1, -1, 3), (x + y)[..., None].expand(-1, -1, 3) / 2)
+    found = ssim_map(x[None], (x + y)[None] / 2)[0]
+    assert found.shape == x.shape
+    torch.testing.assert_close(found.mean(), expected)
+
+
+def test_content_of_the_same_scene_is_kept():
+    found = content_ssim(SPLATS, SPLATS, CAMERAS[:3], PICKED)
+    assert found == pytest.approx(1, abs=1e-5)  # variances are differences of rounded squares
+
+
+def test_content_falls_as_noise_grows():
+    little, much = (
+        replace(SPLATS, sh0=SPLATS.sh0 + f * (repainted(PICKED).sh0 - SPLATS.sh0))
+        for f in (0.1, 1.0)
+    )
+    scores = [content_ssim(SPLATS, s, CAMERAS[:3], PICKED) for s in (little, much)]
+    assert scores[0] is not None and scores[1] is not None
+    assert 0.99 > scores[0] > scores[1] + 0.1
+
+
+def test_content_is_luminance():
+    """A change of hue that keeps Rec. 709's luminance keeps the content."""
+    shift = torch.tensor([0.0722, 0.0, -0.2126]) * PICKED[:, None, None]
+    found = content_ssim(
+        SPLATS,
+        replace(SPLATS, sh0=SPLATS.sh0 - 2 * shift),
+        CAMERAS[:3],
+        PICKED,
+    )
+    assert found == pytest.approx(1, abs=1e-3)
+
+
+def test_content_beyond_white_is_white():
+    bright, brighter = (replace(SPLATS, sh0=SPLATS.sh0 + shift) for shift in (200, 300))
+    found = content_ssim(bright, brighter, CAMERAS[:1], PICKED)
+    assert found == pytest.approx(1, abs=5e-3)  # faint edges of the table differ
+
+
+def test_content_elsewhere_does_not_count():
+    far = torch.arange(len(SPLATS)) >= 280  # the other balls
+    found = content_ssim(SPLATS, repainted(far), CAMERAS[:1], PICKED)
+    mine = content_ssim(SPLATS, repainted(far), CAMERAS[:1], far)
+    assert found is not None and mine is not None
+    assert found > 0.95 > mine
+
+
+def test_content_where_the_styled_scene_has_more_gaussians():
+    more = replace(SPLATS, **{k: torch.cat([t, t[:9]]) for k, t in SPLATS.tensors().items()})
+    more.opacities[-9:] = -20.0  # not seen
+    found = content_ssim(SPLATS, more, CAMERAS[:2], PICKED)
+    assert found == pytest.approx(1, abs=1e-5)
+
+
+def test_content_of_an_object_that_is_not_seen():
+    nothing = torch.zeros(len(SPLATS), dtype=torch.bool)
+    assert content_ssim(SPLATS, SPLATS, CAMERAS[:2], nothing) is None

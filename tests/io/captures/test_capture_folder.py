@@ -1,0 +1,261 @@
+"""Captures as a whole: photos, cameras, label maps and points that fit each other."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+import torch
+from PIL import ExifTags, Image
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import open_capture
+from stylesplat.io.captures.transforms import write_transforms
+from stylesplat.io.label_maps import NAMES, write_label_map, write_names
+from stylesplat.verbs.load import load
+from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
+
+MakeCapture = Callable[..., Path]
+SHARED = Path("/work/shared/data")
+FISHEYE = ("OPENCV_FISHEYE", (60.0, 62.0, 31.0, 25.0, 0.04, -0.01, 0.003, -0.001))
+BARREL = ("OPENCV", (60.0, 62.0, 31.0, 25.0, 0.15, -0.02, 0.002, -0.001))
+
+
+def paint_spots(path: Path, camera: pycolmap.Camera, viewmat: np.ndarray, points: np.ndarray):
+    """One soft spot per point, where the real lens sees it, each in a channel of its own."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    places = camera.img_from_cam(points @ viewmat[:3, :3].T + viewmat[:3, 3])
+    squared = [(columns - x) ** 2 + (rows - y) ** 2 for x, y in np.asarray(places)]
+    pixels = (255 * np.exp(-np.stack(squared, axis=-1) / (2 * 1.5**2))).round().astype(np.uint8)
+    Image.fromarray(pixels).save(path)
+
+
+@pytest.mark.parametrize(("model", "params"), [PINHOLE, BARREL, FISHEYE])
+@pytest.mark.parametrize("downscale", [1.0, 2.0])
+def test_photos_show_points_where_the_cameras_project_them(
+    make_capture: MakeCapture, model: str, params: tuple[float, ...], downscale: float
+):
+    folder = make_capture(model, params, count=1)
+    points = np.array([[-1.5, 0.7, 5.0], [1.4, 1.0, 5.0], [0.9, -1.1, 5.0]])
+    camera = pycolmap.Camera(model=model, width=WIDTH, height=HEIGHT, params=params)
+    paint_spots(folder / "images/001.png", camera, np.eye(4), points)
+    capture = load(folder, downscale=downscale)
+    (photo,), cameras = capture.photos, capture.cameras
+    assert photo.shape == (*cameras.size[::-1], 3)
+    weights = photo.double() / photo.double().sum((0, 1))
+    rows, columns = (torch.arange(side) + 0.5 for side in photo.shape[:2])
+    seen = torch.stack([columns.double() @ weights.sum(0), rows.double() @ weights.sum(1)], dim=1)
+    homogeneous = torch.from_numpy(points).float() @ cameras.Ks[0].T
+    projected = homogeneous[:, :2] / homogeneous[:, 2:]
+    # Half a level of rounding, far from a spot, pulls at its centroid
+    torch.testing.assert_close(seen.float(), projected, atol=0.08, rtol=0)
+
+
+def test_cameras_photos_and_points_of_a_colmap_capture(make_capture: MakeCapture):
+    folder = make_capture()
+    capture = load(folder)
+    assert len(capture) == 3 and capture.path == folder
+    assert capture.cameras.names == ("001.png", "002.png", "003.png")
+    assert capture.cameras.viewmats.dtype == torch.float32
+    assert capture.cameras.positions[:, 0].tolist() == [2, 1, 0]  # the world is as it was
+    assert capture.cameras.Ks[0].tolist() == [[60, 0, 31], [0, 62, 25], [0, 0, 1]]
+    assert capture.label_maps is None
+    assert capture.points is not None and capture.points[3].tolist() == [3, 0.5, 5]
+    with Image.open(folder / "images/002.png") as image:
+        np.testing.assert_array_equal(capture.photos[1], np.asarray(image))
+
+
+def test_both_layouts_hold_the_same(make_capture: MakeCapture, tmp_path: Path):
+    colmap = load(make_capture())
+    other = tmp_path / "other"
+    for i in range(3):
+        save_noise(other / f"images/{i + 1:03d}.png", seed=i)
+    write_transforms(colmap.cameras, other, points=colmap.points, point_colors=colmap.point_colors)
+    capture = load(other)
+    assert capture.cameras.names == colmap.cameras.names
+    assert torch.equal(capture.cameras.viewmats, colmap.cameras.viewmats)
+    assert torch.equal(capture.cameras.Ks, colmap.cameras.Ks)
+    assert torch.equal(capture.cameras.sizes, colmap.cameras.sizes)
+    assert capture.points is not None and colmap.points is not None
+    assert torch.equal(capture.points, colmap.points)
+    assert all(torch.equal(a, b) for a, b in zip(capture.photos, colmap.photos, strict=True))
+
+
+def test_downscale_agrees_everywhere(make_capture: MakeCapture):
+    folder = make_capture(*BARREL)
+    for i in range(3):
+        write_label_map(torch.full((HEIGHT, WIDTH), i + 1), folder / f"object_mask/{i + 1:03d}.png")
+    whole, small = load(folder), load(folder, downscale=3.0)
+    width, height = small.cameras.size
+    assert (width, height) == tuple(round(side / 3) for side in whole.cameras.size)
+    assert small.photos[0].shape == (height, width, 3)
+    assert small.label_maps is not None
+    assert small.label_maps[0] is not None and small.label_maps[0].shape == (height, width)
+    assert torch.equal(small.cameras.Ks, whole.cameras.downscale(3.0).Ks)
+
+
+@pytest.mark.parametrize("factor", [0.5, float("inf"), float("nan")])
+def test_downscale_only_shrinks(make_capture: MakeCapture, factor: float):
+    with pytest.raises(StyleSplatError, match=f"Cannot downscale by {factor}"):
+        load(make_capture(), downscale=factor)
+
+
+def test_label_maps_are_found_or_given(make_capture: MakeCapture, tmp_path: Path):
+    folder = make_capture()
+    write_label_map(torch.full((HEIGHT, WIDTH), 5), folder / "object_mask/002.png")
+    write_label_map(torch.full((HEIGHT, WIDTH), 700), tmp_path / "mine/001.png")
+    found, given = load(folder).label_maps, load(folder, masks=tmp_path / "mine").label_maps
+    assert found is not None and given is not None
+    assert [None if m is None else int(m.max()) for m in found] == [None, 5, None]
+    assert [None if m is None else int(m.max()) for m in given] == [700, None, None]
+
+
+def test_damaged_label_maps_can_be_left_out(make_capture: MakeCapture, tmp_path: Path):
+    folder = make_capture()
+    (folder / "object_mask").mkdir()
+    (folder / "object_mask/002.png").write_bytes(b"no picture")
+    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*002\.png"):
+        load(folder)
+    assert load(folder, masks=False).label_maps is None
+    write_label_map(torch.full((HEIGHT, WIDTH), 7), tmp_path / "mine/001.png")
+    assert load(folder, masks=tmp_path / "mine").label_maps is not None
+
+
+def test_objects_are_called_what_lies_beside_their_label_maps(
+    make_capture: MakeCapture, tmp_path: Path
+):
+    folder, mine = make_capture(), tmp_path / "mine"
+    for masks, names in ((folder / "object_mask", {5: "vase"}), (mine, {700: "cup"})):
+        write_label_map(torch.full((HEIGHT, WIDTH), 5), masks / "002.png")
+        write_names(names, masks)
+    assert load(folder).object_names == {5: "vase"}
+    assert load(folder, masks=mine, downscale=2.0).object_names == {700: "cup"}
+    (mine / NAMES).unlink()
+    assert load(folder, masks=mine).object_names == {}
+    (folder / "object_mask" / NAMES).write_text("damaged")
+    assert load(folder, masks=False).object_names == {}
+    with pytest.raises(StyleSplatError, match=r"Cannot read .*names\.json"):
+        load(folder)
+
+
+def test_one_reading_at_several_sizes(make_capture: MakeCapture):
+    folder = make_capture(*BARREL)
+    write_label_map(torch.full((HEIGHT, WIDTH), 5), folder / "object_mask/002.png")
+    files = open_capture(folder)
+    assert torch.equal(files.cameras.Ks, load(folder).cameras.Ks)
+    (folder / "sparse/0/points3D.bin").unlink()
+    for factor in (2.0, 1.0, 3.0):
+        capture = files.at(factor)
+        assert torch.equal(capture.cameras.Ks, files.cameras.downscale(factor).Ks)
+        width, height = capture.cameras.size
+        assert capture.photos[1].shape == (height, width, 3)
+        assert capture.label_maps is not None and capture.label_maps[1] is not None
+        assert capture.label_maps[1].shape == (height, width)
+        assert capture.points is not None and capture.path == folder
+
+
+def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):
+    folder = make_capture(images="images_2")
+    for i in range(3):
+        save_noise(folder / f"images_2/{i + 1:03d}.png", (WIDTH // 2, HEIGHT // 2))
+    cameras = load(folder).cameras
+    assert cameras.size == (WIDTH // 2, HEIGHT // 2)
+    assert cameras.Ks[0].tolist() == [[30, 0, 15.5], [0, 31, 12.5], [0, 0, 1]]
+
+
+def test_a_photo_that_lies_on_its_side(make_capture: MakeCapture):
+    folder = make_capture()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 8
+    with Image.open(folder / "images/001.png") as image:
+        upright = np.asarray(image)
+    Image.fromarray(np.rot90(upright, -1).copy()).save(folder / "images/001.png", exif=exif)
+    np.testing.assert_array_equal(load(folder).photos[0], upright)
+
+
+def test_no_capture(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"There is no folder .*none"):
+        load(tmp_path / "none")
+    with pytest.raises(StyleSplatError, match=r"is not a capture: .*sparse/0.*transforms\.json"):
+        load(tmp_path)
+
+
+def test_a_missing_photo(make_capture: MakeCapture):
+    folder = make_capture()
+    (folder / "images/002.png").unlink()
+    with pytest.raises(StyleSplatError, match=r"There is no image .*002\.png"):
+        load(folder)
+
+
+def test_a_corrupt_photo(make_capture: MakeCapture):
+    folder = make_capture()
+    (folder / "images/002.png").write_bytes(b"no picture")
+    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*002\.png"):
+        load(folder)
+
+
+def test_a_photo_of_another_shape(make_capture: MakeCapture):
+    folder = make_capture()
+    save_noise(folder / "images/002.png", (48, 48))
+    with pytest.raises(StyleSplatError, match=r"002\.png is 48x48, .*64x48"):
+        load(folder)
+
+
+def test_a_truncated_reconstruction(make_capture: MakeCapture):
+    folder = make_capture()
+    path = folder / "sparse/0/images.bin"
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(StyleSplatError, match=r"images\.bin is truncated"):
+        load(folder)
+
+
+def test_cameras_without_images(make_capture: MakeCapture):
+    with pytest.raises(StyleSplatError, match="0 images, none of them posed"):
+        load(make_capture(count=0))
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        [[float("nan"), 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
+        [[1, 0, 0, 0], [0, 1, 0, float("nan")], [0, 0, 1, 0]],
+        [[1, 0, 0, 0], [0, 1, 0, float("inf")], [0, 0, 1, 0]],
+        [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]],
+        [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
+        [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]],
+    ],
+    ids=["NaN", "NaN shift", "infinite", "scaled", "mirrored", "zero"],
+)
+def test_poses_that_are_none(make_capture: MakeCapture, tmp_path: Path, pose: list):
+    write_transforms(load(make_capture()).cameras, tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    content["frames"][1]["transform_matrix"] = pose
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(StyleSplatError, match=r"1 of the 3 poses .* NaN .* that of 002\.png"):
+        load(tmp_path)
+
+
+def test_a_shift_that_is_none(make_capture: MakeCapture):
+    folder = make_capture()
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    shift = np.array([0.0, np.nan, 0.0])
+    model.frame(1).rig_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(), shift)
+    model.write(folder / "sparse/0")
+    with pytest.raises(StyleSplatError, match=r"1 of the 3 poses .* NaN .* that of 003\.png"):
+        load(folder)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the developers' data")
+@pytest.mark.parametrize(
+    ("name", "count", "size", "points"),
+    [("fox", 50, (540, 960), 12178), ("desk", 51, (946, 532), 4402)],
+)
+def test_real_captures(name: str, count: int, size: tuple[int, int], points: int):
+    capture = load(SHARED / name, downscale=2.0)
+    assert len(capture) == count and capture.cameras.size == (size[0] // 2, size[1] // 2)
+    assert capture.points is not None and len(capture.points) == points
+    assert capture.photos[0].shape == (size[1] // 2, size[0] // 2, 3)
+    assert capture.label_maps is not None and capture.label_maps[0] is not None
+    assert capture.label_maps[0].shape == (size[1] // 2, size[0] // 2)

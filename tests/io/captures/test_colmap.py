@@ -1,0 +1,139 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap import find_sparse, read_colmap
+from stylesplat.io.captures.colmap_check import check_complete
+from stylesplat.io.captures.posed_files import PosedFiles
+from tiny_captures import HEIGHT, PINHOLE, WIDTH, reconstruction
+
+BINARIES = ["cameras", "images", "points3D", "rigs", "frames"]
+
+
+def read(folder: Path) -> PosedFiles:
+    sparse = find_sparse(folder)
+    assert sparse is not None
+    return read_colmap(folder, sparse)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("sparse", ["sparse/0", "sparse"])
+def test_poses_points_and_names(make_capture: Callable[..., Path], text: bool, sparse: str):
+    posed = read(make_capture(text=text, sparse=sparse))
+    assert posed.names == ("001.png", "002.png", "003.png")
+    assert posed.viewmats[:, 0, 3].tolist() == [-2, -1, 0]
+    assert posed.lenses[0].size == (WIDTH, HEIGHT)
+    assert posed.lenses[0].params == tuple(PINHOLE[1])
+    assert posed.points is not None and posed.point_colors is not None
+    assert posed.points.tolist() == [[i, 0.5, 5.0] for i in range(4)]
+    assert posed.point_colors.tolist() == [[10 * i, 20, 30] for i in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("SIMPLE_PINHOLE", [60.0, 31.0, 25.0]),
+        ("PINHOLE", [60.0, 62.0, 31.0, 25.0]),
+        ("SIMPLE_RADIAL", [60.0, 31.0, 25.0, 0.1]),
+        ("RADIAL", [60.0, 31.0, 25.0, 0.1, 0.01]),
+        ("OPENCV", [60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.002, 0.003]),
+        ("OPENCV_FISHEYE", [60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.002, 0.003]),
+    ],
+)
+def test_camera_models(make_capture: Callable[..., Path], model: str, params: list[float]):
+    lens = read(make_capture(model, params, count=1)).lenses[0]
+    assert (lens.model, lens.params) == (model, tuple(params))
+
+
+def test_smaller_copies_stand_in_for_images(make_capture: Callable[..., Path]):
+    folder = make_capture(images="images_4")
+    (folder / "images_8").mkdir()
+    assert read(folder).paths[0] == folder / "images_4" / "001.png"
+    (folder / "images_2").mkdir()
+    assert read(folder).paths[0] == folder / "images_2" / "001.png"
+
+
+def test_no_photos(make_capture: Callable[..., Path]):
+    with pytest.raises(StyleSplatError, match="no images/"):
+        read(make_capture(images="pictures"))
+
+
+def test_no_posed_images(make_capture: Callable[..., Path]):
+    with pytest.raises(StyleSplatError, match="1 cameras and 0 images, none of them posed"):
+        read(make_capture(count=0))
+
+
+def test_no_points(make_capture: Callable[..., Path]):
+    folder = make_capture()
+    (folder / "sparse/0/points3D.bin").write_bytes(bytes(8))
+    posed = read(folder)
+    assert posed.points is None and posed.point_colors is None
+
+
+@pytest.mark.parametrize("name", BINARIES)
+def test_every_truncation_is_noticed(make_capture: Callable[..., Path], name: str):
+    folder = make_capture()
+    path = folder / "sparse/0" / f"{name}.bin"
+    whole = path.read_bytes()
+    for content in [*(whole[:end] for end in range(len(whole))), whole + b"\0"]:
+        path.write_bytes(content)
+        with pytest.raises(StyleSplatError, match=rf"{name}\.bin is truncated or damaged"):
+            read(folder)
+
+
+@pytest.mark.parametrize("name", BINARIES)
+def test_an_absurd_count_takes_no_memory(make_capture: Callable[..., Path], name: str):
+    path = make_capture() / "sparse/0" / f"{name}.bin"
+    path.write_bytes(b"\xff" * 7 + path.read_bytes()[7:])
+    with pytest.raises(StyleSplatError, match=rf"{name}\.bin is truncated or damaged"):
+        check_complete(path.parent)
+
+
+def test_rigs_of_several_cameras_are_complete(tmp_path: Path):
+    model = reconstruction(*PINHOLE, count=0)
+    rig = pycolmap.Rig(rig_id=7)
+    for number in (2, 3, 4):
+        model.add_camera(
+            pycolmap.Camera(model="PINHOLE", width=8, height=8, params=[9.0] * 4, camera_id=number)
+        )
+        sensor = pycolmap.sensor_t(type=pycolmap.SensorType.CAMERA, id=number)
+        if number == 2:
+            rig.add_ref_sensor(sensor)
+        else:
+            rig.add_sensor(sensor, pycolmap.Rigid3d() if number == 3 else None)
+    model.add_rig(rig)
+    model.add_rig(pycolmap.Rig(rig_id=9))
+    model.write(tmp_path)
+    check_complete(tmp_path)
+    assert pycolmap.Reconstruction(tmp_path).num_rigs() == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("cameras", "1 NO_SUCH_MODEL 64 48 1 2 3\n"),
+        ("images", "1 nonsense\n\n"),
+        ("points3D", "1 a b c\n"),
+    ],
+)
+def test_malformed_text(make_capture: Callable[..., Path], name: str, text: str):
+    folder = make_capture(text=True)
+    (folder / "sparse/0" / f"{name}.txt").write_text(text)
+    with pytest.raises(StyleSplatError, match="Cannot read the reconstruction"):
+        read(folder)
+
+
+def test_a_missing_file(make_capture: Callable[..., Path]):
+    folder = make_capture()
+    (folder / "sparse/0/images.bin").unlink()
+    with pytest.raises(StyleSplatError, match=r"Cannot read the reconstruction .*do not exist"):
+        read(folder)
+
+
+def test_a_camera_that_is_none(make_capture: Callable[..., Path]):
+    with pytest.raises(StyleSplatError, match="impossible numbers"):
+        read(make_capture(params=[60.0, np.nan, 31.0, 25.0]))

@@ -1,0 +1,167 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import ExifTags, Image
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.photos import fit_photo, read_image
+
+PIXELS = np.random.default_rng(0).integers(0, 256, (6, 8, 3), np.uint8)
+
+
+def pinhole(width: int, height: int) -> Lens:
+    return Lens("PINHOLE", width, height, (50.0, 52.0, width / 2, height / 2))
+
+
+def save(path: Path, pixels: np.ndarray, orientation: int | None = None) -> Path:
+    exif = Image.Exif()
+    if orientation:
+        exif[ExifTags.Base.Orientation] = orientation
+    Image.fromarray(pixels).save(path, exif=exif)
+    return path
+
+
+def test_rgb_is_kept(tmp_path: Path):
+    image = read_image(save(tmp_path / "a.png", PIXELS))
+    assert image.dtype == torch.uint8
+    np.testing.assert_array_equal(image.numpy(), PIXELS)
+
+
+def test_grey_becomes_rgb(tmp_path: Path):
+    image = read_image(save(tmp_path / "a.png", PIXELS[..., 0])).numpy()
+    np.testing.assert_array_equal(image, np.repeat(PIXELS[..., :1], 3, axis=2))
+
+
+def test_of_16_bits_the_upper_8_are_taken(tmp_path: Path):
+    grey = PIXELS[..., 0].astype(np.uint16) * 256 + 77
+    image = read_image(save(tmp_path / "a.png", grey)).numpy()
+    np.testing.assert_array_equal(image, np.repeat(PIXELS[..., :1], 3, axis=2))
+
+
+def test_of_16_bit_colours_the_upper_8_are_taken(tmp_path: Path):
+    deep = PIXELS[..., ::-1].astype(np.uint16) * 256 + 77
+    cv2.imwrite(str(tmp_path / "a.png"), deep)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png").numpy(), PIXELS)
+
+
+def test_more_than_16_bits_are_refused(tmp_path: Path):
+    for level in (-1, 65536):
+        Image.fromarray(np.full((4, 4), level, np.int32)).save(tmp_path / "a.tiff")
+        with pytest.raises(StyleSplatError, match=r"a\.tiff: its pixels do not fit into 16 bits"):
+            read_image(tmp_path / "a.tiff")
+
+
+def test_other_kinds_of_colour(tmp_path: Path):
+    flat = Image.new("RGB", (8, 6), (10, 100, 200))
+    palette = flat.convert("P", palette=Image.Palette.ADAPTIVE)
+    palette.save(tmp_path / "palette.png")
+    clear = np.asarray(palette)[0, 0].item()
+    palette.save(tmp_path / "clear.png", transparency=clear)
+    flat.convert("CMYK").save(tmp_path / "print.jpg", quality=100)
+    Image.new("LA", (8, 6), (100, 51)).save(tmp_path / "veil.png")
+    Image.fromarray(PIXELS[..., 0] > 127).save(tmp_path / "bits.png")
+    for name, color in (
+        ("palette.png", (10, 100, 200)),
+        ("clear.png", (255, 255, 255)),
+        ("print.jpg", (10, 100, 200)),
+        ("veil.png", (224, 224, 224)),  # a fifth of 100 and four of white
+    ):
+        image = read_image(tmp_path / name).numpy()
+        np.testing.assert_allclose(image, np.full((6, 8, 3), color), atol=1, err_msg=name)  # JPEG
+    bits = read_image(tmp_path / "bits.png").numpy()
+    np.testing.assert_array_equal(bits, 255 * (PIXELS[..., :1] > 127).repeat(3, axis=2))
+
+
+def test_transparency_shows_white(tmp_path: Path):
+    alpha = np.zeros((6, 8, 1), np.uint8)
+    alpha[:3], alpha[3] = 255, 128
+    image = read_image(save(tmp_path / "a.png", np.concatenate([PIXELS, alpha], axis=2))).numpy()
+    np.testing.assert_array_equal(image[:3], PIXELS[:3])
+    assert (image[4:] == 255).all()
+    half = (PIXELS[3].astype(float) * 128 + 255 * 127) / 255
+    np.testing.assert_allclose(image[3], half, atol=1)  # one level for Pillow's rounding
+
+
+@pytest.mark.parametrize(
+    ("orientation", "turned"),
+    [(1, PIXELS), (3, PIXELS[::-1, ::-1]), (6, np.rot90(PIXELS, -1)), (8, np.rot90(PIXELS))],
+)
+def test_exif_rotation(tmp_path: Path, orientation: int, turned: np.ndarray):
+    image = read_image(save(tmp_path / "a.png", PIXELS, orientation))
+    np.testing.assert_array_equal(image.numpy(), turned)
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [((6, 8), np.rot90(PIXELS, -1)), ((8, 6), PIXELS)], ids=str
+)
+def test_a_turned_photo_fits_its_camera_either_way(tmp_path: Path, size: tuple, expected):
+    photo = fit_photo(save(tmp_path / "a.png", PIXELS, orientation=6), pinhole(*size))
+    np.testing.assert_array_equal(photo.read().numpy(), expected)
+
+
+def test_where_both_fit_upright_is_preferred(tmp_path: Path):
+    photo = fit_photo(save(tmp_path / "a.png", PIXELS, orientation=3), pinhole(8, 6))
+    np.testing.assert_array_equal(photo.read().numpy(), PIXELS[::-1, ::-1])
+
+
+@pytest.mark.parametrize("size", [(16, 12), (4, 3), (17, 13), (15, 11)], ids=str)
+def test_a_multiple_scales_the_camera(tmp_path: Path, size: tuple[int, int]):
+    photo = fit_photo(save(tmp_path / "a.png", PIXELS), pinhole(*size))
+    assert photo.lens.size == photo.size == (8, 6)
+    assert photo.lens.params[0] == pytest.approx(50 * 8 / size[0])
+    np.testing.assert_array_equal(photo.read().numpy(), PIXELS)
+
+
+def test_another_shape_does_not_fit(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"a\.png is 8x6, .*its camera's 100x100"):
+        fit_photo(save(tmp_path / "a.png", PIXELS), pinhole(100, 100))
+
+
+def test_shrinking_averages_the_pixels_covered(tmp_path: Path):
+    pixels = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
+    photo = fit_photo(save(tmp_path / "a.png", pixels), pinhole(16, 12)).resized(4, 3)
+    expected = pixels.reshape(3, 4, 4, 4, 3).astype(float).mean(axis=(1, 3))
+    np.testing.assert_allclose(photo.read().numpy(), expected, atol=0.5)  # rounding to 8 bits
+
+
+def test_undistortion_comes_before_shrinking(tmp_path: Path):
+    lens = Lens("OPENCV", 64, 48, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))
+    pixels = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    photo = fit_photo(save(tmp_path / "a.png", pixels), lens)
+    assert photo.size == lens.pinhole().size != (64, 48)
+    np.testing.assert_array_equal(photo.read().numpy(), lens.undistort(pixels))
+    assert photo.resized(20, 15).read().shape == (15, 20, 3)
+
+
+def test_no_such_file(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"There is no image .*a\.png"):
+        read_image(tmp_path / "a.png")
+    with pytest.raises(StyleSplatError, match=r"There is no image .*a\.png"):
+        fit_photo(tmp_path / "a.png", pinhole(8, 6))
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_corrupt_files(tmp_path: Path, suffix: str):
+    path = tmp_path / f"a.{suffix}"
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    whole = save(path, noise).read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    photo = fit_photo(path, pinhole(64, 64))  # the header is intact
+    with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}: .*truncated"):
+        photo.read()
+    path.write_bytes(b"<html>404</html>")
+    with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}"):
+        fit_photo(path, pinhole(64, 64))
+    path.write_bytes(b"")
+    with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}"):
+        read_image(path)
+
+
+def test_floating_point_pixels(tmp_path: Path):
+    Image.fromarray(np.ones((4, 4), np.float32)).save(tmp_path / "a.tiff")
+    with pytest.raises(StyleSplatError, match="floating-point"):
+        read_image(tmp_path / "a.tiff")

@@ -1,0 +1,207 @@
+from dataclasses import replace
+from pathlib import Path
+
+import gsply
+import numpy as np
+import pytest
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.ply import read_ply_table, write_ply_table
+from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
+from stylesplat.scene.splats import Splats
+
+INRIA = [
+    *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
+    *(f"f_rest_{i}" for i in range(45)),
+    *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+]
+SHARED = Path("/work/shared/data/splats")
+
+
+def random_splats(count: int = 7, bands: int = 15) -> Splats:
+    generator = torch.Generator().manual_seed(0)
+
+    def random(*shape: int) -> torch.Tensor:
+        return torch.randn(count, *shape, generator=generator)
+
+    return Splats(random(3), random(4), random(3), random(), random(1, 3), random(bands, 3))
+
+
+def same(splats: Splats, others: Splats) -> bool:
+    a, b = splats.tensors(), others.tensors()
+    return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
+
+
+def header(content: bytes) -> list[str]:
+    return content[: content.index(b"end_header")].decode().splitlines()
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_bits_survive_the_round_trip(tmp_path: Path, count: int):
+    splats = random_splats(count)
+    write_splat_ply(splats, tmp_path / "a.ply")
+    found = read_splat_ply(tmp_path / "a.ply")
+    assert same(found, splats)
+
+
+def test_exactly_the_columns_of_inria(tmp_path: Path):
+    write_splat_ply(random_splats(), tmp_path / "a.ply")
+    content = (tmp_path / "a.ply").read_bytes()
+    assert header(content) == [
+        *("ply", "format binary_little_endian 1.0", "element vertex 7"),
+        *(f"property float {name}" for name in INRIA),
+    ]
+    assert len(content) == content.index(b"end_header\n") + 11 + 7 * 62 * 4
+
+
+def test_f_rest_goes_channel_by_channel(tmp_path: Path):
+    splats = random_splats()
+    write_splat_ply(splats, tmp_path / "a.ply")
+    table = read_ply_table(tmp_path / "a.ply")
+    np.testing.assert_array_equal(table["f_rest_0"], splats.shN[:, 0, 0])
+    np.testing.assert_array_equal(table["f_rest_1"], splats.shN[:, 1, 0])
+    np.testing.assert_array_equal(table["f_rest_15"], splats.shN[:, 0, 1])
+    np.testing.assert_array_equal(table["nx"], np.zeros(7))
+
+
+@pytest.mark.parametrize("bands", [0, 3, 8])
+def test_lower_degrees_are_padded_with_zeros(tmp_path: Path, bands: int):
+    splats = random_splats(bands=bands)
+    write_splat_ply(splats, tmp_path / "a.ply")
+    shN = read_splat_ply(tmp_path / "a.ply").shN
+    assert torch.equal(shN[:, :bands], splats.shN)
+    assert shN.shape == (7, 15, 3) and not shN[:, bands:].any()
+
+
+@pytest.mark.parametrize("bands", [0, 3, 8, 15])
+def test_same_as_an_independent_writer_and_reader(tmp_path: Path, bands: int):
+    splats = random_splats(bands=bands)
+    rows = (splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0[:, 0])
+    means, scales, quats, opacities, sh0 = (tensor.numpy() for tensor in rows)
+    gsply.plywrite(
+        tmp_path / "theirs.ply", means, scales, quats, opacities, sh0, splats.shN.numpy()
+    )
+    found = read_splat_ply(tmp_path / "theirs.ply")
+    assert same(found, splats)
+    write_splat_ply(splats, tmp_path / "ours.ply")
+    theirs = gsply.plyread(tmp_path / "ours.ply")
+    found = (theirs.means, theirs.scales, theirs.quats, theirs.opacities, theirs.sh0)
+    for array, tensor in zip(found, rows, strict=True):
+        np.testing.assert_array_equal(array, tensor)
+    np.testing.assert_array_equal(theirs.shN[:, :bands], splats.shN)
+
+
+@pytest.mark.parametrize("order", ["shuffled", "big-endian", "float64", "extra"])
+def test_other_layouts_of_the_same_numbers(tmp_path: Path, order: str):
+    splats = random_splats()
+    write_splat_ply(splats, tmp_path / "a.ply")
+    table = read_ply_table(tmp_path / "a.ply")
+    names = np.random.default_rng(0).permutation(INRIA).tolist()
+    if order == "extra":
+        names = ["label", *names]
+    kind = "<f8" if order == "float64" else "<f4"
+    other = np.zeros(7, [(name, kind) for name in names])
+    for name in INRIA:
+        other[name] = table[name]
+    write_ply_table(other, tmp_path / "b.ply")
+    if order == "big-endian":
+        start, body = (tmp_path / "b.ply").read_bytes().split(b"end_header\n")
+        swapped = np.frombuffer(body, "<f4").astype(">f4").tobytes()
+        start = start.replace(b"little", b"big")
+        (tmp_path / "b.ply").write_bytes(start + b"end_header\n" + swapped)
+    found = read_splat_ply(tmp_path / "b.ply")
+    assert same(found, splats)
+
+
+def test_ascii_and_empty_elements(tmp_path: Path):
+    lines = ["ply", "format ascii 1.0", "comment x", "element vertex 2"]
+    lines += ["property float x", "property uint8 red", "element face 0"]
+    lines += ["property list uchar int vertex_indices", "end_header", "0.5 255", "-1e-3 7", ""]
+    (tmp_path / "a.ply").write_text("\n".join(lines))
+    table = read_ply_table(tmp_path / "a.ply")
+    assert table["x"].tolist() == [0.5, np.float32(-1e-3)] and table["red"].tolist() == [255, 7]
+
+
+def damage(content: bytes, how: str) -> bytes:
+    body = content.index(b"end_header\n") + 11
+    return {
+        "one byte short": content[:-1],
+        "no rows": content[:body],
+        "cut in the header": content[: body // 2],
+        "trailing": content + b"\0",
+        "huge count": content.replace(b"vertex 7", b"vertex 999999999999"),
+        "negative count": content.replace(b"vertex 7", b"vertex -7"),
+        "no opacity": content.replace(b" opacity\n", b" opacitx\n"),
+        "no rotation": content.replace(b" rot_3\n", b" rot_4\n"),
+        "gap in f_rest": content.replace(b" f_rest_44\n", b" f_rest_45\n"),
+        "odd f_rest": content.replace(b" f_rest_44\n", b" other\n"),
+        "twice": content.replace(b" rot_3\n", b" rot_2\n"),
+        "faces": content.replace(b"end_header", b"element face 2\nend_header"),
+        "list": content.replace(b"property float x\n", b"property list uchar int x\n"),
+        "no picture": b"\x89PNG",
+        "empty": b"",
+        "NaN": content[:-4] + np.float32(np.nan).tobytes(),
+        "infinite": content[:body] + np.float32(-np.inf).tobytes() + content[body + 4 :],
+    }[how]
+
+
+@pytest.mark.parametrize(
+    ("how", "match"),
+    [
+        ("one byte short", "truncated: 7 vertices take 1736 bytes, got 1735"),
+        ("no rows", "truncated: 7 vertices take 1736 bytes, got 0"),
+        ("cut in the header", "not a PLY file"),
+        ("trailing", "followed by something else"),
+        ("huge count", "truncated: 999999999999 vertices"),
+        ("negative count", "-7 vertices"),
+        ("no opacity", "no column opacity"),
+        ("no rotation", "no column rot_3"),
+        ("gap in f_rest", "no column f_rest_44"),
+        ("odd f_rest", "44 f_rest columns fit no degree"),
+        ("twice", "'rot_2' occurs more than once"),
+        ("faces", "plain vertices only, .*'element face 2'"),
+        ("list", "plain vertices only, .*'property list uchar int x'"),
+        ("no picture", "not a PLY file"),
+        ("empty", "not a PLY file"),
+        ("NaN", "1 values of quats are not finite"),
+        ("infinite", "1 values of means are not finite"),
+    ],
+)
+def test_damaged_files(tmp_path: Path, how: str, match: str):
+    path = tmp_path / "a.ply"
+    write_splat_ply(random_splats(), path)
+    path.write_bytes(damage(path.read_bytes(), how))
+    with pytest.raises(StyleSplatError, match=rf"Cannot read .*a\.ply.*{match}"):
+        read_splat_ply(path)
+
+
+def test_wrong_ascii_counts(tmp_path: Path):
+    text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n1\n2\n"
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(StyleSplatError, match="claims 3 vertices, got 2 lines"):
+        read_ply_table(tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_text(text + "three\n")
+    with pytest.raises(StyleSplatError, match="three"):
+        read_ply_table(tmp_path / "a.ply")
+
+
+def test_no_such_file(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"a\.ply: No such file"):
+        read_splat_ply(tmp_path / "a.ply")
+
+
+def test_gradients_and_other_types_are_written_as_numbers(tmp_path: Path):
+    splats = random_splats()
+    write_splat_ply(splats, tmp_path / "a.ply")
+    trained = replace(splats, means=splats.means.double().requires_grad_())
+    write_splat_ply(trained, tmp_path / "b.ply")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the developers' data")
+def test_a_file_of_another_project():
+    (path,) = (SHARED / "metalsplatter").glob("*.ply")
+    found, theirs = read_splat_ply(path), gsply.plyread(path)
+    np.testing.assert_array_equal(found.shN, theirs.shN)
+    np.testing.assert_array_equal(found.quats, theirs.quats)

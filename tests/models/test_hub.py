@@ -1,0 +1,291 @@
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from logging import INFO
+from pathlib import Path
+from typing import Any
+
+import huggingface_hub
+import pytest
+import torch
+from huggingface_hub import constants
+from safetensors.torch import load_file, save_file
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.models import hub
+from stylesplat.models.hub import find_model, load_model, load_processor
+
+Models = Callable[[str], Path]
+NAME = "owner/tiny"
+TYPES = ("sam2_video",)
+
+
+@pytest.fixture
+def folder(tiny_model: Models, tmp_path: Path) -> Path:
+    """A whole model that may be broken."""
+    return shutil.copytree(tiny_model("sam2"), tmp_path / "model")
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, and no network."""
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    return tmp_path / "cache"
+
+
+def find(name: str | Path) -> hub.ModelFolder:
+    return find_model(str(name), TYPES, job="follow objects")
+
+
+def load(folder: Path) -> Any:
+    from transformers import Sam2VideoModel
+
+    return load_model(find(folder), Sam2VideoModel, device="cpu", dtype=torch.float32)
+
+
+def put_into_cache(folder: Path, cache: Path, *, without: str = "") -> None:
+    """Lay files out as huggingface_hub does after a download."""
+    repository = cache / f"models--{NAME.replace('/', '--')}"
+    snapshot = repository / "snapshots" / ("0" * 40)
+    shutil.copytree(folder, snapshot)
+    if without:
+        (snapshot / without).unlink()
+    (repository / "refs").mkdir()
+    (repository / "refs" / "main").write_text("0" * 40)
+
+
+def change_config(folder: Path, **entries: Any) -> None:
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(config | entries))
+
+
+def change_weights(folder: Path, change: Callable[[dict[str, torch.Tensor]], Any]) -> None:
+    weights = load_file(folder / "model.safetensors")
+    change(weights)
+    save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
+
+
+def test_a_folder_is_loaded_to_run_only(folder: Path, recwarn, capfd):
+    model = load(folder)
+    assert not model.training and not any(p.requires_grad for p in model.parameters())
+    assert {p.dtype for p in model.parameters()} == {torch.float32}
+    from transformers import Sam2VideoProcessor
+
+    assert load_processor(find(folder), Sam2VideoProcessor).target_size == 64
+    assert capfd.readouterr() == ("", "") and not recwarn.list
+
+
+def test_loading_is_quiet_and_logging_then_as_before(folder: Path, capfd):
+    from transformers.utils import logging
+
+    logging.set_verbosity_info()
+    logging.enable_progress_bar()
+    try:
+        load(folder)
+        assert logging.get_verbosity() == INFO and logging.is_progress_bar_enabled()
+        assert capfd.readouterr() == ("", "")
+    finally:
+        logging.set_verbosity_error()
+        logging.disable_progress_bar()
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [
+        ("{tmp}/none", r"none does not exist\. Pass the folder that holds config\.json"),
+        ("./none", "does not exist"),
+        ("none", "does not exist"),
+        ("a/b/c", "does not exist"),
+        ("{tmp}/file", "is a file"),
+        ("{tmp}", r"is no model: it has no config\.json.*hf download"),
+    ],
+)
+def test_not_a_model(name: str, match: str, tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StyleSplatError, match=match):
+        find(name.format(tmp=tmp_path))
+
+
+def test_the_home_folder_is_known(folder: Path, monkeypatch):
+    monkeypatch.setenv("HOME", str(folder.parent))
+    assert find("~/model").path == folder
+
+
+def test_a_model_of_another_type(folder: Path):
+    with pytest.raises(
+        StyleSplatError,
+        match=r"is of the type sam2_video\. To sing, pass one of the type opera or x",
+    ):
+        find_model(str(folder), ["x", "opera"], job="sing")
+    (folder / "config.json").write_text("{}")
+    with pytest.raises(StyleSplatError, match=r"has no model_type in config\.json"):
+        find(folder)
+    (folder / "config.json").write_text("{")
+    with pytest.raises(StyleSplatError, match="not valid JSON"):
+        find(folder)
+
+
+def test_offline_and_not_in_the_cache(cache: Path, said: list[str]):
+    match = r"is not in the cache.*Run `hf download owner/tiny --local-dir FOLDER`.*--model FOLDER"
+    with pytest.raises(StyleSplatError, match=match):
+        find(NAME)
+    assert said == [], "no download is announced that is not tried"
+
+
+def test_the_cache_needs_no_network(folder: Path, cache: Path, said: list[str]):
+    put_into_cache(folder, cache)
+    assert find(NAME).path.is_relative_to(cache)
+    assert said == []
+    assert load(find(NAME).path) is not None
+    with pytest.raises(StyleSplatError, match="is of the type sam2_video"):
+        find_model(NAME, ["sam"], job="sing")
+
+
+@pytest.mark.parametrize("missing", ["config.json", "model.safetensors", "processor_config.json"])
+def test_half_a_model_in_the_cache_is_none(missing: str, folder: Path, cache: Path):
+    put_into_cache(folder, cache, without=missing)
+    with pytest.raises(StyleSplatError, match="is not in the cache"):
+        find(NAME)
+
+
+def test_a_download_is_announced_and_starts_with_the_type(
+    folder: Path, cache: Path, monkeypatch, said: list[str]
+):
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    fetched = []
+
+    def snapshot(name: str, *, allow_patterns: list[str], local_files_only: bool = False) -> str:
+        if local_files_only:
+            raise FileNotFoundError
+        fetched.append(allow_patterns)
+        return str(folder)
+
+    monkeypatch.setattr(huggingface_hub, "hf_hub_download", lambda name, file: folder / file)
+    monkeypatch.setattr(huggingface_hub, "snapshot_download", snapshot)
+    with pytest.raises(StyleSplatError, match="pass one of the type sam"):
+        find_model(NAME, ["sam"], job="sing")
+    assert fetched == []
+    assert find(NAME).path == folder
+    assert fetched == [["*.json", "*.txt", "model*.safetensors"]]
+    line = said[-1]
+    assert line == f"Downloading the model {NAME} to {cache}."
+
+
+def refusal(error: str) -> Exception:
+    import httpx2
+    from huggingface_hub import errors
+
+    if error == "OSError":
+        return OSError("[Errno 28] No space left on device\nsecond line")
+    response = httpx2.Response(404, request=httpx2.Request("GET", "http://hub"))
+    return getattr(errors, error)("refused", response=response)
+
+
+@pytest.mark.parametrize(
+    ("error", "match"),
+    [
+        ("GatedRepoError", "accept its terms.*hf auth login"),
+        ("RepositoryNotFoundError", "neither a folder owner/tiny nor a model of that name"),
+        ("OSError", r"Cannot download owner/tiny: .*No space left on device\. Run `hf download"),
+    ],
+)
+def test_the_hub_refuses(error: str, match: str, cache: Path, monkeypatch, said: list[str]):
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+
+    def download(name: str, file: str) -> str:
+        raise refusal(error)
+
+    monkeypatch.setattr(huggingface_hub, "hf_hub_download", download)
+    with pytest.raises(StyleSplatError, match=match) as refused:
+        find(NAME)
+    assert "\n" not in str(refused.value)
+
+
+def test_without_transformers(folder: Path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(
+        StyleSplatError,
+        match=r"Cannot follow objects without `transformers`\. .*stylesplat\[segment\]",
+    ):
+        find(folder)
+
+
+def test_without_a_package_that_one_model_needs(folder: Path):
+    class Needy:
+        @staticmethod
+        def from_pretrained(*args: Any, **options: Any) -> None:
+            raise ImportError("\nNeedy requires the timm library\nand more\n")
+
+    with pytest.raises(StyleSplatError, match=r"requires the timm library\. Run `pip install 's"):
+        load_processor(find(folder), Needy)
+
+
+def test_truncated_weights(folder: Path):
+    weights = folder / "model.safetensors"
+    os.truncate(weights, weights.stat().st_size // 2)
+    refuse(folder, r"Cannot load the model in .*model: .+ Download it again\.")
+
+
+def test_no_weights(folder: Path):
+    (folder / "model.safetensors").unlink()
+    (folder / "pytorch_model.bin").touch()
+    refuse(folder, r"has no weights: there is no model\.safetensors")
+
+
+def test_a_nonsensical_config(folder: Path):
+    change_config(folder, num_maskmem="seven")
+    refuse(folder, "Cannot load the model in .*num_maskmem")
+
+
+def test_weights_of_another_shape(folder: Path):
+    change_config(folder, memory_fuser_intermediate_dim=24)
+    refuse(folder, r"do not fit its config\.json: memory.*has the shape \[16.*expected \[24")
+
+
+def test_weights_that_are_not_all_there(folder: Path):
+    """Transformers warns, fills the gap by chance, and goes on."""
+
+    def strip(weights: dict[str, torch.Tensor]) -> None:
+        for name in [name for name in weights if name.startswith("memory_encoder.")]:
+            del weights[name]
+
+    change_weights(folder, strip)
+    refuse(folder, r"lack \d+ of the tensors that Sam2VideoModel needs, such as memory_encoder\.")
+
+
+def test_a_buffer_that_was_learned_is_needed_too(folder: Path):
+    change_weights(
+        folder, lambda weights: weights.pop("shared_image_embedding.positional_embedding")
+    )
+    refuse(folder, "lack 1 of the tensors .* shared_image_embedding")
+
+
+def test_superfluous_weights_do_no_harm(folder: Path):
+    """The model for photos is loaded from the checkpoint of the one for sequences."""
+    change_weights(folder, lambda weights: weights.update(extra=torch.zeros(2)))
+    from transformers import AutoModelForMaskGeneration
+
+    source = find(folder)
+    model = load_model(source, AutoModelForMaskGeneration, device="cpu", dtype=torch.float32)
+    assert type(model).__name__ == "Sam2Model"
+    assert torch.equal(model.no_memory_embedding, load(folder).no_memory_embedding)
+
+
+def test_a_damaged_processor(folder: Path):
+    from transformers import Sam2VideoProcessor
+
+    (folder / "processor_config.json").write_text("{")
+    with pytest.raises(StyleSplatError, match=r"Cannot load the model in .*not a valid JSON file"):
+        load_processor(find(folder), Sam2VideoProcessor)
+    (folder / "processor_config.json").unlink()
+    with pytest.raises(StyleSplatError, match=r"does not say how to prepare .* processor_config\."):
+        load_processor(find(folder), Sam2VideoProcessor)
+
+
+def refuse(folder: Path, match: str) -> None:
+    with pytest.raises(StyleSplatError, match=match) as refused:
+        load(folder)
+    assert "\n" not in str(refused.value)

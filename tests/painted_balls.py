@@ -1,0 +1,71 @@
+"""The balls with named objects, and quick ways to paint them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from PIL import Image
+
+from balls import CAMERAS, SPLATS
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.verbs.stylize import stylize
+
+FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0)
+ROWS = torch.arange(len(SPLATS))
+RED, GREEN, BLUE = ((ROWS >= start) & (ROWS < start + 80) for start in (200, 280, 360))
+PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
+TRAINED = Scene(
+    splats=replace(
+        SPLATS,
+        shN=0.1 * torch.randn(len(SPLATS), 15, 3, generator=torch.Generator().manual_seed(0)),
+        confidence=ROWS / len(SPLATS),
+    ),
+    cameras=CAMERAS,
+    held_out=CAMERAS.names[:1],
+    objects={name: SceneObject(picked, {"ids": []}) for name, picked in PICKS.items()},
+    metrics={"psnr": 30.0},
+)
+
+
+def write_pictures(folder: Path) -> tuple[Path, Path]:
+    """Two pictures to paint with."""
+    generator = torch.Generator().manual_seed(1)
+    paths = folder / "wave.png", folder / "night.png"
+    for number, path in enumerate(paths):
+        pixels = torch.rand(64, 80, 3, generator=generator) * torch.tensor([1, number, 0.5])
+        Image.fromarray((255 * pixels).byte().numpy()).save(path)
+    return paths
+
+
+def painted(
+    scene: Scene, name: str, pictures: Sequence[Path] | Path, network: Any = None, **settings: Any
+) -> Scene:
+    """A scene with one more object painted."""
+    pictures = [pictures] if isinstance(pictures, Path) else pictures
+    style = Style(*pictures, config=FAST, **settings)
+    return stylize(scene, {name: style}, **(network or {}), device="cpu")
+
+
+def assert_same_splats(one: Splats, other: Splats) -> None:
+    """To the bit."""
+    assert one.tensors().keys() == other.tensors().keys()
+    for name, tensor in one.tensors().items():
+        assert torch.equal(tensor, other.tensors()[name]), name
+    a, b = one.classifier, other.classifier
+    assert (a is None) == (b is None)
+    if a is not None and b is not None:
+        assert a.ids == b.ids
+        assert torch.equal(a.weight, b.weight) and torch.equal(a.bias, b.bias)
+
+
+def assert_same_objects(one: Scene, other: Scene) -> None:
+    """Names, Gaussians and how they were found."""
+    assert one.objects.keys() == other.objects.keys()
+    for name, each in one.objects.items():
+        assert torch.equal(each.picked, other.objects[name].picked), name
+        assert each.how == other.objects[name].how

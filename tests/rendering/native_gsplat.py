@@ -1,0 +1,147 @@
+"""Stand-ins for what gsplat 1.5.3 has compiled, in plain torch, for machines without a GPU.
+
+gsplat's own Python runs unchanged above them, so it is gsplat that checks the names, number,
+shapes and channels of what it is called with. The mathematics is our reference's.
+"""
+
+from dataclasses import dataclass, field
+
+import pytest
+import torch
+from torch import Tensor
+
+from stylesplat.rendering import constants as const
+from stylesplat.rendering import reference
+from stylesplat.rendering.gaussians import Gaussians, Projected, View
+from stylesplat.rendering.sh import sh_basis
+
+SUPPORTED = {1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513}
+
+
+@dataclass
+class Calls:
+    """What was asked of the stand-ins."""
+
+    projections: int = 0
+    sorts: int = 0
+    blended_channels: list[int] = field(default_factory=list)
+
+
+def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    """Put the stand-ins into gsplat for one test."""
+    native = pytest.importorskip("gsplat.cuda._wrapper")
+    calls = Calls()
+
+    class Projection:
+        @staticmethod
+        def apply(means, covars, quats, scales, viewmats, Ks, width, height, *options):
+            *cuts, compensate, camera_model, opacities = options
+            assert covars is None and not compensate and camera_model == "pinhole"
+            assert cuts == [const.EPS2D, const.NEAR_PLANE, const.FAR_PLANE, 0.0]
+            calls.projections += 1
+            gaussians = Gaussians(means, quats, scales, opacities)
+            if means.is_meta:
+                count = len(viewmats), len(means)
+                seen = Projected(
+                    *(means.new_empty(*count, *more) for more in ((2,), (3,), (), (2,)))
+                )
+            else:
+                each = [
+                    reference.project(gaussians, View(viewmat, K, width, height))
+                    for viewmat, K in zip(viewmats, Ks, strict=True)
+                ]
+                seen = Projected(*(torch.stack(tensors) for tensors in zip(*each, strict=True)))
+            return seen.radii, seen.means2d, seen.depths, seen.conics, None
+
+    class Blending:
+        @staticmethod
+        def apply(means2d, conics, colors, opacities, backgrounds, masks, *rest):
+            assert backgrounds is None and masks is None
+            assert colors.shape[-1] in SUPPORTED
+            calls.blended_channels.append(colors.shape[-1])
+            return blend_tiles(
+                Projected(means2d, conics, means2d, means2d), opacities, colors, rest
+            )
+
+    class Harmonics:
+        @staticmethod
+        def apply(degree, dirs, coeffs, masks):
+            assert masks is None
+            basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
+            return torch.einsum("...k,...kc->...c", basis, coeffs[..., : basis.shape[-1], :])
+
+    def compiled(name: str):
+        def counted(*args):
+            calls.sorts += name == "intersect_tile"
+            return {"intersect_tile": intersect_tile, "intersect_offset": intersect_offset}[name](
+                *args
+            )
+
+        return counted
+
+    monkeypatch.setattr(native, "_FullyFusedProjection", Projection)
+    monkeypatch.setattr(native, "_RasterizeToPixels", Blending)
+    monkeypatch.setattr(native, "_SphericalHarmonics", Harmonics)
+    monkeypatch.setattr(native, "_make_lazy_cuda_func", compiled)
+    return calls
+
+
+def intersect_tile(
+    means2d, radii, depths, image_ids, gaussian_ids, images, tile, columns, rows, *_
+):
+    """Which Gaussians reach which tiles, tile by tile and front to back."""
+    assert image_ids is None and gaussian_ids is None
+    if means2d.is_meta:
+        ids = torch.empty(7, dtype=torch.int64, device="meta")
+        return radii[..., 0], ids, ids
+    low, high = ((means2d - radii) / tile).floor(), ((means2d + radii) / tile).ceil()  # [I, N, 2]
+    y, x = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
+    places = torch.stack([x, y], dim=-1).reshape(1, 1, -1, 2)
+    reached = ((low[:, :, None] <= places) & (places < high[:, :, None])).all(dim=-1)
+    reached &= (radii > 0).all(dim=-1)[:, :, None]
+    image, gaussian, place = reached.nonzero().unbind(dim=1)
+    nearest = torch.argsort(depths[image, gaussian], stable=True)
+    image, gaussian, place = (ids[nearest] for ids in (image, gaussian, place))
+    tiles, order = torch.sort(image * rows * columns + place, stable=True)
+    assert images == len(means2d)
+    return reached.sum(dim=-1), tiles, (image * means2d.shape[1] + gaussian)[order]
+
+
+def intersect_offset(tiles: Tensor, images: int, columns: int, rows: int) -> Tensor:
+    """Where each tile's list begins."""
+    if tiles.is_meta:
+        return tiles.new_empty(images, rows, columns)
+    every = torch.arange(images * rows * columns)
+    return torch.searchsorted(tiles, every).reshape(images, rows, columns)
+
+
+def blend_tiles(projected: Projected, opacities: Tensor, colors: Tensor, rest):
+    """Image and coverage, by the tile lists alone."""
+    width, height, tile, offsets, flatten_ids, absgrad = rest
+    assert not absgrad
+    images, channels = len(colors), colors.shape[-1]
+    if colors.is_meta:
+        made = colors.new_empty(images, height, width, channels + 1)
+        return made[..., :-1], made[..., -1:]
+    means2d, conics = projected.means2d.flatten(0, 1), projected.conics.flatten(0, 1)
+    opacities, colors = opacities.flatten(), colors.flatten(0, 1)
+    ends = torch.cat([offsets.flatten()[1:], offsets.new_tensor([len(flatten_ids)])])
+    made = []
+    for (image, row, column), first, last in zip(
+        torch.cartesian_prod(*(torch.arange(n) for n in offsets.shape)).tolist(),
+        offsets.flatten().tolist(),
+        ends.tolist(),
+        strict=True,
+    ):
+        ids = flatten_ids[first:last]
+        ys = torch.arange(tile * row, min(tile * (row + 1), height))
+        xs = torch.arange(tile * column, min(tile * (column + 1), width))
+        pixels = torch.cartesian_prod(ys, xs).flip(1).to(means2d) + 0.5
+        weights = reference._blend_weights(pixels, means2d[ids], conics[ids], opacities[ids])
+        values = torch.cat([weights @ colors[ids], weights.sum(dim=1, keepdim=True)], dim=1)
+        made.append((image, ys, xs, values.reshape(len(ys), len(xs), -1)))
+    canvas = colors.new_zeros(images, height, width, channels + 1)
+    for image, ys, xs, values in made:
+        index = (torch.tensor(image), ys[:, None], xs[None])
+        canvas = canvas.index_put(index, values)
+    return canvas[..., :-1], canvas[..., -1:]

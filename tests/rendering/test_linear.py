@@ -1,0 +1,194 @@
+"""Linear rendering: the kept weights give the reference's image, and its gradients of colours."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from scenes import leaf, random_splats, two_cameras
+from stylesplat.rendering import cpu
+from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.projection import crop
+from stylesplat.scene.splats import Splats
+
+# Weights are kept as float16: 11 bits, an error of 0.0005 each. A lost entry shows more.
+TOLERANCE = 1e-3
+SPLATS = random_splats()
+CAMERA = two_cameras()[1:]
+HALF = torch.arange(len(SPLATS)) % 2 == 0  # every other one, so that each part hides the other
+CHOICES = {
+    "half": HALF,
+    "few": torch.arange(len(SPLATS)) < 3,
+    "none": torch.zeros_like(HALF),
+    "all": torch.ones_like(HALF),
+}
+
+
+def reference(splats: Splats, picked: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The image and the opaque share of the picked Gaussians."""
+    image, _, _ = rasterize(
+        splats, CAMERA, features=picked[:, None].to(splats.means), backend="reference"
+    )
+    return image[0, ..., :3], image[0, ..., 3]
+
+
+def painted(seed: int) -> Splats:
+    """The scene with other colours of the half."""
+    other = random_splats(seed=seed)
+    mask = HALF[:, None, None]
+    sh0, shN = torch.where(mask, other.sh0, SPLATS.sh0), torch.where(mask, other.shN, SPLATS.shN)
+    return replace(SPLATS, sh0=sh0, shN=shN)
+
+
+@pytest.fixture(scope="module")
+def half() -> Contributions:
+    return contributions(SPLATS, CAMERA, HALF)
+
+
+def relative_error(found: torch.Tensor, expected: torch.Tensor) -> float:
+    return float((found.double() - expected).norm() / expected.norm())
+
+
+def test_the_size_is_no_multiple_of_a_tile(half: Contributions):
+    width, height = CAMERA.size
+    assert half.background.shape == (height, width, 3)
+    assert width % 16 and height % 16
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_image_and_coverage_match_the_reference(name: str):
+    picked = CHOICES[name]
+    view = contributions(SPLATS, CAMERA, picked)
+    image, covered = reference(leaf(SPLATS, torch.float64), picked)
+    assert relative_error(view.render(SPLATS), image.detach()) < TOLERANCE
+    assert (view.coverage - covered.detach()).abs().max() < TOLERANCE
+    assert picked[view.gaussians].all()
+    assert view.gaussians.unique().shape == view.gaussians.shape
+    assert (name == "none") == (len(view.gaussians) == 0)
+
+
+def test_other_colors_give_their_own_image(half: Contributions):
+    for seed in (1, 2):
+        image, _ = reference(leaf(painted(seed), torch.float64), HALF)
+        assert relative_error(half.render(painted(seed)), image.detach()) < TOLERANCE
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (33, 17), (5, 40)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_random_colors_are_what_the_rasteriser_draws(size: tuple[int, int], seed: int):
+    camera = crop(CAMERA, (20, 12), size)
+    view = contributions(SPLATS, camera, HALF)
+    colors = torch.rand(len(SPLATS), 16, generator=torch.Generator().manual_seed(seed))
+    own = torch.cat([colors[:, :3] * HALF[:, None], colors[:, 3:]], dim=1)
+    drawn = rasterize(SPLATS, camera, features=own)[0][0, ..., 3:6]
+    shown = view.image(colors[view.gaussians, :3]) - view.background
+    assert (shown - drawn).abs().max() < TOLERANCE  # colours are at most 1
+    assert drawn.any()
+
+
+def test_the_picked_and_the_others_make_the_whole(half: Contributions):
+    others = contributions(SPLATS, CAMERA, ~HALF)
+    both = half.coverage + others.coverage
+    alphas = rasterize(SPLATS, CAMERA)[1][0, ..., 0]
+    assert (both - alphas).abs().max() < 1e-5  # float32 sums of the same weights
+    assert half.coverage.min() >= 0 and half.coverage.max() <= 1
+    image = half.background + others.background
+    # each background lacks just what the other holds
+    assert (image - rasterize(SPLATS, CAMERA)[0][0]).abs().max() < 1e-4
+
+
+def test_weights_of_parts_of_the_image_add_up(half: Contributions):
+    pixels = torch.rand(half.coverage.shape, generator=torch.Generator().manual_seed(0)) < 0.3
+    parts = half.weights(pixels) + half.weights(~pixels)
+    torch.testing.assert_close(parts, half.weights(), atol=1e-3, rtol=1e-5)  # float32 sums
+    assert (half.weights(pixels) >= 0).all()
+
+
+def test_bounded_gradient_rows_add_up_to_the_same(
+    half: Contributions, monkeypatch: pytest.MonkeyPatch
+):
+    expected = half.weights()
+    monkeypatch.setattr(cpu, "get_num_threads", lambda: 7)
+    many = half.weights()
+    monkeypatch.setattr(cpu, "PARTIAL_BYTES", 1)
+    assert len(cpu.partial_sums(len(half.gaussians), 16)) == 1
+    for found in (many, half.weights()):  # float32 sums in another order
+        torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-5)
+
+
+def test_gradients_match_the_reference(half: Contributions):
+    weights = torch.randn(half.background.shape, generator=torch.Generator().manual_seed(3))
+    expected, found = leaf(SPLATS, torch.float64), leaf(SPLATS, torch.float32)
+    image, _ = reference(expected, HALF)
+    (image * weights.double()).sum().backward()
+    (half.render(found) * weights).sum().backward()
+    for name in ("sh0", "shN"):
+        wanted, gradient = (s.tensors()[name].grad for s in (expected, found))
+        assert wanted is not None
+        assert gradient is not None
+        assert relative_error(gradient[HALF], wanted[HALF]) < TOLERANCE, name
+        assert not gradient[~HALF].any()
+
+
+def test_the_image_is_linear_in_the_colors(half: Contributions):
+    count = len(half.gaussians)
+    colors = torch.rand(2, count, 3, generator=torch.Generator().manual_seed(4))
+    one, other = (half.image(c) - half.background for c in colors)
+    both = half.image(colors[0] + 2 * colors[1]) - half.background
+    torch.testing.assert_close(both, one + 2 * other, atol=1e-5, rtol=0)  # roundings of float32
+    assert torch.equal(half.image(torch.zeros(count, 3)), half.background)
+
+
+def test_coverage_is_the_sum_over_gaussians(half: Contributions):
+    white = half.image(torch.ones(len(half.gaussians), 3)) - half.background
+    torch.testing.assert_close(white[..., 1], half.coverage, atol=TOLERANCE, rtol=0)
+
+
+def test_weights_are_the_sums_over_pixels(half: Contributions):
+    for number in (0, 7, len(half.gaussians) - 1):
+        alone = torch.zeros(len(half.gaussians), 3)
+        alone[number] = 1
+        column = (half.image(alone) - half.background)[..., 0]
+        rows = torch.arange(column.shape[0])[:, None]
+        pixels = (rows < 30).expand_as(column)
+        # differences of colours around 1 carry an error of 1e-7 per pixel, of 3640
+        near = 1e-4 * float(column.sum()) + 2e-4
+        assert float(half.weights()[number]) == pytest.approx(float(column.sum()), abs=near)
+        above = float(column[pixels].sum())
+        assert float(half.weights(pixels)[number]) == pytest.approx(above, abs=near)
+    assert float(half.weights().sum()) == pytest.approx(float(half.coverage.sum()), rel=TOLERANCE)
+    assert not half.weights(torch.zeros_like(half.coverage, dtype=torch.bool)).any()
+
+
+def test_fixed_bands_give_the_same_image(half: Contributions):
+    fixed = half.with_fixed_bands(SPLATS)
+    brighter = replace(SPLATS, sh0=SPLATS.sh0 + 0.3 * HALF[:, None, None])
+    for splats in (SPLATS, brighter):  # HEADROOM costs 5 decimals of float32
+        torch.testing.assert_close(fixed.render(splats), half.render(splats), atol=1e-4, rtol=0)
+    weights = torch.randn(half.background.shape, generator=torch.Generator().manual_seed(5))
+    gradients = []
+    for view in (half, fixed):
+        splats = leaf(brighter, torch.float32)
+        (view.render(splats) * weights).sum().backward()
+        gradients.append(splats.sh0.grad)
+    assert relative_error(gradients[1], gradients[0].double()) < 1e-4
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_what_is_not_in_view(everything: bool):
+    away = torch.where(HALF[:, None] | torch.tensor(everything), SPLATS.means + 500, SPLATS.means)
+    splats = replace(SPLATS, means=away)
+    view = contributions(splats, CAMERA, HALF)
+    assert len(view.gaussians) == 0
+    assert view.weights().shape == (0,)
+    assert not view.coverage.any()
+    image, _ = reference(splats, HALF)
+    torch.testing.assert_close(view.render(splats), image, atol=TOLERANCE, rtol=0)
+    assert view.image(torch.zeros(0, 3, requires_grad=True)).shape == view.background.shape
+
+
+def test_memory_is_counted(half: Contributions):
+    pairs = len(half.kept[-1]) // 16
+    assert half.nbytes > 32 * pairs + half.background.nbytes
+    assert half.nbytes > contributions(SPLATS, CAMERA, CHOICES["few"]).nbytes

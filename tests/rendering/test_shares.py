@@ -1,0 +1,166 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import BALLS, CAMERAS, SPLATS
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import (
+    colors_and_coverage,
+    contributed,
+    coverage,
+    expected_depth,
+    label_votes,
+    render_shares,
+)
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import depths_of
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import render_labels
+
+PLAIN = replace(SPLATS, identities=None, classifier=None)
+TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
+PICKED = torch.arange(len(PLAIN)) % 3 == 0
+ROUNDING = 1e-4  # float32 sums of the same weights in another order
+
+
+def test_votes_are_the_pixels_that_show_a_gaussian():
+    ids, votes = label_votes(PLAIN, CAMERAS, enumerate(TRUTH))
+    assert ids == (0, *BALLS)
+    alphas = sum(rasterize(PLAIN, CAMERAS[row])[1].sum() for row in range(len(CAMERAS)))
+    assert votes.sum() == pytest.approx(float(alphas), rel=1e-4)
+
+
+def test_more_labels_than_fit_in_one_pass():
+    rows, columns = torch.meshgrid(torch.arange(36), torch.arange(48), indexing="ij")
+    squares = 1 + rows // 6 * 8 + columns // 6  # 48 labels
+    ids, votes = label_votes(PLAIN, CAMERAS, [(0, squares)])
+    assert ids == tuple(range(49)) and not votes[:, 0].any()
+    alphas = rasterize(PLAIN, CAMERAS[0])[1][0, ..., 0]
+    for id in (1, 17, 48):
+        assert votes[:, id].sum() == pytest.approx(float(alphas[squares == id].sum()), abs=1e-2)
+
+
+def test_shares_are_rendered_in_any_number():
+    shares = torch.rand(len(PLAIN), 20, generator=torch.Generator().manual_seed(0))
+    shown = render_shares(PLAIN, CAMERAS[1], shares)
+    assert shown.shape == (36, 48, 20)
+    for column in (0, 15, 16, 19):
+        one, _, _ = rasterize(PLAIN, CAMERAS[1], features=shares[:, column, None], sh_degree=0)
+        torch.testing.assert_close(shown[..., column], one[0, ..., 3], atol=1e-4, rtol=0)
+
+
+def alphas_of(camera: Cameras) -> torch.Tensor:
+    return rasterize(PLAIN, camera)[1][0, ..., 0]
+
+
+def test_weights_of_gaussians_and_of_pixels_have_one_sum():
+    ones = torch.ones(36, 48, 16)
+    weights = contributed(PLAIN, CAMERAS[0], ones)
+    assert weights.shape == (len(PLAIN), 16) and (weights >= 0).all()
+    assert torch.equal(weights[:, 0], weights[:, 15])
+    assert weights[:, 0].sum() == pytest.approx(float(alphas_of(CAMERAS[0]).sum()), rel=ROUNDING)
+
+
+def test_what_is_contributed_is_linear_in_what_is_wanted():
+    generator = torch.Generator().manual_seed(0)
+    one, other = torch.rand(2, 36, 48, 16, generator=generator)
+    found = contributed(PLAIN, CAMERAS[1], 2 * one - other)
+    parts = 2 * contributed(PLAIN, CAMERAS[1], one) - contributed(PLAIN, CAMERAS[1], other)
+    torch.testing.assert_close(found, parts, atol=1e-3, rtol=ROUNDING)  # sums of up to 100
+
+
+def test_contributed_is_the_transpose_of_the_render():
+    generator = torch.Generator().manual_seed(0)
+    carried, wanted = torch.rand(len(PLAIN), 16, generator=generator), torch.rand(36, 48, 16)
+    image = rasterize(PLAIN, CAMERAS[2], features=carried, sh_degree=0)[0][0, ..., 3:]
+    by_pixels = (image * wanted).sum()
+    by_gaussians = (contributed(PLAIN, CAMERAS[2], wanted) * carried).sum()
+    assert float(by_gaussians) == pytest.approx(float(by_pixels), rel=ROUNDING)
+
+
+def test_votes_of_views_and_of_parts_add_up():
+    _, both = label_votes(PLAIN, CAMERAS, [(0, TRUTH[0]), (3, TRUTH[3])])
+    single = [label_votes(PLAIN, CAMERAS, [(row, TRUTH[row])])[1] for row in (0, 3)]
+    torch.testing.assert_close(both, single[0] + single[1], atol=1e-3, rtol=ROUNDING)
+
+
+def test_votes_follow_the_names_of_labels():
+    ids, votes = label_votes(PLAIN, CAMERAS, [(0, TRUTH[0])])
+    renamed = torch.where(TRUTH[0] == 3, 9000, TRUTH[0])
+    others, same = label_votes(PLAIN, CAMERAS, [(0, renamed)])
+    assert others == (0, 7, 300, 9000) and ids == (0, 3, 7, 300)
+    torch.testing.assert_close(votes[:, [0, 2, 3, 1]], same)
+
+
+def test_what_no_view_shows_has_no_vote():
+    away = torch.where(PICKED[:, None], PLAIN.means + 500, PLAIN.means)
+    _, votes = label_votes(replace(PLAIN, means=away), CAMERAS, enumerate(TRUTH))
+    assert not votes[PICKED].any() and votes[~PICKED].any()
+
+
+def test_shares_that_add_up_to_one_show_the_coverage():
+    shares = torch.rand(len(PLAIN), 20, generator=torch.Generator().manual_seed(0))
+    shown = render_shares(PLAIN, CAMERAS[1], shares / shares.sum(dim=1, keepdim=True))
+    torch.testing.assert_close(shown.sum(-1), alphas_of(CAMERAS[1]), atol=ROUNDING, rtol=0)
+
+
+@pytest.mark.parametrize("row", [0, 5])
+def test_coverages_of_a_part_and_of_the_rest_are_the_whole(row: int):
+    camera = CAMERAS[row]
+    part, rest = coverage(PLAIN, camera, PICKED), coverage(PLAIN, camera, ~PICKED)
+    torch.testing.assert_close(part + rest, alphas_of(camera), atol=ROUNDING, rtol=0)
+    assert 0 <= part.min() and part.max() <= 1 and part.max() > 0.5
+    everything = coverage(PLAIN, camera, torch.ones_like(PICKED))
+    torch.testing.assert_close(everything, alphas_of(camera), atol=ROUNDING, rtol=0)
+    assert not coverage(PLAIN, camera, torch.zeros_like(PICKED)).any()
+
+
+def test_what_hides_an_object_lessens_its_coverage():
+    camera = CAMERAS[0]
+    alone = coverage(PLAIN[PICKED], camera, torch.ones(int(PICKED.sum()), dtype=torch.bool))
+    among = coverage(PLAIN, camera, PICKED)
+    assert (among <= alone + ROUNDING).all()
+    assert (among < alone - 0.1).any()
+
+
+def test_colors_come_with_their_coverage():
+    image, share = colors_and_coverage(PLAIN, CAMERAS[0], PICKED)
+    assert torch.equal(share[..., 0], coverage(PLAIN, CAMERAS[0], PICKED))
+    plain = rasterize(PLAIN, CAMERAS[0])[0][0]
+    torch.testing.assert_close(image, plain, atol=ROUNDING, rtol=0)
+
+
+def wall(depth: float) -> tuple[Splats, Cameras]:
+    """A dense wall of opaque Gaussians across the right half of a camera's view."""
+    y, x = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(0.1, 1, 20), indexing="ij")
+    means = depth * torch.stack([x, y, torch.ones_like(x)], dim=-1).reshape(-1, 3)
+    count = len(means)
+    splats = Splats(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=torch.full((count, 3), 0.05 * depth).log(),
+        opacities=torch.full((count,), 6.0),
+        sh0=torch.zeros(count, 1, 3),
+        shN=torch.zeros(count, 0, 3),
+    )
+    return splats, replace(CAMERAS[0], viewmats=torch.eye(4)[None])
+
+
+@pytest.mark.parametrize("depth", [0.5, 3.0, 40.0])
+def test_the_expected_depth_of_a_wall_is_where_it_stands(depth: float):
+    splats, camera = wall(depth)
+    found, alphas = expected_depth(splats, camera)
+    covered = alphas > 0.5
+    assert 0.2 < covered.float().mean() < 0.8
+    # the depth is an average of equal numbers: rounding
+    assert (found[covered] - depth).abs().max() < 1e-4 * depth
+    assert not found[alphas == 0].any() and (alphas == 0).any()
+
+
+def test_the_expected_depth_lies_between_the_depths():
+    depths = depths_of(PLAIN.means, CAMERAS[0])
+    found, alphas = expected_depth(PLAIN, CAMERAS[0])
+    seen = found[alphas > 0.01]
+    assert depths.min() - ROUNDING < seen.min() and seen.max() < depths.max() + ROUNDING
+    assert seen.max() > seen.min() + 0.5

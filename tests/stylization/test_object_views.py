@@ -1,0 +1,94 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import BALLS, CAMERAS, SPLATS
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import coverage
+from stylesplat.scene.projection import crop
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
+
+TABLE = 200  # Gaussians before the balls' 80 each
+
+
+def ball(number: int) -> torch.Tensor:
+    picked = torch.zeros(len(SPLATS), dtype=torch.bool)
+    picked[TABLE + 80 * number : TABLE + 80 * (number + 1)] = True
+    return picked
+
+
+def test_a_cropped_camera_sees_a_part_of_the_picture():
+    camera = CAMERAS[3]
+    whole, _, _ = rasterize(SPLATS, camera)
+    part, _, _ = rasterize(SPLATS, crop(camera, [11, 5], [29, 25]))
+    # Gaussians far outside the crop project a little differently: Jacobians are held there.
+    torch.testing.assert_close(part[0], whole[0, 5:30, 11:40], atol=1e-3, rtol=0)
+
+
+def test_coverages_add_up_to_the_alpha():
+    _, alphas, _ = rasterize(SPLATS, CAMERAS[0])
+    parts = [ball(i) for i in range(len(BALLS))]
+    parts.append(~torch.stack(parts).any(dim=0))
+    total = sum(coverage(SPLATS, CAMERAS[0], part) for part in parts)
+    torch.testing.assert_close(total, alphas[0, :, :, 0])
+
+
+def test_boxes_hold_the_object():
+    boxes = find_boxes(SPLATS, CAMERAS, ball(0))
+    assert [box.camera.names[0] for box in boxes] == list(CAMERAS.names)
+    for box in boxes:
+        seen = coverage(SPLATS, box.camera, ball(0)) > 0.5
+        (x0, y0), (x1, y1) = box.low.int().tolist(), box.high.int().tolist()
+        assert seen[y0:y1, x0:x1].sum() == seen.sum() > 0
+        assert box.length == max(x1 - x0, y1 - y0)
+    lengths = [box.length for box in boxes]
+    assert min(lengths) <= typical_length(boxes) <= max(lengths)
+
+
+def test_hidden_objects_have_no_box():
+    behind = replace(
+        CAMERAS[0], viewmats=CAMERAS[0].viewmats * torch.tensor([1, 1, -1, 1])[:, None]
+    )
+    assert find_boxes(SPLATS, behind, ball(0)) == []
+
+
+@pytest.mark.parametrize("zoom", [1.0, 2.5])
+def test_cells_are_those_that_the_object_covers(network: FeatureNetwork, zoom: float):
+    cells = [network.cells(2), network.cells(1)]
+    boxes = find_boxes(SPLATS, CAMERAS[3:5], ball(2))
+    views = cut_views(SPLATS, boxes, ball(2), cells, zoom=zoom)
+    assert len(views) == 2
+    for view in views:
+        image, _, _ = rasterize(SPLATS, view.camera)
+        shapes = [feats.shape[:2] for feats in network(image[0], [2, 1])]
+        assert [mask.shape for mask in view.cells] == shapes
+        seen = coverage(SPLATS, view.camera, ball(2))
+        assert torch.equal(view.cells[1], seen > 0.5)
+        coarse = view.cells[0].repeat_interleave(2, 0).repeat_interleave(2, 1)
+        h, w = coarse.shape
+        assert seen[:h, :w][coarse].mean() > 0.5
+
+
+def test_cuts_include_all_that_the_features_depend_on(network: FeatureNetwork):
+    cells = network.cells(2)
+    box = find_boxes(SPLATS, CAMERAS[:1], ball(2))
+    (view,) = cut_views(SPLATS, box, ball(2), [cells], zoom=1.0)
+    whole, _, _ = rasterize(SPLATS, CAMERAS[:1])
+    x, y = (CAMERAS.Ks[0, :2, 2] - view.camera.Ks[0, :2, 2]).int().tolist()
+    width, height = view.camera.size
+    part = whole[0, y : y + height, x : x + width]
+    torn = whole[0].clone()
+    torn[:y], torn[y + height :], torn[:, :x], torn[:, x + width :] = 9, 9, 9, 9
+    assert x + y > 0 and width < 48
+    rows, columns = view.cells[0].nonzero(as_tuple=True)
+    aligned = torn[y % cells.stride :, x % cells.stride :]
+    around = network(aligned, [2])[0][rows + y // cells.stride, columns + x // cells.stride]
+    torch.testing.assert_close(network(part, [2])[0][rows, columns], around)
+
+
+def test_views_that_hardly_show_the_object_are_skipped(network: FeatureNetwork):
+    boxes = find_boxes(SPLATS, CAMERAS, ball(0))
+    cells = [network.cells(2)]
+    assert cut_views(SPLATS, boxes, ball(0), cells, zoom=0.2) == []

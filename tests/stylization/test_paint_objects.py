@@ -1,0 +1,288 @@
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from balls import CAMERAS
+from striped_balls import FAST, GROWN, SCENE, TABLE, ball, same, with_settings
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.rendering.shares import coverage
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization import paint_objects as loop
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.paint_objects import (
+    Styled,
+    open_studio,
+    paint,
+    paint_live,
+    paint_objects,
+)
+from stylesplat.stylization.repaint import StyleJob
+
+
+def changed(styled: Splats) -> set[str]:
+    before, after = SCENE.tensors(), styled.tensors()
+    return {name for name in before if not torch.equal(before[name], after[name])}
+
+
+def painted(jobs: Sequence[StyleJob], network: FeatureNetwork, **options) -> Styled:
+    return paint_objects(open_studio(SCENE, CAMERAS, network, **options), jobs)[0]
+
+
+def styled_by(job: StyleJob, network: FeatureNetwork, **settings) -> Splats:
+    return painted([with_settings(job, **settings)], network).splats
+
+
+def picture_error(one: Splats, other: Splats) -> float:
+    """PSNR of all views."""
+    pairs = [(rasterize(s, CAMERAS)[0] for s in (one, other))]
+    return max(float(-10 * (a - b).square().mean().log10()) for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def job(stripes: torch.Tensor) -> StyleJob:
+    return StyleJob("ball", ball(0), (stripes,), FAST)
+
+
+@pytest.mark.parametrize("mode", ["drop", "keep", "train"])
+def test_only_colors_of_the_picked_change(job: StyleJob, network: FeatureNetwork, mode: str):
+    job = with_settings(job, view_dependence=mode, color="free")
+    styled = painted([job], network)
+    splats = styled.splats
+    assert changed(splats) == ({"sh0"} if mode == "keep" else {"sh0", "shN"})
+    assert torch.equal(splats.sh0[~job.picked], SCENE.sh0[~job.picked])
+    assert torch.equal(splats.shN[~job.picked], SCENE.shN[~job.picked])
+    assert splats.shN[job.picked].any() == (mode != "drop")
+    assert same(styled.base, SCENE)
+    assert not any(t.requires_grad for t in splats.tensors().values())
+
+
+def test_the_rest_is_the_same_to_the_bit_after_splitting(job: StyleJob, network: FeatureNetwork):
+    job = with_settings(job, max_growth=GROWN)
+    styled = painted([job], network)
+    count = len(SCENE)
+    assert len(styled.splats) == len(styled.parents) > count
+    for name, before in SCENE.tensors().items():
+        after, base = (s.tensors()[name] for s in (styled.splats, styled.base))
+        assert torch.equal(after[:count][~job.picked], before[~job.picked]), name
+        if name in ("sh0", "shN"):
+            assert torch.equal(base, before[styled.parents]), name
+        else:
+            assert torch.equal(base, after), name
+    assert job.picked[styled.parents[count:]].all()
+
+
+def test_colors_start_where_they_were(job: StyleJob, network: FeatureNetwork):
+    settings = {"steps": 2, "lr": 1e-6, "view_dependence": "train", "color": "free"}
+    styled = styled_by(job, network, **settings)
+    torch.testing.assert_close(styled.sh0, SCENE.sh0, atol=1e-5, rtol=0)
+    torch.testing.assert_close(styled.shN, SCENE.shN, atol=1e-5, rtol=0)
+
+
+def test_colors_stay_in_range_where_gradients_exist(job: StyleJob, network: FeatureNetwork):
+    styled = styled_by(job, network, lr=2.0, final_lr=1.0, color="free")
+    colors = rgb_from_sh0(styled.sh0[job.picked])
+    assert -1e-6 <= colors.min() < 0.01  # a few roundings; and some did go to the limit
+    assert 0.99 < colors.max() <= 1 + 1e-6
+
+
+def test_the_rate_decays(job: StyleJob, network: FeatureNetwork):
+    """With Adam's steps of about one rate each, the sum of the rates bounds the way."""
+    styled = styled_by(job, network, lr=0.1, final_lr=1e-6, color="free", steps=4)
+    # one stage of three steps and one of one, each decays
+    rates = [0.1 * 1e-6 ** (step / 3) for step in range(3)] + [0.1]
+    assert (styled.sh0 - SCENE.sh0).abs().max() < 1.5 * sum(rates) < 0.8 * 0.1 * 4
+
+
+def test_seeds_reproduce(job: StyleJob, network: FeatureNetwork):
+    one, again, other = (styled_by(job, network, seed=seed, max_growth=GROWN) for seed in (0, 0, 1))
+    assert same(one, again)
+    assert not torch.equal(one.sh0, other.sh0)
+
+
+def test_each_object_is_styled_by_itself(job: StyleJob, network: FeatureNetwork):
+    """And each with its own settings, in whatever order."""
+    job = with_settings(job, max_growth=GROWN)
+    own = replace(FAST, steps=7, color="free", view_dependence="keep", seed=5, max_growth=1.5)
+    second = StyleJob("second", ball(2), (job.styles[0].flip(-1),), own)
+    both, seconds = paint_objects(open_studio(SCENE, CAMERAS, network), [job, second])
+    swapped = painted([second, job], network)
+    for each in (job, second):
+        alone = painted([each], network)
+        theirs = each.picked[alone.parents]
+        for styled in (both, swapped):
+            mine = each.picked[styled.parents]
+            for part in ("splats", "base"):
+                assert same(getattr(styled, part)[mine], getattr(alone, part)[theirs]), part
+            assert torch.equal(styled.parents[mine], alone.parents[theirs])
+    neither = ~(job.picked | second.picked)
+    assert same(both.splats[neither[both.parents]], SCENE[neither])
+    assert list(seconds) == ["ball", "second"] and all(taken > 0 for taken in seconds.values())
+
+
+def test_intensity_blends_renders(job: StyleJob, network: FeatureNetwork):
+    half, full = (
+        painted([with_settings(job, intensity=i, max_growth=GROWN)], network) for i in (0.5, 1.0)
+    )
+    for name in ("sh0", "shN"):
+        pair = (getattr(s, name) for s in (full.base, full.splats))
+        torch.testing.assert_close(getattr(half.splats, name), sum(pair) / 2)
+        assert torch.equal(getattr(half.full, name), getattr(full.splats, name))
+
+
+def test_intensity_0_changes_nothing(job: StyleJob, network: FeatureNetwork):
+    splats = styled_by(job, network, intensity=0.0, max_growth=GROWN)
+    assert len(splats) == len(SCENE)
+    assert same(splats, SCENE)
+
+
+@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+def test_views_that_do_not_fit_into_memory_give_the_same_picture(
+    job: StyleJob,
+    network: FeatureNetwork,
+    precision: torch.dtype,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(loop, "fastest_dtype", lambda _: precision)
+    kept, drawn = (painted([job], network, max_memory=memory).splats for memory in (1.0, 0.0))
+    # weights are kept as float16, which may decide between two matches that are as good
+    assert picture_error(kept, drawn) > 45
+    assert picture_error(kept, SCENE) < 30
+
+
+def seen_colors(splats: Splats, picked: torch.Tensor) -> torch.Tensor:
+    """Where nearly nothing but the object shows."""
+    pixels = []
+    for index in range(len(CAMERAS)):
+        covered = coverage(SCENE, CAMERAS[index], picked) > 0.95
+        pixels.append(rasterize(splats, CAMERAS[index])[0][0][covered])
+    return torch.cat(pixels)
+
+
+def test_whose_colors_the_object_has(job: StyleJob, network: FeatureNetwork):
+    own = seen_colors(SCENE, job.picked).mean(dim=0)
+    style = job.styles[0].reshape(-1, 3)
+    ways = {
+        color: seen_colors(styled_by(job, network, color=color), job.picked)
+        for color in ("style", "keep", "blend")
+    }
+    # matched where the table shows through too, and before colours are clamped at black
+    near = 0.1
+    assert (ways["keep"].mean(dim=0) - own).norm() < near
+    assert (ways["style"].mean(dim=0) - style.mean(dim=0)).norm() < 2.5 * near
+    assert (ways["blend"].mean(dim=0) - (own + style.mean(dim=0)) / 2).norm() < near
+    assert (own - style.mean(dim=0)).norm() > 4 * near
+    spread, wanted = ways["style"].T.cov(), style.T.cov()
+    assert (spread - wanted).norm() < 0.5 * wanted.norm()
+
+
+def test_features_take_the_best_match_of_several_pictures(job: StyleJob, network: FeatureNetwork):
+    noise = torch.rand(44, 52, 3, generator=torch.Generator().manual_seed(0))
+    both = painted([replace(job, styles=(*job.styles, noise))], network)
+    twice = painted([replace(job, styles=job.styles * 2)], network)
+    single = styled_by(job, network)
+    assert picture_error(twice.splats, single) > picture_error(both.splats, single) + 3
+
+
+def test_the_verb(job: StyleJob, network: FeatureNetwork, tmp_path: Path):
+    path = tmp_path / "style.png"
+    pixels = (job.styles[0] * 255).round().to(torch.uint8)
+    Image.fromarray(pixels.numpy()).save(path)
+    photos = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
+    rest = {"config": FAST, "network": network}
+    by_file = paint(SCENE, Capture(CAMERAS, photos), job.picked, path, **rest)
+    by_pixels = paint(SCENE, CAMERAS, job.picked, pixels / 255, **rest)
+    assert same(by_file, by_pixels)
+    with pytest.raises(StyleSplatError, match="There is no image"):
+        paint(SCENE, CAMERAS, job.picked, tmp_path / "none.png", **rest)
+
+
+def test_live_states_lead_to_the_same(job: StyleJob, network: FeatureNetwork):
+    config = replace(FAST, intensity=0.7, max_growth=GROWN)
+    rest = (SCENE, CAMERAS, job.picked, job.styles[0])
+    live = paint_live(*rest, config=config, network=network)
+    early = list(islice(live, 5))
+    assert [state.step for state in early] == [1, 2, 3, 4, 5]
+    kept = early[-1].splats.sh0.clone()
+    late = list(live)  # goes on
+    assert [state.step for state in late] == list(range(6, 13))
+    assert all(state.steps == 12 and math.isfinite(state.nnfm) for state in early + late)
+    assert same(late[-1].splats, paint(*rest, config=config, network=network))
+    assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
+    assert not torch.equal(early[-2].splats.sh0, kept)
+    assert len(early[0].splats) == len(early[0].parents) > len(SCENE)
+    assert same(early[0].base, late[-1].base)
+
+
+def test_a_shorter_look_costs_nothing_later(job: StyleJob, network: FeatureNetwork):
+    """Whoever stops asking may start again, and gets the same."""
+    rest = (SCENE, CAMERAS, job.picked, job.styles[0])
+    live = paint_live(*rest, config=FAST, network=network)
+    next(live)
+    del live
+    again = paint_live(*rest, config=FAST, network=network)
+    assert same(deque(again, maxlen=1).pop().splats, paint(*rest, config=FAST, network=network))
+
+
+def test_unseen_objects(job: StyleJob, network: FeatureNetwork):
+    faint = replace(SCENE, opacities=torch.where(job.picked, -20.0, SCENE.opacities))
+    with pytest.raises(StyleSplatError, match="ball: it is seen in none of the 8 views"):
+        paint_objects(open_studio(faint, CAMERAS, network), [job])
+    with pytest.raises(StyleSplatError, match="ball: it is hardly visible"):
+        painted([with_settings(job, object_size=4, scale=50.0)], network)
+
+
+def test_too_few_gaussians(job: StyleJob, network: FeatureNetwork):
+    few = replace(job, picked=job.picked & (torch.arange(len(SCENE)) < TABLE + 49))
+    with pytest.raises(StyleSplatError, match="ball: it has 49 Gaussians"):
+        painted([few], network)
+
+
+def test_jobs_that_clash(job: StyleJob, network: FeatureNetwork):
+    wide = replace(job, name="wide", picked=ball(0) | ball(1))
+    with pytest.raises(StyleSplatError, match="ball and wide at once: they share 80 Gaussians"):
+        painted([job, wide], network)
+    with pytest.raises(StyleSplatError, match="ball was given twice"):
+        painted([job, replace(job, picked=ball(1))], network)
+    with pytest.raises(StyleSplatError, match="Nothing to stylise"):
+        painted([], network)
+
+
+def test_small_styles(job: StyleJob, network: FeatureNetwork):
+    small = replace(job, styles=(*job.styles, torch.rand(8, 90, 3)))
+    with pytest.raises(StyleSplatError, match="it is 90x8 pixels"):
+        painted([small], network)
+
+
+def test_memory_and_grad_mode(job: StyleJob, network: FeatureNetwork):
+    with pytest.raises(StyleSplatError, match="Cannot keep views in -1"):
+        painted([job], network, max_memory=-1.0)
+    rest = (SCENE, CAMERAS, job.picked, job.styles[0])
+    with torch.no_grad():  # as a viewer may call it
+        quiet = paint(*rest, config=FAST, network=network)
+    assert same(quiet, paint(*rest, config=FAST, network=network))
+
+
+def test_a_style_too_small_for_the_coarse_stage_is_painted_at_the_last_size(
+    job: StyleJob, network: FeatureNetwork
+):
+    network_needs = 11 + 1  # pixels of this style image's shorter side
+    height, width = job.styles[0].shape[:2]
+    scale = 1.2 * network_needs * max(height, width) / min(height, width) / 24
+    small = with_settings(job, object_size=24, scale=scale, steps=4)
+    live = paint_live(
+        SCENE, CAMERAS, small.picked, small.styles[0], config=small.config, network=network
+    )
+    *_, last = live
+    assert (last.step, last.steps) == (4, 4)
+    styled = painted([small], network)
+    assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)

@@ -1,0 +1,159 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import ExifTags, Image
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.stylization import style_images as pictures
+from stylesplat.stylization.style_images import inscribed_rectangle, read_style
+
+PIXELS = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
+
+
+def save(path: Path, pixels: np.ndarray = PIXELS, **how) -> Path:
+    Image.fromarray(pixels).save(path, **how)
+    return path
+
+
+def as_bytes(style: torch.Tensor) -> np.ndarray:
+    return (255 * style).round().to(torch.uint8).numpy()
+
+
+def ramp(width: int, height: int) -> np.ndarray:
+    """Red tells where a pixel's centre is in x, green in y; four levels a pixel at most."""
+    xs, ys = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return np.stack([255 * xs / width, 255 * ys / height, 0 * xs], axis=-1).round().astype(np.uint8)
+
+
+def test_colours_are_those_of_the_picture(tmp_path: Path):
+    style = read_style(save(tmp_path / "a.png"))
+    np.testing.assert_array_equal(as_bytes(style), PIXELS)
+    assert style.min() == 0 and style.max() == 1
+
+
+@pytest.mark.parametrize("degrees", [-270, -90, 0, 90, 180, 270, 360, 450])
+def test_quarter_turns_keep_every_pixel(tmp_path: Path, degrees: int):
+    style = read_style(save(tmp_path / "a.png"), rotate=float(degrees))
+    np.testing.assert_array_equal(as_bytes(style), np.rot90(PIXELS, degrees // 90))
+
+
+@pytest.mark.parametrize("degrees", [-30.0, 7.0, 45.0, 120.0, 200.0])
+@pytest.mark.parametrize("size", [(120, 90), (70, 150)], ids=str)
+def test_turning_moves_colours_counter_clockwise(
+    tmp_path: Path, size: tuple[int, int], degrees: float
+):
+    width, height = size
+    style = read_style(save(tmp_path / "a.png", ramp(width, height)), rotate=degrees).numpy()
+    inner_height, inner_width = style.shape[:2]
+    ys, xs = np.mgrid[:inner_height, :inner_width] + 0.5
+    right, up = xs - inner_width / 2, inner_height / 2 - ys
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    # What the picture had there, before all of it was turned the other way
+    source_x = width / 2 + cos * right + sin * up
+    source_y = height / 2 - (cos * up - sin * right)
+    assert source_x.min() >= 0 and source_x.max() <= width, "no empty corners"
+    assert source_y.min() >= 0 and source_y.max() <= height, "no empty corners"
+    # Half a level for rounding the ramp, which cubic weights raise by 1.25 in x and in y, and half
+    # for the result; 1/64 of a pixel, as OpenCV rounds positions to 1/32; half a one at borders
+    levels, within = 0.5 * 1.25**2 + 0.5, np.s_[2:-2, 2:-2]
+    for channel, source, length in ((0, source_x, width), (1, source_y, height)):
+        found, error = style[..., channel] * length, levels * length / 255 + 1 / 64
+        np.testing.assert_allclose(found[within], source[within], rtol=0, atol=error)
+        np.testing.assert_allclose(found, source, rtol=0, atol=error + 0.5)
+
+
+@pytest.mark.parametrize("degrees", [1.0, 20.0, 45.0, 60.0, 135.0, -80.0])
+@pytest.mark.parametrize("size", [(100, 80), (80, 100), (300, 50), (64, 64)], ids=str)
+def test_no_larger_rectangle_lies_inside(size: tuple[int, int], degrees: float):
+    cos, sin = abs(math.cos(math.radians(degrees))), abs(math.sin(math.radians(degrees)))
+    # Corners, turned back, must stay inside: of all rectangles so bounded take the largest
+    widths = np.linspace(0, max(size), 200_001)
+    heights = np.minimum((size[0] - widths * cos) / sin, (size[1] - widths * sin) / cos)
+    best = (widths * heights)[heights >= 0].max()
+    width, height = inscribed_rectangle(*size, degrees)
+    assert width * cos + height * sin <= size[0] + 1e-9
+    assert width * sin + height * cos <= size[1] + 1e-9
+    assert width * height == pytest.approx(best, rel=1e-4)  # the grid's step
+
+
+def test_a_region_is_of_the_upright_picture(tmp_path: Path):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    path = save(tmp_path / "a.png", exif=exif)
+    upright = np.rot90(PIXELS, -1)
+    style = read_style(path, region=(3, 5, 38, 60))
+    np.testing.assert_array_equal(as_bytes(style), upright[5:60, 3:38])
+    turned = read_style(path, region=(3, 5, 38, 60), rotate=90.0)
+    np.testing.assert_array_equal(as_bytes(turned), np.rot90(upright[5:60, 3:38]))
+    assert read_style(path, region=(0, 0, 40, 60)).shape == (60, 40, 3)
+
+
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        ((0, 0, 61, 40), r"region 0,0,61,40 of .*a\.png reaches outside. Stay within 0,0,60,40"),
+        ((-1, 0, 40, 40), "reaches outside"),
+        ((0, -1, 40, 40), "reaches outside"),
+        ((0, 0, 40, 41), "reaches outside"),
+        ((40, 0, 40, 40), "is empty. Pass x0,y0,x1,y1 with x0 < x1"),
+        ((0, 40, 40, 0), "is empty"),
+        ((0, 0, 40, 31), r"a\.png is 40x31 pixels, too little .* at least 32x32"),
+    ],
+)
+def test_unfit_regions(tmp_path: Path, region: tuple[int, int, int, int], message: str):
+    with pytest.raises(StyleSplatError, match=message):
+        read_style(save(tmp_path / "a.png"), region=region)
+
+
+def test_small_pictures(tmp_path: Path):
+    assert read_style(save(tmp_path / "a.png", PIXELS[:32, :32])).shape == (32, 32, 3)
+    for pixels, size in ((PIXELS[:31], "60x31"), (PIXELS[:, :31], "31x40")):
+        with pytest.raises(StyleSplatError, match=rf"b\.png is {size} pixels, too little"):
+            read_style(save(tmp_path / "b.png", pixels))
+    with pytest.raises(StyleSplatError, match=r"Turned by 45\.0, .*a\.png is 22x22 pixels"):
+        read_style(tmp_path / "a.png", rotate=45.0)
+    with pytest.raises(StyleSplatError, match=r"Cannot turn .*a\.png by nan degrees"):
+        read_style(tmp_path / "a.png", rotate=math.nan)
+
+
+def test_huge_pictures_are_scaled_down(tmp_path: Path, said: list[str], capsys, monkeypatch):
+    monkeypatch.setattr(pictures, "MAX_SIDE", 50)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 9000)  # below it Pillow would not warn
+    pixels = np.random.default_rng(0).integers(0, 256, (100, 100, 3), np.uint8)
+    path = save(tmp_path / "a.png", pixels)
+    means = pixels.reshape(50, 2, 50, 2, 3).astype(float).mean(axis=(1, 3))
+    # Half a level for rounding
+    np.testing.assert_allclose(255 * read_style(path).numpy(), means, atol=0.5 + 1e-3)
+    assert said == [f"{path}: scaled down from 100x100 to 50x50 pixels"]
+    part = read_style(path, region=(60, 50, 100, 100))
+    np.testing.assert_array_equal(as_bytes(part), pixels[50:, 60:])
+    assert len(said) == 1, "what is left is not huge"
+    assert capsys.readouterr() == ("", ""), "the library itself prints nothing"
+    with pytest.raises(StyleSplatError, match=r"to 50 pixels of length, .*a\.png is 50x20 pixels"):
+        read_style(path, region=(0, 0, 100, 40))
+
+
+@pytest.mark.parametrize("suffix", ["gif", "png", "webp", "tiff"])
+def test_animations_are_refused(tmp_path: Path, suffix: str):
+    further = [Image.fromarray(PIXELS[::-1]), Image.fromarray(PIXELS[:, ::-1])]
+    path = save(tmp_path / f"a.{suffix}", save_all=True, append_images=further)
+    with pytest.raises(StyleSplatError, match=rf"a\.{suffix} has 3 frames .* Save one frame"):
+        read_style(path)
+
+
+def test_a_phones_photo_with_a_second_picture_inside_is_none(tmp_path: Path):
+    depth = Image.fromarray(PIXELS[::2, ::2, 0])
+    flat = np.full((40, 60, 3), 99, np.uint8)
+    path = save(tmp_path / "a.jpg", flat, format="MPO", save_all=True, append_images=[depth])
+    assert (as_bytes(read_style(path)) == 99).all()
+
+
+def test_files_that_are_no_pictures(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"There is no image .*a\.png"):
+        read_style(tmp_path / "a.png")
+    (tmp_path / "a.png").write_text("<html>404</html>")
+    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*a\.png"):
+        read_style(tmp_path / "a.png")

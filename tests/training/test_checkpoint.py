@@ -1,0 +1,266 @@
+import signal
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from scenes import random_splats
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import atomic_path
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.fingerprint import fingerprint
+from stylesplat.training.checkpoint import (
+    Checkpoint,
+    load_checkpoint,
+    remove_leftovers,
+    save_checkpoint,
+)
+from stylesplat.training.loop import fit
+from stylesplat.training.state import State, first_state
+from stylesplat.training.train_config import TrainConfig
+
+CPU = torch.device("cpu")
+MARK = "names=1 size=2 poses=3 points=4 labels=5 objects=6 photos=7"
+REMEDY = "The same settings and photos continue it; `--restart` begins anew."
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Checkpoint:
+    return Checkpoint(tmp_path / "checkpoint.pt", TrainConfig(steps=9), MARK)
+
+
+def state() -> State:
+    begun = first_state(random_splats(20))
+    for name, tensor in begun.moments.first.items():
+        tensor += torch.randn(tensor.shape, generator=torch.Generator().manual_seed(len(name)))
+    return replace(begun, step=4, seconds=1.5, ids=(0, 3))
+
+
+def stopped_at(step: int):
+    def stop(state: State, loss: float, psnr: float) -> None:
+        if state.step == step:
+            signal.raise_signal(signal.SIGINT)
+
+    return stop
+
+
+def assert_equal(one: State, other: State) -> None:
+    for name, tensor in one.params.items():
+        assert torch.equal(tensor, other.params[name]), name
+        assert torch.equal(one.moments.first[name], other.moments.first[name]), name
+        assert torch.equal(one.moments.second[name], other.moments.second[name]), name
+
+
+def test_what_is_loaded_is_what_was_saved(place: Checkpoint):
+    before = state()
+    save_checkpoint(place, before)
+    after = load_checkpoint(place, CPU)
+    assert_equal(before, after)
+    assert (after.step, after.seconds, after.ids) == (4, 1.5, (0, 3))
+    assert after.first_count == before.first_count
+    assert all(tensor.requires_grad for tensor in after.params.values())
+
+
+def test_nothing_but_the_file_is_left(place: Checkpoint):
+    save_checkpoint(place, state())
+    save_checkpoint(place, state())
+    assert [*place.path.parent.iterdir()] == [place.path]
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"seed": 5}, "a run with another seed"),
+        ({"steps": 10, "max_gaussians": 7}, "a run with another steps, max_gaussians"),
+        ({"max_seconds": 3.0}, "a run with another max_seconds"),
+        ({"coarse_to_fine": False}, "a run with another coarse_to_fine"),
+    ],
+)
+def test_other_settings_are_named(place: Checkpoint, settings: dict, told: str):
+    save_checkpoint(place, state())
+    other = replace(place, config=replace(place.config, **settings))
+    with pytest.raises(StyleSplatError) as caught:
+        load_checkpoint(other, CPU)
+    assert str(caught.value) == f"Cannot continue from {place.path}: it is of {told}. {REMEDY}"
+
+
+def test_every_setting_but_those_of_memory_counts(place: Checkpoint):
+    other = {
+        name: (not value) if isinstance(value, bool) else (value or 0) + 1
+        for name, value in asdict(place.config).items()
+    }
+    other["object_pixels"] = other["max_seconds"] = 1.0
+    for name, value in other.items():
+        config = replace(place.config, **{name: value})
+        save_checkpoint(replace(place, config=config), state())
+        if name == "max_memory":
+            load_checkpoint(place, CPU)
+            continue
+        with pytest.raises(StyleSplatError, match=f"another {name}\\."):
+            load_checkpoint(place, CPU)
+
+
+@pytest.mark.parametrize(
+    ("part", "told"),
+    [
+        ("size=2", "photos of another size"),
+        ("poses=3", "other poses"),
+        ("labels=5", "other label maps"),
+        ("photos=7", "photos that look otherwise"),
+    ],
+)
+def test_other_captures_are_named(place: Checkpoint, part: str, told: str):
+    save_checkpoint(place, state())
+    other = replace(place, capture=MARK.replace(part, f"{part}0"))
+    with pytest.raises(StyleSplatError, match=f"it is of {told}. {REMEDY}"):
+        load_checkpoint(other, CPU)
+
+
+def test_other_settings_and_another_capture_are_both_named(place: Checkpoint):
+    save_checkpoint(place, state())
+    other = Checkpoint(place.path, TrainConfig(steps=8), MARK.replace("points=4", "points=9"))
+    with pytest.raises(StyleSplatError, match="a run with another steps, other points"):
+        load_checkpoint(other, CPU)
+
+
+def test_checkpoints_that_do_not_know_their_capture_are_refused(place: Checkpoint):
+    save_checkpoint(place, state())
+    content = torch.load(place.path, weights_only=True)
+    del content["capture"]
+    torch.save(content, place.path)
+    with pytest.raises(StyleSplatError, match=f"older version, .*photos, poses, .*{REMEDY}"):
+        load_checkpoint(place, CPU)
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", "half", "other"])
+def test_what_is_no_checkpoint_is_refused(place: Checkpoint, content):
+    save_checkpoint(place, state())
+    if content == "half":
+        content = place.path.read_bytes()[:1000]
+    if content == "other":
+        torch.save({"config": {}, "capture": MARK}, place.path)
+    else:
+        place.path.write_bytes(content)
+    with pytest.raises(StyleSplatError, match=r"Cannot continue from .*--restart"):
+        load_checkpoint(place, CPU)
+
+
+def test_what_is_refused_is_never_deleted(place: Checkpoint):
+    save_checkpoint(place, state())
+    before = place.path.read_bytes()
+    with pytest.raises(StyleSplatError):
+        load_checkpoint(replace(place, config=TrainConfig(seed=3)), CPU)
+    assert place.path.read_bytes() == before
+
+
+def test_refusing_leaves_the_folder_as_it_is(capture: Capture, config, tmp_path: Path):
+    path, other = tmp_path / "checkpoint.pt", tmp_path / ".checkpoint.0123456789ab.pt"
+    path.write_bytes(b"something")
+    other.write_bytes(b"else")
+    with pytest.raises(StyleSplatError, match="Cannot continue"):
+        fit(capture, config, checkpoint=path)
+    assert path.read_bytes() == b"something" and other.read_bytes() == b"else"
+
+
+def test_leftovers_of_killed_writes_go(tmp_path: Path):
+    path = tmp_path / "checkpoint.pt"
+    with atomic_path(path) as temporary:  # the name that a killed write leaves behind
+        temporary.touch()
+        left = temporary
+    left.write_bytes(b"half")
+    kept = [".checkpoint.pt", ".checkpoint.notours.pt", ".checkpoint.0123456789ab.ply", "a.pt"]
+    for name in kept:
+        (tmp_path / name).touch()
+    (tmp_path / ".checkpoint.aaaaaaaaaaaa.pt").mkdir()
+    remove_leftovers(path)
+    there = {file.name for file in tmp_path.iterdir()}
+    assert there == {*kept, "checkpoint.pt", ".checkpoint.aaaaaaaaaaaa.pt"}
+
+
+def test_leftovers_of_no_folder(tmp_path: Path):
+    remove_leftovers(tmp_path / "none" / "checkpoint.pt")
+
+
+def test_a_run_cleans_up_after_a_killed_one(capture: Capture, config, tmp_path: Path):
+    left = tmp_path / ".checkpoint.0123456789ab.pt"
+    left.touch()
+    fit(capture, replace(config, steps=1), checkpoint=tmp_path / "checkpoint.pt")
+    assert not left.exists()
+
+
+@pytest.mark.parametrize("joint", [True, False], ids=["joint", "colour"])
+def test_interrupted_and_continued_is_the_straight_run(
+    capture: Capture, config: TrainConfig, tmp_path: Path, joint: bool
+):
+    photos = capture if joint else replace(capture, label_maps=None)
+    path = tmp_path / "new folder" / "checkpoint.pt"
+    with pytest.raises(KeyboardInterrupt):
+        fit(photos, config, checkpoint=path, on_progress=stopped_at(30))
+    continued = fit(photos, config, checkpoint=path)
+    straight = fit(photos, config)
+    assert continued.step == straight.step == config.steps
+    assert ("identities" in straight.params) == joint
+    assert_equal(continued, straight)
+
+
+def test_interrupted_twice(capture: Capture, config: TrainConfig, tmp_path: Path):
+    path = tmp_path / "checkpoint.pt"
+    for step in (10, 40):
+        with pytest.raises(KeyboardInterrupt):
+            fit(capture, config, checkpoint=path, on_progress=stopped_at(step))
+    assert_equal(fit(capture, config, checkpoint=path), fit(capture, config))
+
+
+def test_continuing_says_so(capture: Capture, config: TrainConfig, tmp_path: Path, said: list):
+    path = tmp_path / "checkpoint.pt"
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=path, on_progress=stopped_at(10))
+    assert said == []
+    fit(capture, config, checkpoint=path)
+    assert said == [f"Continuing from {path}, after 10 steps. `--restart` begins anew."]
+
+
+def test_a_finished_run_is_not_run_again(capture: Capture, config: TrainConfig, tmp_path: Path):
+    path, steps = tmp_path / "checkpoint.pt", []
+    done = fit(capture, config, checkpoint=path)
+    again = fit(
+        capture, config, checkpoint=path, on_progress=lambda state, *_: steps.append(state.step)
+    )
+    assert steps == []
+    assert_equal(done, again)
+
+
+def test_a_run_of_other_photos_is_refused(capture: Capture, config: TrainConfig, tmp_path: Path):
+    path = tmp_path / "checkpoint.pt"
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=path, on_progress=stopped_at(10))
+    cameras = capture.cameras.downscale(2)
+    small = replace(
+        capture,
+        cameras=cameras,
+        photos=[photo[::2, ::2].contiguous() for photo in capture.photos],
+        label_maps=None,
+    )
+    unlabelled = replace(capture, label_maps=None)
+    turned = replace(capture, photos=[255 - photo for photo in capture.photos])
+    for other, told in (
+        (small, "photos of another size"),
+        (unlabelled, "other label maps"),
+        (turned, "photos that look otherwise"),
+    ):
+        with pytest.raises(StyleSplatError, match=told):
+            fit(other, config, checkpoint=path)
+    assert fit(capture, config, checkpoint=path).step == config.steps
+
+
+def test_a_moved_capture_and_another_memory_continue(
+    capture: Capture, config: TrainConfig, tmp_path: Path
+):
+    path = tmp_path / "checkpoint.pt"
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=path, on_progress=stopped_at(10))
+    moved = replace(capture, path=tmp_path)
+    assert fingerprint(moved) == fingerprint(capture)
+    continued = fit(moved, replace(config, max_memory=0.0), checkpoint=path)
+    assert_equal(continued, fit(capture, config))

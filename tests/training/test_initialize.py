@@ -1,0 +1,159 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.projection import shown
+from stylesplat.scene.splats import Splats
+from stylesplat.training.initialize import (
+    MIN_VIEWS,
+    first_splats,
+    neighbor_distances,
+    scene_extent,
+    seen_together,
+)
+
+
+def begun(
+    capture: Capture,
+    *,
+    seed: int = 0,
+    cap: int = 1000,
+    sh_degree: int = 3,
+    ids: tuple[int, ...] = (),
+) -> Splats:
+    generator = torch.Generator().manual_seed(seed)
+    return first_splats(
+        capture, sh_degree=sh_degree, max_gaussians=cap, generator=generator, ids=ids
+    )
+
+
+def noise(count: int) -> torch.Tensor:
+    return torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
+
+
+def test_one_gaussian_per_point(capture: Capture):
+    assert capture.points is not None and capture.point_colors is not None
+    splats = begun(capture)
+    assert torch.equal(splats.means, capture.points)
+    colors = rgb_from_sh0(splats.sh0[:, 0])
+    assert torch.allclose(colors, capture.point_colors / 255, atol=1e-6)
+
+
+def test_points_without_colours_are_grey(capture: Capture):
+    colors = rgb_from_sh0(begun(replace(capture, point_colors=None)).sh0)
+    assert torch.allclose(colors, torch.tensor(128 / 255), atol=1e-6)
+
+
+def test_of_too_many_points_some_are_taken(capture: Capture):
+    assert capture.points is not None
+    splats = begun(capture, cap=50)
+    assert len(splats) == 50 == len(splats.means.unique(dim=0))
+    assert (splats.means[:, None] == capture.points).all(-1).any(1).all()
+
+
+def test_first_gaussians_are_round_and_faint(capture: Capture):
+    splats = begun(capture)
+    assert (splats.scales == splats.scales[:, :1]).all()
+    assert torch.allclose(torch.sigmoid(splats.opacities), torch.tensor(0.1))
+    assert torch.allclose(splats.quats.norm(dim=1), torch.tensor(1.0))
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_higher_bands_are_black(capture: Capture, degree: int):
+    splats = begun(capture, sh_degree=degree)
+    assert splats.sh_degree == degree and not splats.shN.any()
+
+
+def test_without_ids_there_are_no_identities(capture: Capture):
+    splats = begun(capture)
+    assert splats.identities is None and splats.classifier is None
+
+
+def test_with_ids_there_are_identities_and_a_classifier(capture: Capture):
+    splats = begun(capture, ids=(0, 3, 7))
+    assert splats.identities is not None and splats.classifier is not None
+    assert splats.classifier.ids == (0, 3, 7) and splats.classifier.weight.shape == (3, 16)
+    assert splats.identities.std() == pytest.approx(1, abs=0.1)
+
+
+def test_ids_change_no_gaussian(capture: Capture):
+    plain, joint = begun(capture), begun(capture, ids=(0, 3))
+    for name, tensor in plain.tensors().items():
+        assert torch.equal(tensor, joint.tensors()[name]), name
+
+
+def test_everything_random_follows_from_the_generator(capture: Capture):
+    bare = replace(capture, points=None, point_colors=None)
+    one, same, other = (begun(bare, seed=seed, ids=(0, 3)) for seed in (1, 1, 2))
+    for name, tensor in one.tensors().items():
+        assert torch.equal(tensor, same.tensors()[name]), name
+    assert not torch.equal(one.means, other.means)
+
+
+def test_distances_to_neighbours_by_hand():
+    # At 0, 1, 3, 7 and 15 on a line; three neighbours each.
+    points = torch.zeros(5, 3)
+    points[:, 0] = torch.tensor([0.0, 1, 3, 7, 15])
+    expected = [
+        (1 + 3 + 7) / 3,
+        (1 + 2 + 6) / 3,
+        (2 + 3 + 4) / 3,
+        (4 + 6 + 7) / 3,
+        (8 + 12 + 14) / 3,
+    ]
+    assert neighbor_distances(points).tolist() == pytest.approx(expected)
+
+
+def test_distances_scale_with_the_points():
+    points = noise(100)
+    assert torch.allclose(neighbor_distances(9 * points), 9 * neighbor_distances(points), rtol=1e-4)
+
+
+def test_distances_do_not_depend_on_the_order():
+    points, order = noise(100), torch.randperm(100, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(neighbor_distances(points)[order], neighbor_distances(points[order]))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_distances_of_hardly_any_points(count: int):
+    distances = neighbor_distances(noise(count))
+    assert distances.shape == (count,) and (distances > 0).all()
+
+
+def test_distances_of_points_at_one_place_are_positive():
+    distances = neighbor_distances(torch.cat([torch.zeros(10, 3), noise(50)]))
+    assert (distances > 0).all() and distances.isfinite().all()
+
+
+def test_extent_is_the_radius_of_the_cameras(cameras: Cameras):
+    assert scene_extent(cameras) == pytest.approx(3.3, rel=1e-4)
+
+
+def test_extent_of_one_camera_is_a_unit(cameras: Cameras):
+    assert scene_extent(cameras[:1]) == 1
+
+
+def test_random_points_are_seen_by_several_cameras(cameras: Cameras):
+    points = seen_together(cameras, 500, torch.Generator().manual_seed(0))
+    assert len(points) == 500
+    views = torch.stack([shown(points, cameras[row]) for row in range(len(cameras))]).sum(dim=0)
+    assert (views >= MIN_VIEWS * len(cameras)).all()
+
+
+def test_cameras_that_share_no_view_are_refused(cameras: Cameras):
+    away = replace(cameras, viewmats=cameras.viewmats.clone())
+    away.viewmats[:, 2, 3] = -3
+    with pytest.raises(StyleSplatError, match="outwards"):
+        seen_together(away, 100, torch.Generator().manual_seed(0))
+
+
+def test_cameras_with_hardly_any_field_of_view_are_refused(cameras: Cameras):
+    narrow = replace(cameras, Ks=cameras.Ks.clone())
+    narrow.Ks[:, :2, :2] *= 10_000
+    with pytest.raises(StyleSplatError, match="no common space"):
+        seen_together(narrow, 100, torch.Generator().manual_seed(0))

@@ -1,0 +1,164 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import BALLS, CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.shares import label_votes
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.pick import pick_objects
+from stylesplat.training.lifting import class_codes, lift
+from stylesplat.training.object_sizes import object_share
+
+PLAIN = replace(SPLATS, identities=None, classifier=None)
+PHOTOS = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
+TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
+
+
+def capture(label_maps) -> Capture:
+    return Capture(cameras=CAMERAS, photos=PHOTOS, label_maps=label_maps)
+
+
+def agreement(splats: Splats) -> float:
+    maps = [render_labels(splats, CAMERAS[row]) for row in range(len(CAMERAS))]
+    return float((torch.stack(maps) == torch.stack(TRUTH)).float().mean())
+
+
+def test_objects_come_back():
+    lifted = lift(PLAIN, capture(TRUTH))
+    assert agreement(lifted) > 0.97
+    known, found = pick_objects(SPLATS, [*BALLS]), pick_objects(lifted, [*BALLS])
+    for id, mask in known.items():
+        assert (mask & found[id]).sum() / (mask | found[id]).sum() > 0.7  # undersides are hidden
+    assert lifted.confidence is not None and lifted.confidence.max() <= 1 + 1e-5
+    hidden = replace(PLAIN, means=PLAIN.means.index_fill(0, torch.tensor([5]), 99.0))
+    unseen = lift(hidden, capture(TRUTH)).confidence
+    assert unseen is not None and unseen[5] == 0
+
+
+def test_only_identities_are_new():
+    lifted = lift(PLAIN, capture(TRUTH))
+    for name, values in PLAIN.tensors().items():
+        assert torch.equal(values, lifted.tensors()[name])
+
+
+def test_other_views_outvote_a_wrong_map():
+    wrong = [labels.clone() for labels in TRUTH]
+    wrong[2] = torch.where(wrong[2] == 3, 7, wrong[2])  # two balls merged
+    wrong[5] = torch.zeros_like(wrong[5])  # all lost
+    assert agreement(lift(PLAIN, capture(wrong))) > 0.95
+
+
+def test_views_without_a_map_and_views_left_out():
+    some = [labels if row % 2 else None for row, labels in enumerate(TRUTH)]
+    with_gaps = lift(PLAIN, capture(some))
+    chosen = lift(PLAIN, capture(TRUTH), rows=range(1, len(TRUTH), 2))
+    assert with_gaps.identities is not None and chosen.identities is not None
+    assert torch.equal(with_gaps.identities, chosen.identities)
+
+
+def test_more_classes_than_numbers_per_gaussian():
+    strips = [torch.arange(36)[:, None].expand(36, 48) + 100 for _ in TRUTH]  # 36 classes
+    lifted = lift(PLAIN, capture(strips))
+    assert lifted.classifier is not None
+    assert len(lifted.classifier.ids) == 37  # and background
+    codes = class_codes(37)
+    closeness = (codes @ codes.T).fill_diagonal_(-1)
+    assert closeness.max() < 0.75
+    assert torch.equal(class_codes(37), codes)
+
+
+def test_codes_of_few_classes_do_not_mix():
+    codes = class_codes(16)
+    assert torch.equal(codes @ codes.T, torch.eye(16))
+
+
+def test_nothing_to_lift():
+    with pytest.raises(StyleSplatError, match="no label maps to lift"):
+        lift(PLAIN, capture(None))
+    away = replace(PLAIN, means=PLAIN.means + 1000)
+    with pytest.raises(StyleSplatError, match="share a world frame"):
+        lift(away, capture(TRUTH))
+
+
+def votes(label_maps, rows) -> tuple[tuple[int, ...], torch.Tensor]:
+    return label_votes(PLAIN, CAMERAS, [(row, label_maps[row]) for row in rows])
+
+
+def test_renaming_labels_renames_the_ids_and_nothing_else():
+    renamed = {0: 0, 3: 1000, 7: 5, 300: 42}
+    maps = [labels.clone().apply_(lambda id: renamed[id]) for labels in TRUTH]
+    plain, other = lift(PLAIN, capture(TRUTH)), lift(PLAIN, capture(maps))
+    assert other.classifier is not None and other.classifier.ids == (0, 5, 42, 1000)
+    known, found = pick_objects(plain, [3, 7, 300]), pick_objects(other, [1000, 5, 42])
+    for id, mask in known.items():
+        assert torch.equal(mask, found[renamed[id]])
+    assert plain.confidence is not None and other.confidence is not None
+    assert torch.allclose(plain.confidence, other.confidence, atol=1e-5)  # sums in another order
+
+
+def test_votes_add_up_over_views():
+    ids, every = votes(TRUTH, range(8))
+    parts = [votes(TRUTH, rows) for rows in (range(3), range(3, 8))]
+    total = torch.zeros_like(every)
+    for some, part in parts:
+        for column, id in enumerate(some):
+            total[:, ids.index(id)] += part[:, column]
+    # Sums of some hundred pixels in another order.
+    torch.testing.assert_close(total, every, atol=1e-3, rtol=1e-4)
+
+
+def test_votes_of_all_labels_are_what_a_gaussian_shows_of_itself():
+    _, split = votes(TRUTH, range(8))
+    _, whole = votes([torch.zeros_like(labels) for labels in TRUTH], range(8))
+    torch.testing.assert_close(split.sum(dim=1), whole[:, 0], atol=1e-3, rtol=1e-4)
+
+
+def test_the_order_of_gaussians_is_irrelevant():
+    order = torch.randperm(len(PLAIN), generator=torch.Generator().manual_seed(0))
+    plain, shuffled = lift(PLAIN, capture(TRUTH)), lift(PLAIN[order], capture(TRUTH))
+    assert plain.identities is not None and shuffled.identities is not None
+    # Gaussians of equal depth, or alpha cuts, may fall the other way: 1/255 of a vote.
+    torch.testing.assert_close(plain.identities[order], shuffled.identities, atol=0.02, rtol=0)
+
+
+def test_every_view_twice_changes_nothing_but_the_prior():
+    once, twice = votes(TRUTH, range(8))[1], votes(TRUTH, [*range(8)] * 2)[1]
+    torch.testing.assert_close(2 * once, twice, atol=1e-3, rtol=1e-4)
+
+
+def test_identities_are_shares_of_codes():
+    lifted = lift(PLAIN, capture(TRUTH))
+    assert lifted.identities is not None
+    shares = lifted.identities @ class_codes(4).T
+    assert (shares >= -1e-6).all()
+    assert torch.allclose(shares.sum(dim=1), torch.ones(len(PLAIN)), atol=1e-5)
+
+
+def test_labels_of_the_whole_picture_leave_no_doubt():
+    flat = [torch.full_like(labels, 9) for labels in TRUTH]
+    _, counts = votes(flat, range(8))
+    seen = counts.sum(dim=1) > 1  # pixels; the prior outvotes those that hardly show
+    assert seen.float().mean() > 0.8
+    share = object_share(lift(PLAIN, capture(flat)))
+    assert share is not None and (share[seen] > 0.999).all()
+
+
+def test_lifting_is_repeatable():
+    one, other = lift(PLAIN, capture(TRUTH)), lift(PLAIN, capture(TRUTH))
+    assert one.identities is not None and other.identities is not None
+    # Threads add up in another order.
+    torch.testing.assert_close(one.identities, other.identities, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("count", [17, 60, 300])
+def test_codes_of_many_classes_are_far_apart(count: int):
+    codes = class_codes(count)
+    assert torch.allclose(codes.norm(dim=1), torch.ones(count), atol=1e-5)
+    drawn = torch.randn(count, 16, generator=torch.Generator().manual_seed(0))
+    drawn = torch.nn.functional.normalize(drawn, dim=1)
+    closest = [(c @ c.T).fill_diagonal_(-1).max() for c in (codes, drawn)]
+    assert closest[0] < closest[1] - 0.05, "chance alone leaves them closer"

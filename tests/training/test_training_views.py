@@ -1,0 +1,184 @@
+from dataclasses import replace
+
+import cv2
+import pytest
+import torch
+
+from balls import CAMERAS, enlarged
+from stylesplat.scene.cache import GIB
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.lazy import Lazy
+from stylesplat.training import training_views as module
+from stylesplat.training.training_views import Views, split_views, training_views
+
+LARGE = enlarged(CAMERAS, 2)  # 96x72
+IDS = (0, 3, 7)
+BYTES = 96 * 72 * 5  # of a photo, its alpha and its classes
+CPU = torch.device("cpu")
+NOISE = torch.Generator().manual_seed(0)
+PHOTOS = [torch.randint(256, (72, 96, 3), generator=NOISE).to(torch.uint8) for _ in range(8)]
+ALPHAS = [torch.randint(256, (72, 96), generator=NOISE).to(torch.uint8) for _ in range(8)]
+MAPS = [torch.tensor(IDS)[torch.randint(3, (72, 96), generator=NOISE)] for _ in range(8)]
+WHOLE = Capture(LARGE, PHOTOS, MAPS, alphas=ALPHAS)
+
+
+class Reads:
+    """A capture that counts how often its photos are read."""
+
+    def __init__(self, items: int) -> None:
+        self.rows: list[int] = []
+        self.memory = items * BYTES / GIB
+        lazy = Lazy([lambda row=row: self._read(row) for row in range(8)])
+        self.capture = replace(WHOLE, photos=lazy)
+        self.rows.clear()  # types are checked by looking at some
+
+    def _read(self, row: int) -> torch.Tensor:
+        self.rows.append(row)
+        return PHOTOS[row]
+
+    def views(self) -> Views:
+        return training_views(self.capture, range(8), ids=IDS, device=CPU, max_memory=self.memory)
+
+
+def views(capture: Capture, memory: float = 1.0) -> Views:
+    ids = () if capture.label_maps is None else IDS
+    return training_views(capture, range(8), ids=ids, device=CPU, max_memory=memory)
+
+
+def test_every_nth_photo_is_held_out():
+    assert split_views(WHOLE, 3) == ([1, 2, 4, 5, 7], [0, 3, 6])
+    assert split_views(WHOLE, 8) == ([1, 2, 3, 4, 5, 6, 7], [0])
+
+
+def test_no_photo_is_both_trained_on_and_held_out():
+    for every in range(12):
+        trained, held_out = split_views(WHOLE, every)
+        assert sorted(trained + held_out) == [*range(8)]
+        assert bool(held_out) == (every > 0)
+
+
+def test_a_single_photo_is_not_held_out():
+    one = Capture(LARGE[:1], PHOTOS[:1])
+    assert split_views(one, 8) == ([0], [])
+
+
+def test_whole_photos_are_what_the_capture_holds():
+    camera, photo, alpha, classes = views(WHOLE)(3, 1)
+    assert camera.names == LARGE[3].names and camera.size == (96, 72)
+    assert torch.equal(photo, PHOTOS[3] / 255)
+    assert alpha is not None and torch.equal(alpha[..., 0], ALPHAS[3] / 255)
+    assert classes is not None and torch.equal(torch.tensor(IDS)[classes.long()], MAPS[3])
+
+
+@pytest.mark.parametrize("memory", [1.0, 0.0])
+@pytest.mark.parametrize("factor", [2, 4])
+def test_smaller_photos_average_and_smaller_maps_pick(factor: int, memory: float):
+    camera, photo, alpha, classes = views(WHOLE, memory)(3, factor)
+    size = (96 // factor, 72 // factor)
+    assert camera.size == size
+    expected = cv2.resize(PHOTOS[3].numpy(), size, interpolation=cv2.INTER_AREA)
+    assert torch.equal(photo, torch.from_numpy(expected) / 255)
+    assert alpha is not None and classes is not None
+    expected = cv2.resize(ALPHAS[3].numpy(), size, interpolation=cv2.INTER_AREA)
+    assert torch.equal(alpha[..., 0], torch.from_numpy(expected) / 255)
+    assert torch.equal(torch.tensor(IDS)[classes.long()], resize_labels(MAPS[3], size[::-1]))
+
+
+def test_photos_without_alpha_and_label_map():
+    plain = replace(WHOLE, label_maps=None, alphas=None)
+    _, _, alpha, classes = views(plain)(0, 2)
+    assert alpha is None and classes is None
+    some = replace(WHOLE, label_maps=[None, *MAPS[1:]], alphas=[None, *ALPHAS[1:]])
+    assert views(some)(0, 2)[2:] == (None, None)
+    assert views(some)(1, 2).classes is not None
+
+
+def test_without_ids_label_maps_are_not_read():
+    def fail() -> torch.Tensor:
+        raise AssertionError("read")
+
+    capture = object.__new__(Capture)  # as its types would be checked by reading some
+    capture.__dict__.update(vars(WHOLE) | {"label_maps": Lazy([fail] * 8)})
+    load = training_views(capture, range(8), ids=(), device=CPU, max_memory=1.0)
+    assert load(0, 1).classes is None
+
+
+def test_what_fits_is_decoded_once_in_all_sizes():
+    reads = Reads(items=11)
+    load = reads.views()
+    for factor in (4, 2, 1):
+        for _ in range(3):
+            for row in range(8):
+                load(row, factor)
+    assert reads.rows == [*range(8)]
+
+
+def test_what_does_not_fit_is_read_again():
+    reads = Reads(items=4)
+    load = reads.views()
+    for _ in range(2):
+        for row in range(8):
+            load(row, 1)
+    assert len(reads.rows) > 8
+
+
+def test_smaller_photos_may_fit_where_whole_ones_do_not():
+    reads = Reads(items=4)
+    load = reads.views()
+    for _ in range(3):
+        for row in range(8):
+            load(row, 2)  # a quarter of the bytes: two of four
+    assert reads.rows == [*range(8)]
+
+
+def test_nothing_is_kept_without_memory():
+    reads = Reads(items=0)
+    load = reads.views()
+    for _ in range(3):
+        load(5, 1)
+    assert reads.rows == [5, 5, 5]
+
+
+@pytest.mark.parametrize("items", [0, 3, 8, 11])
+def test_memory_changes_no_result(items: int):
+    load, rich = Reads(items).views(), views(WHOLE)
+    for factor in (4, 2, 1, 2):
+        for row in (0, 5, 0, 7):
+            for mine, theirs in zip(load(row, factor)[1:], rich(row, factor)[1:], strict=True):
+                assert mine is not None and theirs is not None and torch.equal(mine, theirs)
+
+
+@pytest.mark.parametrize("items", [0, 1, 3, 7, 11])
+def test_the_budget_holds_at_every_moment(items: int, monkeypatch: pytest.MonkeyPatch):
+    caches = []
+
+    class Watched(module.Cache):
+        def __init__(self, budget: int) -> None:
+            super().__init__(budget)
+            caches.append(self)
+
+    monkeypatch.setattr(module, "Cache", Watched)
+    load = Reads(items).views()
+    for factor in (4, 2, 1):
+        for row in range(8):
+            load(row, factor)
+            assert caches[0].used <= items * BYTES
+    assert caches[0].used > 0.5 * min(items, 8) * BYTES or items == 0
+
+
+def test_one_size_at_a_time(monkeypatch: pytest.MonkeyPatch):
+    caches = []
+
+    class Watched(module.Cache):
+        def __init__(self, budget: int) -> None:
+            super().__init__(budget)
+            caches.append(self)
+
+    monkeypatch.setattr(module, "Cache", Watched)
+    load = Reads(items=9).views()  # all sizes together would need 8 * (1 + 1/4 + 1/16)
+    for row in range(8):
+        load(row, 4)
+    assert caches[0].used == 8 * BYTES / 16
+    load(0, 2)
+    assert caches[0].used == BYTES / 4

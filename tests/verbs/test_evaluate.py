@@ -1,0 +1,106 @@
+"""What can be measured of a scene: with photos or without, styled or not, held out or not."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS
+from painted_balls import TRAINED, painted, write_pictures
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.paintings import Source
+from stylesplat.scene.scene import Scene
+from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.load import load
+
+pytestmark = pytest.mark.usefixtures("small_measurements")
+
+PHOTOS = {"psnr", "ssim", "iou", "miou", "boundary_iou", "boundary_miou"}
+CHANGES = {"changed_gaussians", "outside_psnr", "outside_max_difference", "edge_psnr", "rim_error"}
+STYLE = {"nnfm_before", "nnfm_after", "statistics_before", "statistics_after"}
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    return load(write_ball_capture(tmp_path_factory.mktemp("capture")))
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_pictures(tmp_path_factory.mktemp("pictures"))[0]
+
+
+@pytest.fixture(scope="module")
+def styled(picture: Path) -> Scene:
+    return painted(TRAINED, "red", picture)
+
+
+def without_held_out(scene: Scene) -> Scene:
+    return replace(scene, held_out=())
+
+
+def test_a_trained_scene(capture: Capture):
+    found = evaluate(TRAINED, capture, device="cpu")
+    assert found.keys() == PHOTOS and found["psnr"] > 20
+
+
+def test_a_trained_scene_without_photos_or_held_out_views(capture: Capture):
+    with pytest.raises(StyleSplatError, match="Give the capture of its photos"):
+        evaluate(TRAINED, device="cpu")
+    with pytest.raises(StyleSplatError, match="no held-out views to evaluate"):
+        evaluate(without_held_out(TRAINED), capture, device="cpu")
+
+
+def test_a_styled_scene(styled: Scene, capture: Capture):
+    alone = evaluate(styled, device="cpu")
+    assert alone.keys() >= CHANGES | STYLE | {"content_ssim"} and not alone.keys() & PHOTOS
+    measured = {name: styled.metrics[name] for name in alone}
+    assert alone == measured, "it is what `stylize` said"
+    both = evaluate(styled, capture, device="cpu")
+    assert both.keys() == alone.keys() | PHOTOS
+
+
+def test_a_styled_scene_without_held_out_views(picture: Path, capture: Capture):
+    styled = painted(without_held_out(TRAINED), "red", picture)
+    alone = evaluate(styled, device="cpu")
+    assert alone == {name: styled.metrics[name] for name in alone}
+    assert alone.keys() >= CHANGES | STYLE | {"content_ssim"}
+    assert evaluate(styled, capture, device="cpu") == alone
+
+
+def test_a_style_that_is_gone_leaves_the_other_numbers(styled: Scene, said: list[str]):
+    assert styled.painted is not None
+    (painting,) = styled.painted.paintings
+    lost = replace(painting, styles=(Source(Path("/lost/wave.png"), "12ab"),))
+    scene = replace(styled, painted=replace(styled.painted, paintings=(lost,)))
+    found = evaluate(scene, device="cpu")
+    assert not found.keys() & STYLE and found.keys() >= CHANGES | {"content_ssim"}
+    (line,) = said
+    assert line.startswith("red is not compared with its style: Cannot read /lost/wave.png")
+
+
+def test_photos_of_another_scene(capture: Capture):
+    there = replace(TRAINED, cameras=replace(CAMERAS, names=tuple("abcdefgh")), held_out=("a",))
+    with pytest.raises(StyleSplatError):
+        evaluate(there, capture, device="cpu")
+
+
+def test_the_size_to_compare_at_is_the_captures(capture: Capture):
+    assert capture.path is not None
+    small = load(capture.path, downscale=2.0)
+    found = evaluate(replace(TRAINED, downscale=2.0), small, device="cpu")
+    assert found.keys() == PHOTOS and found["psnr"] > 15
+
+
+def test_an_import_that_was_in_memory_is_compared_with_some_photos(capture: Capture):
+    imported = replace(without_held_out(TRAINED), info={"splat": None})
+    assert evaluate(imported, capture, device="cpu").keys() == PHOTOS
+
+
+def test_a_scene_from_disk_is_measured_as_in_memory(styled: Scene, tmp_path: Path):
+    scene_folder.save(styled, tmp_path / "styled")
+    found = scene_folder.open(tmp_path / "styled")
+    assert evaluate(found, device="cpu") == evaluate(styled, device="cpu")

@@ -1,0 +1,179 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from stylesplat.cli.mask import Mask
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.label_folder import write_label_maps
+from stylesplat.io.label_maps import read_label_map, write_label_map
+from stylesplat.scene.capture import Capture
+from stylesplat.verbs.load import load
+from stylesplat.verbs.mask import mask
+from tiny_captures import save_noise, write_capture
+
+WIDTH, HEIGHT = 12, 8
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three photos with poses and nothing else."""
+    frames = []
+    for i in range(3):
+        name = f"images/{i}.png"
+        (tmp_path / "images").mkdir(exist_ok=True)
+        Image.fromarray(np.full((HEIGHT, WIDTH, 3), 80 * i, np.uint8)).save(tmp_path / name)
+        pose = np.eye(4)
+        pose[0, 3] = i
+        frames.append({"file_path": name, "transform_matrix": pose.tolist()})
+    lens = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.0, "cy": 4.0, "w": WIDTH, "h": HEIGHT}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    return tmp_path
+
+
+def labels(id: int) -> torch.Tensor:
+    """`id` in the left half, background in the right."""
+    maps = torch.zeros(HEIGHT, WIDTH, dtype=torch.int64)
+    maps[:, : WIDTH // 2] = id
+    return maps
+
+
+def attached(capture: Capture, row: int) -> torch.Tensor:
+    assert capture.label_maps is not None
+    found = capture.label_maps[row]
+    assert found is not None
+    return found
+
+
+def write_maps(folder: Path, ids: dict[str, int]) -> None:
+    folder.mkdir()
+    for stem, id in ids.items():
+        write_label_map(labels(id), folder / f"{stem}.png")
+
+
+def test_attaches_the_maps_of_the_capture(folder: Path):
+    capture = load(folder)
+    write_maps(folder / "object_mask", {"0": 1, "2": 70000})
+    masked = mask(capture, source=folder / "object_mask")
+    assert torch.equal(attached(masked, 0), labels(1).int())
+    assert masked.label_maps is not None and masked.label_maps[1] is None
+    assert torch.equal(attached(masked, 2), labels(70000).int())
+    assert masked.photos is capture.photos
+
+
+def test_another_folder_wins(folder: Path, tmp_path: Path):
+    write_maps(folder / "object_mask", {"0": 1})
+    write_maps(tmp_path / "mine", {"0": 5})
+    masked = mask(load(folder), source=tmp_path / "mine")
+    assert torch.equal(attached(masked, 0), labels(5).int())
+
+
+@pytest.mark.parametrize("downscale", [2.0, 3.0])
+def test_maps_have_the_size_of_the_photos(folder: Path, downscale: float):
+    capture = load(folder, downscale=downscale)
+    write_maps(folder / "object_mask", {"0": 3})
+    masked = mask(capture, source=folder / "object_mask")
+    assert torch.equal(attached(masked, 0), attached(load(folder, downscale=downscale), 0))
+
+
+def test_rows_are_matched_by_name(folder: Path):
+    write_maps(folder / "object_mask", {"0": 1, "2": 2})
+    capture = load(folder)
+    last = replace(
+        capture, cameras=capture.cameras[[2]], photos=[capture.photos[2]], label_maps=None
+    )
+    masked = mask(last, source=folder / "object_mask")
+    assert torch.equal(attached(masked, 0), labels(2).int())
+
+
+def test_nothing_to_go_by(folder: Path):
+    with pytest.raises(StyleSplatError, match=r"Nothing says what to mask.*another program"):
+        mask(load(folder))
+
+
+def test_a_folder_that_is_not_there(folder: Path):
+    with pytest.raises(StyleSplatError, match="no folder"):
+        mask(load(folder), source=folder / "nowhere")
+
+
+def test_a_capture_from_nowhere(folder: Path):
+    write_maps(folder / "object_mask", {"0": 1})
+    nowhere = replace(load(folder, downscale=2.0), path=None)
+    masked = mask(nowhere, source=folder / "object_mask")
+    assert torch.equal(attached(masked, 0), labels(1).int()[::2, ::2])
+    write_label_map(labels(1)[:, :5], folder / "object_mask" / "0.png")
+    with pytest.raises(StyleSplatError, match=r"label map .*0\.png is 5x8.*shape of its photo"):
+        mask(nowhere, source=folder / "object_mask")
+
+
+def save_binary(mask: torch.Tensor, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(255 * mask.numpy().astype(np.uint8)).save(path)
+
+
+def test_a_capture_gets_its_label_maps(tmp_path: Path):
+    capture = write_capture(tmp_path / "capture")
+    mask = torch.zeros(48, 64, dtype=torch.bool)
+    mask[5:20, 9:30] = True
+    save_binary(mask, tmp_path / "masks" / "cup" / "001.png")
+    save_binary(mask, tmp_path / "masks" / "cup" / "003.png")
+    found = Mask(capture, source=tmp_path / "masks").run()
+    assert (found["photos"], found["of"], found["ids"]) == (2, 3, [1])
+    assert torch.equal(read_label_map(capture / "object_mask" / "003.png") == 1, mask)
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        Mask(capture, source=tmp_path / "masks").run()
+    (capture / "object_mask/001.png").write_bytes(b"damaged")
+    again = Mask(capture, source=tmp_path / "masks", overwrite=True).run()
+    assert again["ids"] == found["ids"]
+    load(capture)  # they are whole again
+
+
+def test_masks_of_another_shape_leave_nothing(tmp_path: Path):
+    capture = write_capture(tmp_path / "capture")
+    save_binary(torch.ones(6, 8, dtype=torch.bool), tmp_path / "masks" / "cup" / "001.png")
+    save_binary(torch.ones(40, 9, dtype=torch.bool), tmp_path / "masks" / "cup" / "002.png")
+    with pytest.raises(StyleSplatError, match="not the shape of its photo"):
+        Mask(capture, source=tmp_path / "masks").run()
+    assert not (capture / "object_mask").exists()
+
+
+OPENCV = ("OPENCV", (60.0, 62.0, 31.0, 25.0, -0.3, 0.05, 0.001, 0.002))
+
+
+def test_masks_of_photos_as_they_were_taken_are_undistorted_once(tmp_path: Path):
+    """Those drawn on the photo by another program; what is written fits the undistorted photo."""
+    capture = write_capture(tmp_path / "capture", *OPENCV)
+    stripes = torch.arange(64).expand(48, 64) // 8 % 2 == 0
+    save_binary(stripes, tmp_path / "masks" / "bars" / "001.png")
+    in_memory = mask(load(capture), source=tmp_path / "masks")
+    Mask(capture, source=tmp_path / "masks").run()
+    made, read = attached(in_memory, 0), attached(load(capture), 0)
+    assert made.shape == load(capture).photos[0].shape[:2]
+    assert torch.equal(made, read)
+    assert made.bool().float().mean() > 0.3
+    # Also from a capture that is taken at another size
+    half = mask(load(capture, downscale=2.0), source=tmp_path / "masks")
+    write_label_maps(half, tmp_path / "again")
+    again = attached(load(capture, masks=tmp_path / "again"), 0)
+    assert (again != made).float().mean() < 0.1, "borders of stripes of eight pixels"
+
+
+def test_label_maps_of_photos_in_folders(tmp_path: Path):
+    """Of two cameras that number their photos alike."""
+    frames, poses = [], np.eye(4).tolist()
+    for row, name in enumerate(("cam0/0001.png", "cam1/0001.png", "cam1/0002.png")):
+        save_noise(tmp_path / "images" / name, (WIDTH, HEIGHT), seed=row)
+        write_label_map(labels(row + 1), tmp_path / "ids" / name)
+        frames.append({"file_path": f"images/{name}", "transform_matrix": poses})
+    lens = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.0, "cy": 4.0, "w": WIDTH, "h": HEIGHT}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    found = Mask(tmp_path, source=tmp_path / "ids").run()
+    assert (found["photos"], found["ids"]) == (3, [1, 2, 3])
+    assert (tmp_path / "object_mask" / "cam1" / "0001.png").is_file()
+    masked = load(tmp_path)
+    for row in range(3):
+        assert torch.equal(attached(masked, row), labels(row + 1).int())

@@ -1,0 +1,142 @@
+"""`stylesplat mask --box` on the balls: what it leaves in the capture's folder."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from ball_boxes import BALLS, CUP, LARGE, VASE, agreement, fail_at_work, work_at_half_size
+from ball_photos import write_ball_capture
+from balls import CAMERAS
+from stylesplat.cli.mask import PREVIEW, Mask
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.photos import read_image
+from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map
+from stylesplat.io.scene_folder import save
+from stylesplat.verbs.load import load
+from stylesplat.verbs.mask import mask
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    work_at_half_size(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_ball_capture(tmp_path_factory.mktemp("photos"), LARGE, masks=False)
+
+
+@pytest.fixture
+def capture(photos: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(photos, tmp_path / "capture"))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    save(BALLS, tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+@pytest.fixture
+def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    fail_at_work(monkeypatch)
+
+
+def run_mask(capture: Path, boxes: dict, scene: Path | None = None, **options: Any) -> dict:
+    """`stylesplat mask CAPTURE --box NAME=VIEW:x0,y0,x1,y1 ...`."""
+    typed = tuple(
+        f"{name}={view}:{','.join(map(str, place))}" for name, (view, place) in boxes.items()
+    )
+    return Mask(capture=capture, box=typed, scene=scene, device="cpu", **options).run()
+
+
+def test_the_command_writes_label_maps_with_names(capture: Path, scene: Path):
+    found = run_mask(capture, {"vase": VASE, "cup": CUP}, scene)
+    folder = capture / "object_mask"
+    assert found == {
+        "masks": folder,
+        "preview": folder / PREVIEW,
+        "photos": 8,
+        "of": 8,
+        "ids": [1, 2],
+        "names": {1: "vase", 2: "cup"},
+    }
+    assert read_names(folder) == {1: "vase", 2: "cup"}
+    assert read_image(folder / PREVIEW).shape[1] > 4 * LARGE.size[0]
+    pictures = {f"000{row}.png" for row in range(8)}
+    assert {path.name for path in folder.iterdir()} == pictures | {NAMES, PREVIEW}
+    in_memory = mask(load(capture), boxes={"vase": VASE, "cup": CUP}, scene=BALLS, device="cpu")
+    maps = load(capture).label_maps
+    assert maps is not None and in_memory.label_maps is not None
+    for on_disk, made in zip(maps, in_memory.label_maps, strict=True):
+        assert on_disk is not None and made is not None and torch.equal(on_disk, made.int())
+
+
+def test_a_folder_that_is_no_scene(capture: Path, no_work: None):
+    with pytest.raises(StyleSplatError, match="not a scene"):
+        run_mask(capture, {"vase": VASE}, capture)
+    assert not (capture / "object_mask").exists()
+
+
+def test_label_maps_are_kept_unless_told_otherwise(capture: Path, scene: Path, no_work: None):
+    write_label_map(torch.full((36, 48), 5), capture / "object_mask" / "0000.png")
+    with pytest.raises(StyleSplatError, match=r"holds something.*--overwrite"):
+        run_mask(capture, {"vase": VASE}, scene)
+    shutil.rmtree(capture / "object_mask")
+    (capture / "object_mask").touch()
+    with pytest.raises(StyleSplatError, match="is a file"):
+        run_mask(capture, {"vase": VASE}, scene, overwrite=True)
+
+
+def test_what_an_earlier_run_said_is_replaced_and_nothing_else(capture: Path, scene: Path):
+    folder = capture / "object_mask"
+    run_mask(capture, {"vase": VASE, "cup": CUP}, scene)
+    (folder / "mine.png").touch()
+    (folder / "0000.png").write_bytes(b"damaged")
+    run_mask(capture, {"cup": CUP}, scene, overwrite=True)
+    assert read_names(folder) == {1: "cup"}
+    assert set(read_label_map(folder / "0000.png").unique().tolist()) == {0, 1}
+    names = tmp_masks(capture.parent / "masks", ids=True)
+    Mask(capture=capture, source=names, overwrite=True).run()
+    assert not (folder / NAMES).exists(), "they have no names"
+    assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}
+
+
+def tmp_masks(folder: Path, *, ids: bool) -> Path:
+    """Another program's masks of the first photo: of ids, or one per object."""
+    mask = torch.zeros(144, 192, dtype=torch.int64)
+    mask[50:90, 60:120] = 9 if ids else 255
+    write_label_map(mask, folder / ("0000.png" if ids else "pot/0000.png"))
+    return folder
+
+
+def test_label_maps_of_others_are_merged_into(capture: Path, scene: Path):
+    folder = capture / "object_mask"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    write_label_map(torch.full((36, 48), 5), folder / "0000.png")
+    run_mask(capture, {"vase": VASE}, scene, overwrite=True)
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert min(agreement(load(capture), 1, 3)) > 0.8
+
+
+def test_a_box_that_fails_leaves_what_was_there(capture: Path, scene: Path):
+    folder = capture / "object_mask"
+    run_mask(capture, {"vase": VASE}, scene)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    black = ("0001.jpg", (4.0, 110.0, 20.0, 130.0))
+    with pytest.raises(StyleSplatError, match=r"box in 0001\.jpg holds looks like"):
+        run_mask(capture, {"vase": VASE, "hole": black}, scene, overwrite=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in capture.iterdir() if path.name.startswith(".")] == []
+
+
+def test_photos_that_differ_in_their_suffix_only(tmp_path: Path, no_work: None):
+    names = ("a.jpg", "a.png", *CAMERAS.names[2:])
+    photos = write_ball_capture(tmp_path / "twins", replace(CAMERAS, names=names), masks=False)
+    with pytest.raises(StyleSplatError, match="differ in their suffix only"):
+        run_mask(photos, {"vase": ("a.png", VASE[1])})
