@@ -24,10 +24,10 @@ from stylesplat.demo.faults import FaultConfig
 from stylesplat.masks.ids.repair import repair
 from stylesplat.masks.models.associate import to_labels
 from stylesplat.masks.models.track import Segmenter, State, stretches, track
+from stylesplat.masks.quick_splat import QUICK
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.training.loop import fit
-from stylesplat.verbs.working import QUICK
 
 SEEDS = range(4)
 MISTAKES = {

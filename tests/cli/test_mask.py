@@ -38,7 +38,7 @@ def no_training(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*args: object, **kwargs: object) -> None:
         raise AssertionError("work has begun")
 
-    monkeypatch.setattr("stylesplat.verbs.working.fit", fail)
+    monkeypatch.setattr("stylesplat.masks.quick_splat.fit", fail)
 
 
 def test_from_a_box_to_a_painted_object(

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.fit import CLOSER, frame_fits
 from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.io.splats.splat_files import read_splats
+from stylesplat.metrics.frame_fit import CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture

@@ -6,12 +6,12 @@ from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.label_folder import with_drawn_maps
+from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes
 from stylesplat.masks.foreign import foreign_label_maps
 from stylesplat.masks.models import sam
+from stylesplat.masks.models.from_model import mask_with_model
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
-from stylesplat.verbs.mask_boxes import Boxes, Strokes, mask_boxes
-from stylesplat.verbs.mask_models import mask_with_model
 
 Method = Literal["files", "grabcut"] | sam.Method
 # What the ways to make label maps go by; what another goes by would change nothing

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.ids.repair import repair
+from stylesplat.masks.models.found_so_far import Progress, open_progress
 from stylesplat.masks.models.sam import (
     FAMILIES,
     Follower,
@@ -18,6 +19,7 @@ from stylesplat.masks.models.sam import (
 )
 from stylesplat.masks.models.through_splat import follow_through
 from stylesplat.masks.models.track import Segmenter, stretches, track
+from stylesplat.masks.quick_splat import Working, with_maps, with_splat
 from stylesplat.progress import task
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
@@ -25,8 +27,6 @@ from stylesplat.scene.fingerprint import fingerprint
 from stylesplat.scene.labels import Labels, Mask
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
-from stylesplat.verbs.mask_progress import Progress, open_progress
-from stylesplat.verbs.working import Working, with_maps, with_splat
 
 SIZE = 1024  # pixels of the longer side; the models look at no more
 

@@ -31,7 +31,7 @@ from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.verbs import working
+from stylesplat.masks import quick_splat as working
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 

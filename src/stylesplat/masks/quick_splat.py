@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.fit import CLOSER, frame_fits
+from stylesplat.metrics.frame_fit import CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.frames import SAME
+from stylesplat.scene.frames import SAME, posed_as
 from stylesplat.scene.labels import OwnLabels, resize_labels
 from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.resized import at_most
@@ -57,13 +57,13 @@ def with_splat(capture: Capture, scene: Scene | None, device: str) -> Working:
             "these photos, or none."
         )
     splats = scene.splats.to(torch_device)
-    small = _seen_by(scene, at_most(capture, CHECK_SIZE))
+    small = posed_as(at_most(capture, CHECK_SIZE), scene.cameras)
     fits = frame_fits(splats, small, {"scene": SAME})
     if fits["scene"] <= CLOSER:
         raise StyleSplatError(
             "The scene does not show what the photos do. Give a scene of these photos, or none."
         )
-    return Working(_seen_by(scene, capture), splats)
+    return Working(posed_as(capture, scene.cameras), splats)
 
 
 def with_maps(
@@ -82,12 +82,3 @@ def with_maps(
 
     made = Lazy([partial(enlarged, row) for row in range(len(capture))])
     return replace(capture, label_maps=made, object_names=dict(names))
-
-
-def _seen_by(scene: Scene, capture: Capture) -> Capture:
-    """A capture with the cameras of a scene: an import may have moved them."""
-    seen = scene.cameras[[scene.cameras.index(name) for name in capture.cameras.names]]
-    ratio = capture.cameras.sizes / seen.sizes
-    Ks = seen.Ks.clone()
-    Ks[:, :2] *= ratio[:, :, None].to(Ks)
-    return replace(capture, cameras=replace(seen, Ks=Ks, sizes=capture.cameras.sizes))
