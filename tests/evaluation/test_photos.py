@@ -125,7 +125,7 @@ def test_known_ids_in_the_wrong_place_still_count(capture):
 
 
 def test_transparent_photos_are_compared_over_black(capture):
-    image, coverage, _ = rasterize(SPLATS, CAMERAS)
+    _, coverage, _ = rasterize(SPLATS, CAMERAS)
     alphas = [(255 * a[..., 0]).round().to(torch.uint8) for a in coverage]
     cut_out = replace(capture, alphas=alphas)
     assert evaluate_views(SPLATS, cut_out, [0]) == evaluate_views(SPLATS, capture, [0])
