@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 
 from balls import CAMERAS, SPLATS, enlarged
+from stylesplat.masks import quick_splat as working
+from stylesplat.masks.boxes import from_boxes as mask_boxes
 from stylesplat.masks.boxes.grabcut import Box
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
-from stylesplat.masks import quick_splat as working
-from stylesplat.masks.boxes import from_boxes as mask_boxes
 
 HALF = enlarged(CAMERAS, 2)  # that `mask` works at
 LARGE = enlarged(CAMERAS, 4)  # the photos; worked on at half of that

@@ -35,7 +35,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
     for row in evenly(rows, PHOTOS):
         labels = maps[row]
         assert labels is not None
-        ids |= ids_of(labels)
+        ids |= ids_of(labels) - {BACKGROUND}
         cells.append(_tinted(capture.photos[row], labels))
     called = {id: names.get(id, str(id)) for id in sorted(ids)}
     return torch.from_numpy(np.array(_page(cells, called)))

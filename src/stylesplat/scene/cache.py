@@ -14,7 +14,7 @@ Key = TypeVar("Key", bound=Hashable)
 T = TypeVar("T", bound=tuple[Tensor | None, ...])
 
 GIB = 2**30
-TIDY_EVERY = 2**27  # bytes kept; the steps' own buffers then have to be mapped anew: a tenth second
+TIDY_EVERY = 2**26  # bytes kept; the steps' own buffers then have to be mapped anew: a tenth second
 
 
 class Cache(Generic[Key]):

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Int, Shaped
 from torch import Tensor
 
 BACKGROUND = 0  # the label id that means 'no object'
+FEW = 2**16  # ids below which counting them is faster than sorting the pixels
 MAX_ID = 2**24 - 1  # what three bytes hold, as in RGB-coded label maps
 
 Mask = Bool[Tensor, "H W"]
@@ -14,9 +15,16 @@ Labels = Int[Tensor, "H W"]
 OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
 
 
-def ids_of(labels: OwnLabels) -> set[int]:
-    """The ids of the objects in a label map; sooner than `unique`, which sorts all pixels."""
-    return {*labels.flatten().bincount().nonzero()[:, 0].tolist()} - {BACKGROUND}
+def ids_of(labels: OwnLabels | None) -> set[int]:
+    """The ids that occur in a label map, background included; none if there is no map.
+
+    Counting takes a fraction of the time of `unique`, which sorts all pixels.
+    """
+    if labels is None or labels.numel() == 0:
+        return set()
+    if 0 <= int(labels.min()) and int(labels.max()) < FEW:
+        return {*labels.flatten().bincount().nonzero()[:, 0].tolist()}
+    return {*labels.unique().tolist()}
 
 
 def resize_labels(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[Tensor, "h w"]:

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from stylesplat.progress import say, track
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.labels import BACKGROUND, ids_of
 
-FEW = 2**16  # ids below which counting them is faster than sorting the pixels
 NAMED = 3  # photos and objects that a line to the user names
 
 
@@ -62,15 +61,6 @@ def say_unseen(shown: Shown, names: Mapping[int, str]) -> None:
         f"Not learned, for only held-out photos show it: object {objects} in {photos}. "
         "`--test-every 0` trains on all photos, another value holds out others."
     )
-
-
-def ids_of(labels: Int[Tensor, "H W"] | None) -> set[int]:
-    """The ids that occur in a label map; none if there is no map."""
-    if labels is None or labels.numel() == 0:
-        return set()
-    if 0 <= int(labels.min()) and int(labels.max()) < FEW:
-        return set(torch.bincount(labels.flatten()).nonzero()[:, 0].tolist())
-    return set(labels.unique().tolist())
 
 
 def to_classes(labels: Int[Tensor, "H W"], ids: tuple[int, ...]) -> Integer[Tensor, "H W"]:

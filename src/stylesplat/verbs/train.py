@@ -15,6 +15,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.naming import with_names
+from stylesplat.training.classes import say_unseen, shown_ids
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
@@ -71,6 +72,7 @@ def train(
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
     splats, seconds = state.splats.detach(), state.seconds
     if segment == "lift" and capture.label_maps is not None:
+        say_unseen(shown_ids(capture, rows), capture.object_names)
         start = time.perf_counter()
         splats = _lifted(splats, capture, rows)
         seconds += time.perf_counter() - start

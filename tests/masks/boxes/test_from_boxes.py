@@ -24,6 +24,7 @@ from ball_boxes import (
 from ball_photos import write_ball_capture
 from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
+from stylesplat.masks import quick_splat as working
 from stylesplat.masks.boxes import spread as spread_module
 from stylesplat.masks.boxes.grabcut import Box, Stroke
 from stylesplat.scene.capture import Capture
@@ -31,7 +32,6 @@ from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.masks import quick_splat as working
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 

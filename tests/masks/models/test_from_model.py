@@ -13,12 +13,12 @@ from balls import CAMERAS, SPLATS
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import save
+from stylesplat.masks.models import from_model as mask_models
 from stylesplat.masks.models.associate import to_masks
 from stylesplat.masks.models.found_so_far import Progress
 from stylesplat.masks.models.sam import Method
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
-from stylesplat.masks.models import from_model as mask_models
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 

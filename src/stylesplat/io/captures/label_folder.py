@@ -13,7 +13,7 @@ from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label
 from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import ids_of, resize_labels
+from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
 from stylesplat.scene.lazy import Lazy
 
 
@@ -89,7 +89,7 @@ def write_label_maps(
             if labels is not None:
                 whole = resize_labels(labels, capture.full_cameras[row].size[::-1])
                 write_label_map(whole, (claimed / name).with_suffix(".png"))
-                found[name] = ids_of(whole)
+                found[name] = ids_of(whole) - {BACKGROUND}
         called = {id: capture.object_names[id] for id in _named(capture, found.values())}
         write_names(called, claimed)
     _remove_stale(folder, {*capture.cameras.names} - found.keys(), named=bool(called))
