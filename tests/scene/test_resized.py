@@ -74,6 +74,7 @@ def test_it_knows_the_size_of_the_photos():
     assert small.downscale == 4 and small.full_cameras.sizes.tolist() == [*map(list, SIZES)]
 
 
-def test_ids_of_objects():
-    assert ids_of(labels(0)) == {3, 70_000}
-    assert ids_of(torch.zeros(3, 4, dtype=torch.int32)) == set()
+def test_ids_of_a_label_map():
+    assert ids_of(labels(0)) == {*labels(0).unique().tolist()}
+    assert ids_of(torch.zeros(3, 4, dtype=torch.int32)) == {0}
+    assert ids_of(None) == set()

@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import ids_of
 from stylesplat.scene.lazy import Lazy
 from stylesplat.training.classes import (
     Shown,
     class_type,
-    ids_of,
     say_unseen,
     shown_ids,
     to_classes,
