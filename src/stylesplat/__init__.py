@@ -11,8 +11,8 @@ A handful of verbs over four nouns (`Capture`, `Cameras`, `Splats`, `Scene`)::
     styled = ss.adjust(styled, intensity=0.7)
     ss.export(styled, "garden.ply"); ss.view(styled); ss.save(styled, "garden-wave")
 
-Nouns are never changed: every verb takes them and returns others. Only `load`, `open`, `save` and
-`export` touch the disk.
+Nouns are never changed: every verb takes them and returns others. Captures and scenes meet the disk
+in `load`, `open`, `save` and `export` only.
 """
 
 import lazy_loader

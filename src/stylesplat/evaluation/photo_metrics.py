@@ -13,8 +13,16 @@ from stylesplat.progress import track
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, Labels
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
+
+MEASURED = 8  # views of an import
+
+
+def measured_rows(capture: Capture) -> list[int]:
+    """The views of an import that are compared with their photos: none of them is held out."""
+    return evenly(range(len(capture)), MEASURED)
 
 
 @torch.no_grad()

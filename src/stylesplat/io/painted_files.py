@@ -8,7 +8,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_json, write_json
-from stylesplat.io.recipe_files import paintings_in, recipe_of, within
+from stylesplat.io.recipe_files import fitting, paintings_in, recipe_of, within
 from stylesplat.io.splats.splat_ply import pad_bands
 from stylesplat.io.tensors import load_tensors, read_rows, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit
@@ -56,18 +56,19 @@ def read_painted(folder: Path, picks: Mapping[str, Tensor], count: int) -> Paint
     content = read_json(folder / RECIPE)
     if (folder / PAINTINGS).exists():
         found = read_rows(folder / PAINTINGS, count)
-        rows = [found[name] for name in sorted(found, key=int)]
+        rows = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
     else:  # as scenes were before they remembered what was painted
         names = [str(each.get("name")) for each in content.get("objects", [])]
         rows = [picks[name] for name in names if name in picks]
     with within(f"Cannot read {folder / RECIPE}"):
         paintings = paintings_in(content, rows)
+        origin = fitting(content.get("scene"), str | None, "scene")
     return Painted(
         paintings=paintings,
         before=_read_colors(folder / BASE_COLORS, count),
         full=_read_colors(folder / STYLE_COLORS, count),
         unsplit=_read_unsplit(folder / UNSPLIT),
-        origin=Path(content["scene"]) if content.get("scene") else None,
+        origin=Path(origin) if origin else None,
     )
 
 

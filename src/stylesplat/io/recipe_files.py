@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import yaml
 from jaxtyping import Bool
 from torch import Tensor
@@ -26,6 +27,18 @@ def within(place: str) -> Iterator[None]:
         raise StyleSplatError(f"{place}: {error}") from error
     except OSError as error:
         raise StyleSplatError(f"{place}: {error.strerror}: {error.filename}.") from error
+
+
+def fitting(value: Any, hint: Any, name: str) -> Any:
+    """A value of a file as its type hint has it.
+
+    Raises:
+        StyleSplatError: If it does not fit.
+    """
+    try:
+        return msgspec.convert(value, hint)
+    except msgspec.ValidationError as error:
+        raise StyleSplatError(f"{name} is wrong: {error}. Make the scene again.") from error
 
 
 def parse_yaml(text: str | bytes) -> Any:

@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import claim_directory, read_json, revised_directory, write_json
 from stylesplat.io.painted_files import read_painted, write_painted
-from stylesplat.io.recipe_files import within
+from stylesplat.io.recipe_files import fitting, within
 from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
 from stylesplat.io.tensors import check_rows, load_tensors, read_rows, write_tensors
 from stylesplat.scene.cameras import Cameras
@@ -74,15 +74,16 @@ def open(path: Path | str) -> Scene:
             "it, or train again."
         )
     splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
-    capture, held_out = info.pop("capture", None), info.pop("test_views", [])
     with within(f"Cannot read {folder / SCENE}"):
+        capture = fitting(info.pop("capture", None), str | None, "capture")
+        held_out = fitting(info.pop("test_views", []), tuple[str, ...], "test_views")
         downscale = _taken_downscale(info)
     picks = read_rows(folder / PICKS, len(splats))
     painted = read_painted(folder, picks, len(splats))
     return Scene(
         splats=splats,
         cameras=_read_cameras(folder / CAMERAS),
-        held_out=tuple(map(str, held_out)),
+        held_out=held_out,
         downscale=downscale,
         objects=_read_objects(folder / OBJECTS, picks),
         painted=painted,

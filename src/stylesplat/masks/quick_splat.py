@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.metrics.frame_fit import CLOSER, frame_fits
+from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
@@ -20,7 +20,6 @@ from stylesplat.training.train_config import TrainConfig
 
 QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
 QUICK_SIZE = 480  # pixels of the longer side of its photos
-CHECK_SIZE = 240  # and of those that a scene is compared with
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def with_splat(capture: Capture, scene: Scene | None, device: str) -> Working:
             f"This is a scene of other photos: it has no view {min(missing)}. Give a scene of "
             "these photos, or none."
         )
-    splats = scene.splats.to(torch_device)
+    splats = scene.unpainted.to(torch_device)
     small = posed_as(at_most(capture, CHECK_SIZE), scene.cameras)
     fits = frame_fits(splats, small, {"scene": SAME})
     if fits["scene"] <= CLOSER:

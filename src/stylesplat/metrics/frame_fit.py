@@ -14,6 +14,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 
 VIEWS = 5  # that are compared
+CHECK_SIZE = 240  # pixels of the longer side of photos that are enough for it
 CLOSER = 2.0  # dB above a picture of one colour at which a splat shows what the photos do
 
 

@@ -50,7 +50,7 @@ def posed_as(capture: Capture, cameras: Cameras) -> Capture:
     Ks = posed.Ks.clone()
     Ks[:, :2] *= (capture.cameras.sizes / posed.sizes)[:, :, None].to(Ks)
     moved = replace(posed, Ks=Ks, sizes=capture.cameras.sizes)
-    return replace(capture, cameras=moved, full=replace(posed))
+    return replace(capture, cameras=moved, full=posed)
 
 
 def known_frames(cameras: Cameras) -> dict[str, Frame]:

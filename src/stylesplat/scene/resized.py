@@ -32,7 +32,7 @@ def at_most(capture: Capture, length: int) -> Capture:
     cache, sizes = Cache[tuple[str, int]](KEPT), cameras.sizes.tolist()
     smaller: dict[str, Lazy[Any]] = {}
     for name, shrink in SHRINK.items():
-        items = getattr(capture, name, None)
+        items = getattr(capture, name)
         if items is not None:
             smaller[name] = Lazy(
                 [

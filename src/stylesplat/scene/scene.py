@@ -4,12 +4,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.paintings import Painted
 from stylesplat.scene.splats import Splats
@@ -66,6 +66,7 @@ class Scene:
         Raises:
             StyleSplatError: If there are none.
         """
+        check_choice(which, "set of views", get_args(Which))
         held_out = set(self.held_out)
         rows = [
             row
@@ -103,11 +104,6 @@ def check_name(name: str) -> None:
         raise StyleSplatError(
             f"Cannot call an object {brief(name)!r}: {fault}. Choose another name."
         )
-
-
-def can_be_called(name: str) -> bool:
-    """Whether an object can be called that; `name_fault` says why not."""
-    return name_fault(name) is None
 
 
 def name_fault(name: str) -> str | None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -78,10 +78,8 @@ def with_paintings(scene: Scene, styled: Styled, paintings: Sequence[Painting]) 
         unsplit=_unsplit(scene, base),
         origin=known.origin if known else _absolute(scene.path),
     )
-    objects = {
-        name: replace(each, picked=each.picked[parents]) for name, each in scene.objects.items()
-    }
-    return replace(scene, splats=splats, objects=objects, painted=painted)
+    objects = {name: _taken(each, parents) for name, each in scene.objects.items()}
+    return replace(scene, splats=splats, objects=objects, painted=painted, path=None)
 
 
 def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
@@ -102,7 +100,8 @@ def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
             mixed = blend_colors(base, full, picked, wanted)
             splats = blend_colors(splats, mixed, picked, 1.0)
         paintings.append(replace(each, intensity=wanted))
-    return replace(scene, splats=splats, painted=replace(painted, paintings=tuple(paintings)))
+    painted = replace(painted, paintings=tuple(paintings))
+    return replace(scene, splats=splats, painted=painted, path=None)
 
 
 def unpainted(scene: Scene) -> Scene:
@@ -117,14 +116,15 @@ def unpainted(scene: Scene) -> Scene:
     splats, objects = painted.before.on(scene.splats), dict(scene.objects)
     if painted.unsplit is not None:
         shape = painted.unsplit
-        splats = splats[torch.arange(shape.count)]
+        rows = torch.arange(shape.count)
+        splats = splats[rows]
         splats = replace(
             splats,
             scales=splats.scales.index_copy(0, shape.rows, shape.scales),
             opacities=splats.opacities.index_copy(0, shape.rows, shape.opacities),
         )
         objects = {
-            name: _first(each, shape.count)
+            name: _taken(each, rows)
             for name, each in objects.items()
             if each.picked[: shape.count].any() or not each.picked.any()  # not of new ones alone
         }
@@ -133,12 +133,16 @@ def unpainted(scene: Scene) -> Scene:
         splats=splats,
         objects=objects,
         painted=None,
+        path=None,
         metrics=scene.metrics.get("train", {}),
     )
 
 
-def _first(each: SceneObject, count: int) -> SceneObject:
-    return replace(each, picked=each.picked[:count])
+def _taken(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
+    """An object among the Gaussians of some rows."""
+    picked = each.picked[rows]
+    count = {"gaussians": int(picked.sum())} if "gaussians" in each.how else {}
+    return SceneObject(picked, {**each.how, **count})
 
 
 def _where(mine: Bool[Tensor, " N"], one: Colors, other: Colors) -> Colors:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import task
+from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
@@ -25,7 +26,6 @@ from stylesplat.stylization.style_images import read_style
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
 MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
-GIBIBYTE = 2**30
 REPORT_EVERY = 10  # steps between two updates of the loss shown
 
 
@@ -157,7 +157,7 @@ def open_studio(
         every_camera=cameras if held_out is None else cameras + held_out,
         network=network.to(device),
         precision=fastest_dtype(device.type),
-        max_memory=max_memory * GIBIBYTE,
+        max_memory=max_memory * GIB,
     )
 
 

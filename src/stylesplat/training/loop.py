@@ -72,7 +72,11 @@ def fit(
     rows, _ = split_views(capture, config.test_every)
     if not rows:
         raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
-    saved = None if checkpoint is None else Checkpoint(checkpoint, config, fingerprint(capture))
+    saved = (
+        None
+        if checkpoint is None
+        else Checkpoint(checkpoint, config, fingerprint(replace(capture, object_names={})))
+    )
     state = _continued(saved, device) or _first(capture, rows, config, device)
     run = Run(
         config=config,

@@ -4,6 +4,17 @@ from dataclasses import dataclass, replace
 
 from stylesplat.errors import StyleSplatError
 
+SH_DEGREES = range(4)
+WHOLE = ("steps", "max_gaussians", "test_every", "seed", "refine_every", "identity_every")
+POSITIVE = (
+    "steps",
+    "max_seconds",
+    "max_gaussians",
+    "refine_every",
+    "identity_every",
+    "identity_stride",
+)
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -50,14 +61,22 @@ class TrainConfig:
     """GiB for photos and label maps; what does not fit is read again."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "max_seconds", "max_gaussians", "refine_every"):
+        for name in POSITIVE:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise StyleSplatError(f"Cannot train with {name} {value}: it must exceed 0.")
-        if not self.max_memory >= 0:
-            raise StyleSplatError(
-                f"Cannot train with max_memory {self.max_memory}: it must not be less than 0."
-            )
+        for name in ("max_memory", "test_every"):
+            if not getattr(self, name) >= 0:
+                raise StyleSplatError(
+                    f"Cannot train with {name} {getattr(self, name)}: it must not be less than 0."
+                )
+        if self.sh_degree not in SH_DEGREES:
+            raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
+        for name in WHOLE:
+            if not isinstance(getattr(self, name), int):
+                raise StyleSplatError(
+                    f"Cannot train with {name} {getattr(self, name)}: give a whole number."
+                )
 
 
 PRESETS = {

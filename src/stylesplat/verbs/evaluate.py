@@ -8,7 +8,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
 from stylesplat.evaluation.style_metrics import (
     measure_changes,
     measure_look,
@@ -21,7 +21,6 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import posed_as
 from stylesplat.scene.paintings import Painting, Source
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.bookkeeping import unpainted
@@ -31,8 +30,6 @@ from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.stylize import flat_metrics, load_network
-
-MEASURED = 8  # views of an import that are compared with their photos: it was trained on all
 
 
 def evaluate(
@@ -72,7 +69,7 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
     """The held-out views compared with their photos; of an import, some of all."""
     capture = posed_as(capture, scene.cameras)
     if "splat" in scene.info:
-        rows = evenly(range(len(capture)), MEASURED)
+        rows = measured_rows(capture)
     else:
         rows = [capture.cameras.index(name) for name in scene.held_out]
     return evaluate_views(splats, capture, rows) if rows else {}

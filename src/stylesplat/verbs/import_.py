@@ -4,21 +4,20 @@ import time
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
 from stylesplat.io.splats.splat_files import read_splats
-from stylesplat.metrics.frame_fit import CLOSER, frame_fits
+from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames, posed_as, seen_from
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.ring import ring_cameras
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.naming import with_names
@@ -28,8 +27,6 @@ FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colm
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 WORKING_SIZE = 960  # pixels of the longer side at which labels are lifted and styles matched
-CHECK_SIZE = 240  # and at which the fit to the photos is checked
-MEASURED = 8  # views that are compared with their photos
 
 
 def import_(
@@ -61,6 +58,9 @@ def import_(
         StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
             option means nothing.
     """
+    check_choice(frame, "frame", get_args(FrameName))
+    if up is not None:
+        check_choice(up, "direction", get_args(Up))
     _refuse_idle_options(capture, frame, up)
     start = time.perf_counter()
     splats = splat if isinstance(splat, Splats) else read_splats(splat)
@@ -95,7 +95,7 @@ def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
         seen = splats.confidence[splats.confidence > 0]
         metrics["confidence"] = float(seen.mean())
         metrics["unseen_gaussians"] = len(splats) - len(seen)
-    metrics |= evaluate_views(splats, small, evenly(range(len(small)), MEASURED))
+    metrics |= evaluate_views(splats, small, measured_rows(small))
     scene = Scene(
         splats=splats.to("cpu"),
         cameras=cameras,
@@ -123,8 +123,9 @@ def _check_fit(splats: Splats, name: str, small: Capture, frame: FrameName) -> N
         return
     gains = frame_fits(splats, small, frames)
     best = max(gains, key=lambda each: gains[each])
+    where = f" in {small.path}" if small.path else ""
     fault = (
-        f"{name} does not show what the photos in {small.path} do (renders are {gain:+.1f} dB "
+        f"{name} does not show what the photos{where} do (renders are {gain:+.1f} dB "
         "from pictures of one colour)"
     )
     if gains[best] > CLOSER:

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.captures.label_folder import with_drawn_maps
 from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes
 from stylesplat.masks.foreign import foreign_label_maps
@@ -62,6 +62,7 @@ def mask(
             or nothing is found.
     """
     method = method or ("grabcut" if source is None else "files")
+    check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
     given = {"boxes": boxes, "strokes": strokes, "source": source, "model": model}
     _refuse_unused(method, given | {"scene": scene, "progress": progress})
     if method == "files":

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
@@ -118,9 +118,7 @@ def load_network(
             f"{path} holds other weights than those that were used: its digest differs. Put the "
             "file back, or pass --weights."
         )
-    if features not in get_args(Network):
-        known = ", ".join(get_args(Network))
-        raise StyleSplatError(f"There is no feature network {features!r}. Use one of {known}.")
+    check_choice(features, "feature network", get_args(Network))
     depth = max(max(style.config.layers) for style in styles)
     return load_weights(cast("Network", features), path, depth=depth, download=download)
 
@@ -131,6 +129,13 @@ def _runs(
     """The objects of a recipe in groups that are painted together, in order."""
     upon = strengths(scene)
     run: Run | None = None
+    networks = {features or each.features or DEFAULT_NETWORK for each in recipe.objects}
+    if weights and len(networks) > 1:
+        raise StyleSplatError(
+            f"{weights} is the file of one network, but the recipe has "
+            f"{' and '.join(sorted(networks))}. Pass --features too, or write `weights:` into the "
+            "recipe's objects."
+        )
     for each in recipe.objects:
         network = features or each.features or DEFAULT_NETWORK
         file = Source(Path(weights)) if weights else each.weights
@@ -173,7 +178,7 @@ def _painted(
         for each in run.objects
     ]
     check_jobs(jobs)
-    refuse_painted(ground, {job.name: job.picked for job in jobs})
+    refuse_painted(scene, {job.name: job.picked for job in jobs})
     network = load_network(styles, run.features, run.weights)
     training, held_out = ground.working_views()
     studio = open_studio(

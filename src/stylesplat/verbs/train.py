@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
@@ -31,6 +31,7 @@ def train(
     capture: Capture,
     config: TrainConfig | None = None,
     *,
+    preset: str = "default",
     segment: Segment = "joint",
     device: str = "auto",
     checkpoint: Path | None = None,
@@ -42,7 +43,8 @@ def train(
 
     Args:
         capture: Posed photos; with label maps if objects are wanted.
-        config: How to train; the default preset if not given.
+        config: How to train; by default as the preset says.
+        preset: `default`, or `paper` for 30,000 steps at the rates of the paper.
         segment: Whether Gaussians learn their objects along with their colours (`joint`), or the
             label maps are lifted onto them afterwards (`lift`).
         device: `auto` takes an NVIDIA GPU where there is one.
@@ -63,7 +65,11 @@ def train(
         >>> import stylesplat as ss
         >>> scene = ss.train(ss.load("garden/"), max_seconds=120)  # doctest: +SKIP
     """
-    config = replace(config or PRESETS["default"], **settings)
+    check_choice(segment, "way to segment", get_args(Segment))
+    check_choice(preset, "preset", PRESETS)
+    for name in settings:
+        check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
+    config = replace(config or PRESETS[preset], **settings)
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)

@@ -1,0 +1,152 @@
+"""What a verb is told and cannot be: one line, whichever verb it is."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import stylesplat as ss
+from balls import CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.masks.quick_splat import with_splat
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.paintings import Colors, Painted, Painting
+from stylesplat.scene.scene import Scene
+from stylesplat.stylization.style import Recipe, Style, StyledObject
+from stylesplat.training.train_config import TrainConfig
+
+PICKED = torch.arange(len(SPLATS)) >= 200  # the balls
+
+
+def photographed() -> Capture:
+    """Renders of the balls as photos."""
+    with torch.no_grad():
+        images = [rasterize(SPLATS, CAMERAS[row])[0][0] for row in range(len(CAMERAS))]
+    photos = [(255 * image.clamp(0, 1)).round().to(torch.uint8) for image in images]
+    return Capture(CAMERAS, photos)
+
+
+def inverted() -> Scene:
+    """The balls, painted in the opposite colours."""
+    shown = replace(SPLATS, sh0=torch.where(PICKED[:, None, None], -3 * SPLATS.sh0, SPLATS.sh0))
+    painting = Painting("balls", PICKED, (), {}, 1.0, "compact")
+    painted = Painted((painting,), before=Colors.of(SPLATS), full=Colors.of(shown))
+    return Scene(shown, CAMERAS, painted=painted)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"sh_degree": 4}, "sh_degree 4: use 0 to 3"),
+        ({"identity_every": 0}, "identity_every 0: it must exceed 0"),
+        ({"identity_stride": 0}, "identity_stride 0: it must exceed 0"),
+        ({"test_every": -1}, "test_every -1: it must not be less than 0"),
+        ({"stepz": 3}, "no setting 'stepz'"),
+        ({"preset": "best"}, r"no preset 'best'\. Use default, paper"),
+    ],
+)
+def test_training_cannot_be_told_this(settings: dict, message: str):
+    with pytest.raises(StyleSplatError, match=message):
+        ss.train(photographed(), **settings)
+
+
+def test_the_paper_has_a_preset_in_python(monkeypatch: pytest.MonkeyPatch):
+    told = []
+
+    def fit(capture: Capture, config: TrainConfig, **_: object) -> None:
+        told.append(config)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stylesplat.verbs.train.fit", fit)
+    with pytest.raises(KeyboardInterrupt):
+        ss.train(photographed(), preset="paper", seed=3)
+    assert (told[0].steps, told[0].seed) == (30_000, 3)
+
+
+CALLS = {
+    "ss.train(capture, steps=1.5)": "steps 1.5: give a whole number",
+    "ss.train(capture, segment='lifted')": "no way to segment 'lifted'. Use joint, lift",
+    "ss.render(scene, 'tests')": "no set of views 'tests'. Use test, train, all",
+    "ss.mask(capture, method='sam9')": "no method 'sam9'. Use files, grabcut, sam",
+    "ss.import_(SPLATS, capture, frame='blender')": "no frame 'blender'. Use capture",
+    "ss.import_(SPLATS, up='w')": "no direction 'w'. Use x, -x",
+}
+
+
+def test_choices_are_named():
+    """In a process of its own, as types are not checked there, for users."""
+    program = f"""
+import stylesplat as ss
+from balls import CAMERAS, SPLATS
+scene, photos = ss.Scene(SPLATS, CAMERAS), [SPLATS.means.new_zeros(36, 48, 3).byte()] * 8
+capture = ss.Capture(CAMERAS, photos)
+for call in {[*CALLS]}:
+    try:
+        eval(call)
+    except ss.StyleSplatError as error:
+        print(error)
+"""
+    path = os.pathsep.join(sys.path)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(CALLS)
+    for line, expected in zip(lines, CALLS.values(), strict=True):
+        assert expected in line
+
+
+def test_a_splat_of_other_photos_that_lie_nowhere():
+    capture = photographed()
+    other = replace(capture, photos=[255 - photo for photo in capture.photos])
+    with pytest.raises(StyleSplatError, match="does not show what the photos do"):
+        ss.import_(SPLATS, other, device="cpu")
+
+
+def test_masks_are_made_on_a_scene_as_it_was_before_it_was_painted():
+    working = with_splat(photographed(), inverted(), "cpu")
+    assert torch.equal(working.splats.sh0, SPLATS.sh0)
+
+
+def test_one_file_is_not_the_weights_of_two_networks(tmp_path: Path):
+    style = Style(torch.rand(64, 64, 3))
+    objects = (
+        StyledObject("3", style, features="compact"),
+        StyledObject("7", style, features="vgg19"),
+    )
+    with pytest.raises(StyleSplatError, match=r"has compact and vgg19\. Pass --features"):
+        ss.stylize(Scene(SPLATS, CAMERAS), Recipe(objects), weights=tmp_path / "vgg.pth")
+
+
+def test_what_differs_from_a_folder_is_not_called_by_it(tmp_path: Path):
+    ss.save(inverted(), tmp_path / "styled")
+    opened = ss.open(tmp_path / "styled")
+    assert opened.path == tmp_path / "styled"
+    assert ss.adjust(opened, 0.5).path is None and ss.adjust(opened, undo=True).path is None
+
+
+@pytest.mark.parametrize(
+    ("file", "changes"),
+    [
+        ("scene.json", {"test_views": None}),
+        ("scene.json", {"test_views": 5}),
+        ("scene.json", {"capture": 5}),
+        ("recipe.json", {"scene": 5}),
+    ],
+)
+def test_damaged_scenes(file: str, changes: dict, tmp_path: Path):
+    ss.save(inverted(), tmp_path / "scene")
+    path = tmp_path / "scene" / file
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    with pytest.raises(StyleSplatError, match=rf"Cannot read .*{file}: {min(changes)} is wrong"):
+        ss.open(tmp_path / "scene")
