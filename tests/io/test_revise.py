@@ -111,7 +111,7 @@ class Killed(BaseException):
     """The end of the process, as far as a test can have it."""
 
 
-@pytest.mark.parametrize("way", ["exchange", "two renames", "file by file"])
+@pytest.mark.parametrize("way", ["exchange", "two renames", "file by file", "no room beside"])
 @pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), Killed()])
 def test_a_revision_is_whole_or_not_at_all(
     error: BaseException, way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -123,6 +123,8 @@ def test_a_revision_is_whole_or_not_at_all(
         monkeypatch.setattr(files, "_exchanged", lambda one, other: False)
     if way == "file by file":  # where somebody stands in the folder
         monkeypatch.chdir(folder)
+    if way == "no room beside":  # where the folder is a volume, or its parent is read-only
+        monkeypatch.setattr(files, "_has_room_beside", lambda path: False)
     (folder / "notes.txt").write_text("mine")
     scene = scene_folder.open(folder)
     changed = replace(scene, splats=plain_scene().splats, painted=None, metrics={})

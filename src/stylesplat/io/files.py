@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from uuid import uuid4
 
@@ -87,15 +88,32 @@ def revised_directory(path: Path | str) -> Iterator[Path]:
         StyleSplatError: If the disk is full or the place cannot be written to.
     """
     path = Path(path).resolve()
-    temporary = _beside(path)
     try:
-        shutil.copytree(path, temporary, copy_function=_link)
-        yield temporary
-        _swap(temporary, path)
+        with _place_for(path) as temporary:
+            try:
+                shutil.copytree(path, temporary, copy_function=_link)
+                yield temporary
+                _swap(temporary, path)
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise _cannot_write(path, error) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def _place_for(path: Path) -> Iterator[Path]:
+    """Where another version of a folder can be made: beside it, or else far away."""
+    if _has_room_beside(path):
+        yield _beside(path)
+    else:
+        with TemporaryDirectory() as elsewhere:
+            yield Path(elsewhere) / path.name
+
+
+def _has_room_beside(path: Path) -> bool:
+    """Whether another folder can take the place of one: not of a volume of its own."""
+    same_volume = path.stat().st_dev == path.parent.stat().st_dev
+    return same_volume and os.access(path.parent, os.W_OK | os.X_OK)
 
 
 def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -> None:
@@ -208,7 +226,7 @@ def _swap(new: Path, path: Path) -> None:
     """Give a folder the place of another, which is left in its own, or gone."""
     if not path.exists():
         new.rename(path)
-    elif Path.cwd().is_relative_to(path):
+    elif new.parent != path.parent or Path.cwd().is_relative_to(path):
         _refill(path, new)  # else whoever stands in it, such as a shell, would be left nowhere
     elif not _exchanged(new, path):
         old = _beside(path)
@@ -223,7 +241,11 @@ def _swap(new: Path, path: Path) -> None:
 
 def _exchanged(one: Path, other: Path) -> bool:
     """Swap two folders in one step; False where the system cannot."""
-    system, paths = ctypes.CDLL(None), (os.fsencode(one), os.fsencode(other))
+    try:
+        system = ctypes.CDLL(None)
+    except (OSError, TypeError):  # Windows
+        return False
+    paths = os.fsencode(one), os.fsencode(other)
     if hasattr(system, "renameat2"):  # Linux
         return system.renameat2(AT_FDCWD, paths[0], AT_FDCWD, paths[1], RENAME_EXCHANGE) == 0
     return hasattr(system, "renamex_np") and system.renamex_np(*paths, RENAME_SWAP) == 0  # macOS
@@ -231,7 +253,7 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 def _refill(path: Path, new: Path) -> None:
     """Give a folder the files of another, one by one; on failure its own again."""
-    old = _beside(path)
+    old = _beside(new)
     try:
         shutil.copytree(path, old, copy_function=_link)
         try:
