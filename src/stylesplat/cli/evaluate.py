@@ -32,10 +32,10 @@ class Evaluate:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.progress import say
         from stylesplat.verbs.evaluate import evaluate
+        from stylesplat.verbs.load import load
 
         scene = open(self.scene)
         source, capture = self.capture or scene.capture, None
@@ -44,7 +44,7 @@ class Evaluate:
                 f"{self.scene} does not say what it was trained on. Pass --capture."
             )
         if source is not None and (self.capture or scene.painted is None or source.is_dir()):
-            capture = open_capture(source, masks=self.masks).at(scene.downscale)
+            capture = load(source, downscale=scene.downscale, masks=self.masks)
         elif source is not None:
             say(f"The photos are no longer in {source}, so only the style is measured.")
         metrics = evaluate(scene, capture, device=self.device)

@@ -37,17 +37,17 @@ class Import:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.io.files import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
         from stylesplat.verbs.import_ import import_
+        from stylesplat.verbs.load import load
 
         if self.capture is None and (self.masks is not None or self.frame != "capture"):
             raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         capture = None
         if self.capture is not None:
-            capture = open_capture(self.capture, masks=self.masks).at(1.0)
+            capture = load(self.capture, masks=self.masks)
         scene = import_(self.splat, capture, frame=self.frame, up=self.up, device=self.device)
         save(scene, self.output, overwrite=self.overwrite)
         return dict(scene.metrics)

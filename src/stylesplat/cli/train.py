@@ -53,10 +53,10 @@ class Train:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.io.files import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
         from stylesplat.training.train_config import PRESETS
+        from stylesplat.verbs.load import load
         from stylesplat.verbs.train import train
 
         names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
@@ -65,7 +65,7 @@ class Train:
         output = self.output.resolve()
         partial = output.with_name(output.name + PARTIAL)
         checkpoint = partial / f"checkpoint_{self.segment}.pt"
-        capture = open_capture(self.capture, masks=self.masks).at(self.downscale)
+        capture = load(self.capture, downscale=self.downscale, masks=self.masks)
         if self.restart:
             shutil.rmtree(partial, ignore_errors=True)
         scene = train(
