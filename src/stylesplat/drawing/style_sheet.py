@@ -114,9 +114,6 @@ def captioned(
 
 
 def _refuse_crowded(styles: Sequence[object], keys: Sequence[str]) -> None:
-    if len(set(keys)) < len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise StyleSplatError(f"--vary {twice} was given twice. List all its values in one.")
     if len(keys) > (1 if len(styles) > 1 else 2):
         raise StyleSplatError(
             f"Got {len(styles)} styles and --vary {', '.join(keys)}. A sheet has rows and columns: "
