@@ -1,6 +1,7 @@
 """The one exception that users are meant to read."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class StyleSplatError(Exception):
@@ -16,3 +17,14 @@ def check_choice(value: object, what: str, choices: Iterable[object]) -> None:
     known = [*choices]
     if value not in known:
         raise StyleSplatError(f"There is no {what} {value!r}. Use {', '.join(map(str, known))}.")
+
+
+@contextmanager
+def within(place: str) -> Iterator[None]:
+    """Make errors say where they occurred."""
+    try:
+        yield
+    except StyleSplatError as error:
+        raise StyleSplatError(f"{place}: {error}") from error
+    except OSError as error:
+        raise StyleSplatError(f"{place}: {error.strerror}: {error.filename}.") from error

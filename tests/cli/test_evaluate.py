@@ -11,7 +11,7 @@ from PIL import Image
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from command_line import result, run
-from stylesplat.io.files import read_json, write_json
+from stylesplat.io.json_files import read_json, write_json
 from stylesplat.stylization.features import weights
 
 PER_RUN = ("seconds", "seconds_by_object", "steps", "precision", "train")

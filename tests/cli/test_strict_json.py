@@ -14,7 +14,7 @@ from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.cli import main
 from stylesplat.evaluation import style_metrics as report
 from stylesplat.io import scene_folder
-from stylesplat.io.files import strict_json
+from stylesplat.io.json_files import strict_json
 from stylesplat.verbs import evaluate as verb
 
 MEASURED = {"psnr": math.inf, "rmse": math.nan, "by": {"vase": -math.inf}, "all": [math.nan, 1.5]}

@@ -6,15 +6,10 @@ from string import ascii_lowercase, digits
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import files
-from stylesplat.io.files import (
-    atomic_path,
-    claim_directory,
-    file_stem,
-    read_json,
-    refuse_occupied,
-    write_json,
-)
+from stylesplat.io import folders
+from stylesplat.io.files import atomic_path, file_stem
+from stylesplat.io.folders import claim_directory, refuse_occupied
+from stylesplat.io.json_files import read_json, write_json
 
 MARKER = "scene.json"
 
@@ -139,7 +134,7 @@ def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path, monkeypatch: pyt
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", second_fails)
-    monkeypatch.setattr(files, "_exchanged", lambda one, other: False)
+    monkeypatch.setattr(folders, "_exchanged", lambda one, other: False)
     with (
         pytest.raises(StyleSplatError, match="Input/output error"),
         claim_directory(target, overwrite=True, marker=MARKER) as folder,

@@ -13,12 +13,12 @@ import torch
 
 from full_scenes import COUNT, assert_same, contents, full_scene, painted, plain_scene
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import files, scene_folder
+from stylesplat.io import folders, scene_folder
 from stylesplat.io.scene_folder import revise
 from stylesplat.scene.scene import Scene, SceneObject
 
-# All by which `files` changes what lies in a folder, deletions aside, which are the last it does
-CHANGES = [(os, "replace"), (os, "rename"), (os, "link"), (os, "mkdir"), (files, "_exchanged")]
+# All by which `folders` changes what lies in a folder, deletions aside, which are the last it does
+CHANGES = [(os, "replace"), (os, "rename"), (os, "link"), (os, "mkdir"), (folders, "_exchanged")]
 
 
 def inodes(folder: Path) -> dict[str, int]:
@@ -49,7 +49,7 @@ def can_exchange(folder: Path) -> bool:
     one, other = folder / "one", folder / "other"
     one.mkdir()
     other.mkdir()
-    exchanged = files._exchanged(one, other)
+    exchanged = folders._exchanged(one, other)
     one.rmdir()
     other.rmdir()
     return exchanged
@@ -120,11 +120,11 @@ def test_a_revision_is_whole_or_not_at_all(
     folder = tmp_path / "scene"
     scene_folder.save(full_scene(), folder)
     if way == "two renames":  # where the system cannot exchange
-        monkeypatch.setattr(files, "_exchanged", lambda one, other: False)
+        monkeypatch.setattr(folders, "_exchanged", lambda one, other: False)
     if way == "file by file":  # where somebody stands in the folder
         monkeypatch.chdir(folder)
     if way == "no room beside":  # where the folder is a volume, or its parent is read-only
-        monkeypatch.setattr(files, "_has_room_beside", lambda path: False)
+        monkeypatch.setattr(folders, "_has_room_beside", lambda path: False)
     (folder / "notes.txt").write_text("mine")
     scene = scene_folder.open(folder)
     changed = replace(scene, splats=plain_scene().splats, painted=None, metrics={})

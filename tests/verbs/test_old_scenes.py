@@ -15,7 +15,7 @@ from painted_balls import (
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.io.files import read_json, write_json
+from stylesplat.io.json_files import read_json, write_json
 from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe

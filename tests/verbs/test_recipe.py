@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import write_json
+from stylesplat.io.json_files import write_json
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.recipe import SHARED, read_recipe
 from stylesplat.stylization.style import Recipe

@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
         args=arguments,
     )
-    from stylesplat.io.files import strict_json
+    from stylesplat.io.json_files import strict_json
     from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
     announce_compilation()

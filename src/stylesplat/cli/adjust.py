@@ -32,7 +32,7 @@ class Adjust:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, open, revise, save
         from stylesplat.verbs.adjust import adjust
 

@@ -37,7 +37,7 @@ class Import:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
         from stylesplat.verbs.import_ import import_
         from stylesplat.verbs.load import load

@@ -89,7 +89,7 @@ class Stylize:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, open, save
         from stylesplat.verbs.stylize import stylize
 

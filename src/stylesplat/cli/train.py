@@ -53,7 +53,7 @@ class Train:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.files import refuse_occupied
+        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
         from stylesplat.training.train_config import PRESETS
         from stylesplat.verbs.load import load

@@ -9,8 +9,9 @@ from stylesplat.demo.faults import corrupt_label_maps
 from stylesplat.demo.still_life import OBJECT_NAMES, View, dome_cameras, photograph
 from stylesplat.demo.style_pictures import burning_tide, swirling_night
 from stylesplat.io.captures.transforms import write_transforms
-from stylesplat.io.files import claim_directory, write_json
+from stylesplat.io.folders import claim_directory
 from stylesplat.io.images import write_image
+from stylesplat.io.json_files import write_json
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.progress import task
 from stylesplat.scene.cameras import Cameras

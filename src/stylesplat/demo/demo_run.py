@@ -10,7 +10,7 @@ from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.report import Figure, Section, write_report
 from stylesplat.drawing.object_sheet import object_sheet
 from stylesplat.drawing.pictures import label_colors
-from stylesplat.io.files import refuse_occupied
+from stylesplat.io.folders import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import SCENE, open, save

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
-from stylesplat.io.files import atomic_path, read_json, write_json
+from stylesplat.io.files import atomic_path
+from stylesplat.io.json_files import read_json, write_json
 from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
 from stylesplat.scene.lazy import Lazy
 

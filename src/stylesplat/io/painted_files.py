@@ -6,9 +6,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import read_json, write_json
-from stylesplat.io.recipe_files import fitting, paintings_in, recipe_of, within
+from stylesplat.errors import StyleSplatError, within
+from stylesplat.io.json_files import fitting, read_json, write_json
+from stylesplat.io.recipe_files import paintings_in, recipe_of
 from stylesplat.io.splats.splat_ply import pad_bands
 from stylesplat.io.tensors import load_tensors, read_rows, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit
@@ -62,7 +62,7 @@ def read_painted(folder: Path, picks: Mapping[str, Tensor], count: int) -> Paint
         rows = [picks[name] for name in names if name in picks]
     with within(f"Cannot read {folder / RECIPE}"):
         paintings = paintings_in(content, rows)
-        origin = fitting(content.get("scene"), str | None, "scene")
+        origin = fitting(content.get("scene"), str | None, "scene is wrong", "Style again.")
     return Painted(
         paintings=paintings,
         before=_read_colors(folder / BASE_COLORS, count),

@@ -1,12 +1,10 @@
 """Recipes on disk: YAML that a user writes, and the `recipe.json` of a styled scene."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import yaml
 from jaxtyping import Bool
 from torch import Tensor
@@ -16,29 +14,6 @@ from stylesplat.io.files import reason
 from stylesplat.scene.paintings import Painted, Painting, Source
 
 TEXT, MERGE, FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("str", "merge", "float"))
-
-
-@contextmanager
-def within(place: str) -> Iterator[None]:
-    """Make errors say where they occurred."""
-    try:
-        yield
-    except StyleSplatError as error:
-        raise StyleSplatError(f"{place}: {error}") from error
-    except OSError as error:
-        raise StyleSplatError(f"{place}: {error.strerror}: {error.filename}.") from error
-
-
-def fitting(value: Any, hint: Any, name: str) -> Any:
-    """A value of a file as its type hint has it.
-
-    Raises:
-        StyleSplatError: If it does not fit.
-    """
-    try:
-        return msgspec.convert(value, hint)
-    except msgspec.ValidationError as error:
-        raise StyleSplatError(f"{name} is wrong: {error}. Make the scene again.") from error
 
 
 def parse_yaml(text: str | bytes) -> Any:

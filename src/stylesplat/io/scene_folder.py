@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import claim_directory, read_json, revised_directory, write_json
+from stylesplat.errors import StyleSplatError, within
+from stylesplat.io.folders import claim_directory, revised_directory
+from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.io.painted_files import read_painted, write_painted
-from stylesplat.io.recipe_files import fitting, within
 from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
 from stylesplat.io.tensors import check_rows, load_tensors, read_rows, write_tensors
 from stylesplat.scene.cameras import Cameras
@@ -25,6 +25,7 @@ CAMERAS = "cameras.json"
 OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
+AGAIN = "Train again."
 VERSION = 1  # of the folder's layout
 
 
@@ -75,8 +76,8 @@ def open(path: Path | str) -> Scene:
         )
     splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
     with within(f"Cannot read {folder / SCENE}"):
-        capture = fitting(info.pop("capture", None), str | None, "capture")
-        held_out = fitting(info.pop("test_views", []), tuple[str, ...], "test_views")
+        capture = fitting(info.pop("capture", None), str | None, "capture is wrong", AGAIN)
+        held_out = fitting(info.pop("test_views", []), tuple[str, ...], "test_views is wrong", AGAIN)
         downscale = _taken_downscale(info)
     picks = read_rows(folder / PICKS, len(splats))
     painted = read_painted(folder, picks, len(splats))

@@ -8,7 +8,7 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import claim_directory, refuse_occupied
+from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.video import write_video

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import read_json
+from stylesplat.io.json_files import read_json
 from stylesplat.io.label_maps import DrawnLabels, read_label_map
 from stylesplat.masks.photo_names import match_photos, photo_key
 from stylesplat.scene.labels import MAX_ID, Labels, Mask

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import read_json
+from stylesplat.io.json_files import read_json
 from stylesplat.progress import say
 
 CONFIG = "config.json"

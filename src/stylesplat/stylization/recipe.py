@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.recipe_files import listed, parse_yaml, within
+from stylesplat.errors import StyleSplatError, within
+from stylesplat.io.recipe_files import listed, parse_yaml
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import claim_directory, refuse_occupied
+from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label_map, write_names
 from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras

@@ -15,7 +15,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import photo_sizes
 from stylesplat.io.captures.posed_files import PosedFiles
-from stylesplat.io.files import read_json, reason, write_json
+from stylesplat.io.files import reason
+from stylesplat.io.json_files import read_json, write_json
 from stylesplat.io.ply import read_ply_table, write_ply_table
 from stylesplat.scene.cameras import Cameras
 

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, read_json, write_json
+from stylesplat.io.files import atomic_path
+from stylesplat.io.json_files import read_json, write_json
 from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.masks.models.track import State
 from stylesplat.progress import say
