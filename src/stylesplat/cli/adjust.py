@@ -32,14 +32,20 @@ class Adjust:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, open, revise, save
-        from stylesplat.verbs.adjust import adjust
+        from stylesplat.io.recovery import changing
 
         if self.undo and self.output is None:
             raise StyleSplatError(
                 "Undoing keeps the styled scene. Pass a folder for the other with -o."
             )
+        with changing(self.output or self.scene):
+            return self._adjust()
+
+    def _adjust(self) -> dict[str, Any]:
+        from stylesplat.io.folders import refuse_occupied
+        from stylesplat.io.scene_folder import SCENE, open, revise, save
+        from stylesplat.verbs.adjust import adjust
+
         if self.output is not None:
             refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         before = open(self.scene)

@@ -37,13 +37,19 @@ class Import:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.recovery import changing
+
+        if self.capture is None and (self.masks is not None or self.frame != "capture"):
+            raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
+        with changing(self.output):
+            return self._import()
+
+    def _import(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
         from stylesplat.verbs.import_ import import_
         from stylesplat.verbs.load import load
 
-        if self.capture is None and (self.masks is not None or self.frame != "capture"):
-            raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         capture = None
         if self.capture is not None:

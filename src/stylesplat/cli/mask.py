@@ -55,17 +55,25 @@ class Mask:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
-        from stylesplat.io.captures.label_folder import refuse_label_maps
+        from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
-        from stylesplat.verbs.mask import mask
 
         method = self.method or ("files" if self.source else "grabcut")
         of_others = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
         refuse_given(self, of_others.get(method, (*DRAWN, "source")), f"--method {method}")
-        boxes, strokes = self._boxes(), self._strokes()
         output = self.capture / OBJECT_MASK
         progress = None if method in of_others else output.with_suffix(".partial")
         capture = load(self.capture, masks=False)
+        with changing(output):
+            return self._mask(capture, method, output, progress)
+
+    def _mask(
+        self, capture: "Capture", method: str, output: Path, progress: Path | None
+    ) -> dict[str, Any]:
+        from stylesplat.io.captures.label_folder import refuse_label_maps
+        from stylesplat.verbs.mask import mask
+
+        boxes, strokes = self._boxes(), self._strokes()
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         masked = mask(
             capture,
@@ -107,12 +115,14 @@ class Mask:
         from stylesplat.drawing.preview import mask_preview
         from stylesplat.io.captures.label_folder import write_label_maps
         from stylesplat.io.images import write_image
+        from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
         found = write_label_maps(masked, output, overwrite=self.overwrite)
         ids = sorted(set[int]().union(*found.values()))
         names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
-        write_image(mask_preview(load(self.capture), names), output / PREVIEW)
+        with changing(output / PREVIEW):
+            write_image(mask_preview(load(self.capture), names), output / PREVIEW)
         return {
             "masks": output,
             "preview": output / PREVIEW,

@@ -61,11 +61,17 @@ class Select:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.scene_folder import open, revise
-        from stylesplat.verbs.select import select
+        from stylesplat.io.recovery import changing
 
         if self.model is not None and self.text is None:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
+        with changing(self.scene):  # from reading on, so that no other's selection is lost
+            return self._select()
+
+    def _select(self) -> dict[str, Any]:
+        from stylesplat.io.scene_folder import open, revise
+        from stylesplat.verbs.select import select
+
         before = open(self.scene)
         after = select(
             before,
@@ -99,6 +105,7 @@ class Select:
         from stylesplat.drawing.selection_picture import selection_picture
         from stylesplat.io.files import file_stem
         from stylesplat.io.images import write_image
+        from stylesplat.io.recovery import changing
         from stylesplat.progress import say
 
         target = self.scene / PICTURES / f"{file_stem(self.name)}.png"
@@ -108,5 +115,6 @@ class Select:
             say(f"{self.name} shows in none of the views, so there is no picture of it.")
             target.unlink(missing_ok=True)
             return None
-        write_image(picture, target)
+        with changing(target):
+            write_image(picture, target)
         return target

@@ -50,6 +50,12 @@ class Sheet:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.recovery import changing
+
+        with changing(self.output):
+            return self._draw()
+
+    def _draw(self) -> dict[str, Any]:
         from stylesplat.io.images import write_image
         from stylesplat.io.scene_folder import open
         from stylesplat.stylization.recipe import parse_variation

@@ -89,11 +89,17 @@ class Stylize:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.recovery import changing
+
+        recipe = self._recipe()
+        with changing(self.output):
+            return self._stylize(recipe)
+
+    def _stylize(self, recipe: "Recipe") -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, open, save
         from stylesplat.verbs.stylize import stylize
 
-        recipe = self._recipe()
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         styled = stylize(
             open(self.scene),

@@ -1,6 +1,7 @@
 """`stylesplat train`."""
 
-import shutil
+import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -10,6 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from stylesplat.cli.options import Device, Json, Output, Overwrite, given
 
 PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
+KEPT_IN_IT = re.compile(r"checkpoint_\w+\.pt|\.checkpoint_\w+\.[0-9a-f]{12}\.pt")  # whole, or not
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,12 @@ class Train:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.recovery import changing
+
+        with changing(self.output):
+            return self._train()
+
+    def _train(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, save
         from stylesplat.training.train_config import PRESETS
@@ -67,10 +75,20 @@ class Train:
         checkpoint = partial / f"checkpoint_{self.segment}.pt"
         capture = load(self.capture, downscale=self.downscale, masks=self.masks)
         if self.restart:
-            shutil.rmtree(partial, ignore_errors=True)
+            _forget(partial)
         scene = train(
             capture, config, segment=self.segment, device=self.device, checkpoint=checkpoint
         )
         save(scene, self.output, overwrite=self.overwrite)
-        shutil.rmtree(partial, ignore_errors=True)
+        _forget(partial)
         return dict(scene.metrics)
+
+
+def _forget(partial: Path) -> None:
+    """Delete what a run has left, and nothing else that lies there."""
+    for file in partial.glob("*"):
+        if KEPT_IN_IT.fullmatch(file.name):
+            with suppress(OSError):
+                file.unlink()
+    with suppress(OSError):  # there is none, or it is not empty
+        partial.rmdir()

@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,6 +21,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     """A path to write to, which becomes `path` if the block succeeds and vanishes if not.
 
     The temporary file lies in the same folder and keeps the suffix; folders are made as needed.
+    It is on the disk before it gets its name, so a power cut leaves the old file or the new one.
 
     Raises:
         StyleSplatError: If the disk is full or the place cannot be written to.
@@ -29,7 +31,9 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
+        _sync_file(temporary)
         temporary.replace(path)
+        sync_folder(path.parent)
     except OSError as error:
         raise cannot_write(path, error) from error
     finally:
@@ -53,6 +57,22 @@ def file_stem(name: str) -> str:
 def reason(error: Exception) -> str:
     """What an exception says, in one line: its first, or its name if it says nothing."""
     return str(error).partition("\n")[0] or type(error).__name__
+
+
+def sync_folder(path: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system can do that."""
+    with suppress(OSError):
+        folder = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _sync_file(path: Path) -> None:
+    """Wait until a file is on the disk, which may show only now that it is full."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
 
 
 def beside(path: Path) -> Path:

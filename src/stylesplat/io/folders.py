@@ -3,20 +3,23 @@
 import ctypes
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, beside, cannot_write
+from stylesplat.io.files import cannot_write, sync_folder
+from stylesplat.io.journal import JOURNAL, draft_in, files_in, replace_files, sync_tree
+from stylesplat.io.recovery import NEW, OLD, changing, hidden
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: paths as they are; swap two
 RENAME_SWAP = 2  # the same of macOS
 
 
 @contextmanager
-def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterator[Path]:
+def claim_directory(
+    path: Path | str, *, overwrite: bool, marker: str, stale: Sequence[str] = ()
+) -> Iterator[Path]:
     """An empty folder to fill, which becomes `path` if the block succeeds and vanishes if not.
 
     With `overwrite`, a folder of our own is replaced as a whole; in a folder that holds
@@ -26,25 +29,21 @@ def claim_directory(path: Path | str, *, overwrite: bool, marker: str) -> Iterat
         path: The folder to make.
         overwrite: Whether it may hold something already.
         marker: The file that tells a folder of our own.
+        stale: Files to take away from a folder that holds something else, known when the block
+            ends.
 
     Raises:
         StyleSplatError: If `path` is a file or holds something and `overwrite` is off, or if
-            the disk is full or the place cannot be written to.
+            the disk is full, the place cannot be written to, or another process changes it.
     """
     path = Path(path).resolve()
-    refuse_occupied(path, marker=marker, overwrite=overwrite)
-    temporary = beside(path)
-    try:
-        temporary.mkdir(parents=True)
-        yield temporary
-        if not path.exists() or not any(path.iterdir()) or (path / marker).is_file():
-            _swap(temporary, path)
-        else:
-            _merge(temporary, path)
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with changing(path):
+        refuse_occupied(path, marker=marker, overwrite=overwrite)
+        with _place_for(path) as new:
+            new.mkdir(parents=True)
+            yield new
+            whole = not path.exists() or not any(_entries(path)) or (path / marker).is_file()
+            _put(new, path, whole=whole, stale=stale)
 
 
 @contextmanager
@@ -54,29 +53,34 @@ def revised_directory(path: Path | str) -> Iterator[Path]:
     Files are linked, not copied, so replace them (as `atomic_path` does) and never write into one.
 
     Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
+        StyleSplatError: If the disk is full, the place cannot be written to, or another process
+            changes it.
     """
     path = Path(path).resolve()
-    try:
-        with _place_for(path) as temporary:
-            try:
-                shutil.copytree(path, temporary, copy_function=_link)
-                yield temporary
-                _swap(temporary, path)
-            finally:
-                shutil.rmtree(temporary, ignore_errors=True)
-    except OSError as error:
-        raise cannot_write(path, error) from error
+    with changing(path), _place_for(path) as new:
+        ignore = shutil.ignore_patterns(JOURNAL + "*")
+        shutil.copytree(path, new, symlinks=True, ignore=ignore, copy_function=_link)
+        yield new
+        _put(new, path, whole=True)
 
 
 @contextmanager
 def _place_for(path: Path) -> Iterator[Path]:
-    """Where another version of a folder can be made: beside it, or else far away."""
-    if _has_room_beside(path):
-        yield beside(path)
-    else:
-        with TemporaryDirectory() as elsewhere:
-            yield Path(elsewhere) / path.name
+    """Where another version of a folder is made: beside it, or inside if the two cannot swap."""
+    new = hidden(path, NEW) if _can_be_swapped(path) else draft_in(path)
+    try:
+        yield new
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+
+
+def _can_be_swapped(path: Path) -> bool:
+    """Whether another folder may take the place of one, in which nobody stands, such as a shell."""
+    if not path.exists():
+        return True
+    return _has_room_beside(path) and not Path.cwd().is_relative_to(path)
 
 
 def _has_room_beside(path: Path) -> bool:
@@ -101,7 +105,7 @@ def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -
     if path.exists() and not path.is_dir():
         raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
     _refuse_unwritable(path)
-    if path.exists() and not overwrite and any(path.iterdir()):
+    if path.exists() and not overwrite and any(_entries(path)):
         found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
         raise StyleSplatError(
             f"The folder {path} holds {found}. "
@@ -110,12 +114,17 @@ def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -
 
 
 def _refuse_unwritable(path: Path) -> None:
-    """Raise a StyleSplatError if nothing can be made beside a path."""
+    """Raise a StyleSplatError if nothing can be made in a folder, or beside where it will be."""
     there = next(parent for parent in path.absolute().parents if parent.exists())
     if not there.is_dir():
         raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
-    if not os.access(there, os.W_OK | os.X_OK):
+    if not any(os.access(place, os.W_OK | os.X_OK) for place in (there, path)):
         raise StyleSplatError(f"Cannot make {path}: {there} may not be written to by this user.")
+
+
+def _entries(path: Path) -> Iterator[Path]:
+    """What is in a folder, but for what is about to replace it."""
+    return (entry for entry in path.iterdir() if not entry.name.startswith(JOURNAL))
 
 
 def _link(source: str | Path, target: str | Path) -> None:
@@ -125,20 +134,35 @@ def _link(source: str | Path, target: str | Path) -> None:
         shutil.copy2(source, target)
 
 
-def _swap(new: Path, path: Path) -> None:
-    """Give a folder the place of another, which is left in its own, or gone."""
+def _put(new: Path, path: Path, *, whole: bool, stale: Sequence[str] = ()) -> None:
+    """Give a folder the place of another, or its files to it."""
+    sync_tree(new)
     if not path.exists():
         new.rename(path)
-    elif new.parent != path.parent or Path.cwd().is_relative_to(path):
-        _refill(path, new)  # else whoever stands in it, such as a shell, would be left nowhere
-    elif not _exchanged(new, path):
-        old = beside(path)
-        path.rename(old)
-        try:
-            new.rename(path)
-        except BaseException:
-            old.rename(path)
-            raise
+    elif whole and new.parent == path.parent:
+        _swap(new, path)
+    elif whole:
+        kept = {*files_in(new)}
+        replace_files(path, new, [name for name in files_in(path) if name not in kept])
+    else:
+        replace_files(path, new, [Path(name) for name in stale if (path / name).exists()])
+    sync_folder(path.parent)
+
+
+def _swap(new: Path, path: Path) -> None:
+    """Give a folder the place of another, which gets its name."""
+    if _exchanged(new, path):
+        return
+    old = hidden(path, OLD)
+    path.rename(old)
+    try:
+        new.rename(path)
+    except BaseException:
+        old.rename(path)
+        raise
+    try:
+        old.rename(new)  # nobody shall put it back
+    finally:
         shutil.rmtree(old, ignore_errors=True)
 
 
@@ -152,33 +176,3 @@ def _exchanged(one: Path, other: Path) -> bool:
     if hasattr(system, "renameat2"):  # Linux
         return system.renameat2(AT_FDCWD, paths[0], AT_FDCWD, paths[1], RENAME_EXCHANGE) == 0
     return hasattr(system, "renamex_np") and system.renamex_np(*paths, RENAME_SWAP) == 0  # macOS
-
-
-def _refill(path: Path, new: Path) -> None:
-    """Give a folder the files of another, one by one; on failure its own again."""
-    old = beside(new)
-    try:
-        shutil.copytree(path, old, copy_function=_link)
-        try:
-            _mirror(new, path)
-        except BaseException:
-            _mirror(old, path)
-            raise
-    finally:
-        shutil.rmtree(old, ignore_errors=True)
-
-
-def _mirror(source: Path, path: Path) -> None:
-    """Make a folder hold what another does, and nothing else."""
-    _merge(source, path)
-    for file in sorted(path.rglob("*"), reverse=True):  # what is in a folder before the folder
-        if not (source / file.relative_to(path)).exists():
-            file.rmdir() if file.is_dir() else file.unlink()
-
-
-def _merge(new: Path, path: Path) -> None:
-    for source in sorted(p for p in new.rglob("*") if p.is_file()):
-        target = path / source.relative_to(new)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_path(target) as temporary:
-            _link(source, temporary)

@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
 from stylesplat.io.files import atomic_path
 from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.recovery import ensure_whole
 from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
 from stylesplat.scene.lazy import Lazy
 
@@ -117,6 +118,7 @@ def match_label_maps(
     """
     if not folder.is_dir():
         raise StyleSplatError(f"There is no folder {folder} with label maps. Check `--masks`.")
+    ensure_whole(folder)
     files = {_key(path.relative_to(folder)): path for path in sorted(folder.rglob("*.png"))}
     paths = [files.get(_key(Path(name))) or files.get(name) for name in names]
     if not any(paths):

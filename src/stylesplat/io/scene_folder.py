@@ -12,6 +12,7 @@ from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.folders import claim_directory, revised_directory
 from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.io.painted_files import read_painted, write_painted
+from stylesplat.io.recovery import settled
 from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
 from stylesplat.io.tensors import check_rows, load_tensors, read_rows, write_tensors
 from stylesplat.scene.cameras import Cameras
@@ -67,6 +68,10 @@ def open(path: Path | str) -> Scene:
         StyleSplatError: If the folder is no scene, or a file of it is missing, damaged, or made
             for other splats.
     """
+    return settled(path, _read)
+
+
+def _read(path: Path) -> Scene:
     folder = _scene_folder(path)
     info = read_json(folder / SCENE)
     if info.pop("version", None) != VERSION:

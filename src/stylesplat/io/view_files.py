@@ -11,6 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.recovery import changing
 from stylesplat.io.video import write_video
 
 VIDEO = ".mp4"
@@ -62,7 +63,8 @@ def write_views(
         StyleSplatError: If the place is taken or cannot be written to.
     """
     if is_video(output):
-        write_video(pictures, output)
+        with changing(output):
+            write_video(pictures, output)
         return
     with claim_directory(output, overwrite=overwrite, marker="") as folder:
         for name, picture in zip(png_names(names), pictures, strict=True):

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from stylesplat.io.recovery import changing
 from stylesplat.io.splats.splat_files import write_splats
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -20,4 +21,6 @@ def export(what: Scene | Splats, path: Path | str, *, overwrite: bool = True) ->
         StyleSplatError: If the suffix is none of these, the file exists and may not be replaced,
             it cannot be written, or the splats reach farther than `.spz` can express.
     """
-    write_splats(what if isinstance(what, Splats) else what.splats, path, overwrite=overwrite)
+    splats = what if isinstance(what, Splats) else what.splats
+    with changing(path):
+        write_splats(splats, path, overwrite=overwrite)

@@ -82,8 +82,8 @@ def write_label_maps(
     if capture.label_maps is None:
         raise StyleSplatError("This capture has no label maps to write. `mask` makes some.")
     refuse_label_maps(capture, folder, overwrite=overwrite)
-    found = dict[str, set[int]]()
-    with claim_directory(folder, overwrite=overwrite, marker="") as claimed:
+    found, stale = dict[str, set[int]](), list[str]()
+    with claim_directory(folder, overwrite=overwrite, marker="", stale=stale) as claimed:
         for row, name in enumerate(track(capture.cameras.names, "label maps", unit="photo")):
             labels = capture.label_maps[row]
             if labels is not None:
@@ -92,7 +92,7 @@ def write_label_maps(
                 found[name] = ids_of(whole) - {BACKGROUND}
         called = {id: capture.object_names[id] for id in _named(capture, found.values())}
         write_names(called, claimed)
-    _remove_stale(folder, {*capture.cameras.names} - found.keys(), named=bool(called))
+        stale += _stale({*capture.cameras.names} - found.keys(), named=bool(called))
     return found
 
 
@@ -122,8 +122,6 @@ def _undistorted(camera: Cameras) -> Photo:
     return Photo(Path(camera.names[0]), True, lens, (width, height))
 
 
-def _remove_stale(folder: Path, photos: Iterable[str], *, named: bool) -> None:
-    """Take away what earlier label maps said of photos and names of which these say nothing."""
-    stale = [(folder / name).with_suffix(".png") for name in photos]
-    for path in [*stale, *([] if named else [folder / NAMES])]:
-        path.unlink(missing_ok=True)
+def _stale(photos: Iterable[str], *, named: bool) -> list[str]:
+    """Files in which earlier label maps say of photos and names what these do not."""
+    return [str(Path(name).with_suffix(".png")) for name in photos] + ([] if named else [NAMES])
