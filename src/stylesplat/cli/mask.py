@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
 
+Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
+
 DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 
@@ -28,7 +30,7 @@ class Mask:
 
     capture: Positional[Path]
     """Folder with the posed photos; the label maps go into its object_mask/."""
-    method: Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"] | None = None
+    method: Method | None = None
     """files takes masks of another program and grabcut cuts out what boxes hold, by default what
     the other options call for; the others find all objects with that model."""
     source: Annotated[Path | None, arg(name="from")] = None
@@ -68,7 +70,7 @@ class Mask:
             return self._mask(capture, method, output, progress)
 
     def _mask(
-        self, capture: "Capture", method: str, output: Path, progress: Path | None
+        self, capture: "Capture", method: Method, output: Path, progress: Path | None
     ) -> dict[str, Any]:
         from stylesplat.io.captures.label_folder import refuse_label_maps
         from stylesplat.verbs.mask import mask
