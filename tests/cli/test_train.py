@@ -2,6 +2,7 @@
 
 import json
 import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS
 from command_line import complaint, result, run
+from stylesplat.io import locks
 from stylesplat.training.loop import fit
 
 STOP = 5  # steps after which Ctrl-C is pressed
@@ -128,3 +130,42 @@ def test_a_folder_with_other_files_is_left_alone(capture: Path, tmp_path: Path, 
     (tmp_path / "checkpoint.pt").touch()
     (tmp_path / "thesis.tex").touch()
     assert "--overwrite" in complaint(capsys, "train", capture, "-o", tmp_path)
+
+
+def test_restarting_deletes_what_is_ours_only(capture: Path, tmp_path: Path, capsys, interrupted):
+    out = tmp_path / "scene"
+    interrupted("train", capture, "-o", out, "--steps", 12)
+    partial = tmp_path / "scene.partial"
+    (partial / ".checkpoint_joint.0123456789ab.pt").touch()
+    (partial / "notes.txt").write_text("mine")
+    assert run("train", capture, "-o", out, "--steps", 12) == 0, "it stands in nobody's way"
+    assert "Continuing" in capsys.readouterr().err
+    assert [path.name for path in partial.iterdir()] == ["notes.txt"]
+    interrupted("train", capture, "-o", out, "--steps", 12, "--overwrite")
+    assert run("train", capture, "-o", out, "--steps", 6, "--overwrite", "--restart") == 0
+    assert "Continuing" not in capsys.readouterr().err
+    assert [path.name for path in partial.iterdir()] == ["notes.txt"]
+
+
+def test_a_second_run_leaves_the_first_one_alone(
+    capture: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    out, checkpoint = tmp_path / "scene", tmp_path / "scene.partial" / "checkpoint_joint.pt"
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"of the first")
+    monkeypatch.setattr(locks, "PATIENCE", 0.1)
+    holding, done = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with locks.locked(out):
+            holding.set()
+            done.wait(60)
+
+    thread = threading.Thread(target=first)
+    thread.start()
+    holding.wait(60)
+    line = complaint(capsys, "train", capture, "-o", out, "--steps", 1, "--restart")
+    done.set()
+    thread.join()
+    assert "is at work on it. Wait until it is done, or end it." in line
+    assert checkpoint.read_bytes() == b"of the first"

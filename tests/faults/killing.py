@@ -224,13 +224,13 @@ def train(folder: Path) -> None:
     def step(run, state):
         return replace(state, step=state.step + 1), torch.zeros(2)
 
-    here = {"capture": folder / "capture", "output": folder / "scene"}
+    run = Train(folder / "capture", folder / "scene", steps=2, test_every=0, device="cpu")
     with (
         mock.patch.object(loop, "train_step", step),
         mock.patch.object(loop, "_warm_up", lambda *_: None),
         mock.patch.object(loop, "CHECKPOINT_SECONDS", -1.0),
     ):
-        Train(**here, steps=2, test_every=0, device="cpu", overwrite=True).run()
+        replace(run, overwrite=True).run()
 
 
 def read_trained(folder: Path) -> object:

@@ -1,5 +1,6 @@
 import errno
 import json
+import os
 from pathlib import Path
 from string import ascii_lowercase, digits
 
@@ -208,3 +209,30 @@ def test_file_stems_are_safe_and_differ():
         assert len(stem) < 80 and set(stem) <= set(ascii_lowercase + digits + "_-~")
         again = file_stem(stem)
         assert again == stem or again not in stems, "a name cannot be another's stem"
+
+
+def test_a_file_is_on_the_disk_before_it_gets_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    done: list[str] = []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda file: (done.append("sync"), fsync(file)))
+    monkeypatch.setattr(os, "replace", lambda *paths: (done.append("name"), replace(*paths)))
+    with atomic_path(tmp_path / "a.txt") as temporary:
+        temporary.write_text("new")
+    assert done == ["sync", "name", "sync"], "the file, its name, its folder"
+
+
+def test_a_disk_that_is_full_only_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    target = fill(tmp_path, a_txt="old") / "a.txt"
+
+    def full(file: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with (
+        pytest.raises(StyleSplatError, match=r"a\.txt: disk full\. Free some space"),
+        atomic_path(target) as temporary,
+    ):
+        temporary.write_text("new")
+    assert tree(tmp_path) == {"a.txt": "old"}

@@ -32,28 +32,24 @@ class Adjust:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.recovery import changing
+        from stylesplat.io.scene_folder import SCENE, open, revise, save
+        from stylesplat.verbs.adjust import adjust
 
         if self.undo and self.output is None:
             raise StyleSplatError(
                 "Undoing keeps the styled scene. Pass a folder for the other with -o."
             )
         with changing(self.output or self.scene):
-            return self._adjust()
-
-    def _adjust(self) -> dict[str, Any]:
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, open, revise, save
-        from stylesplat.verbs.adjust import adjust
-
-        if self.output is not None:
-            refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-        before = open(self.scene)
-        after = adjust(before, self.intensity, objects=self.object, undo=self.undo)
-        if self.output is None:
-            revise(before, after, self.scene)
-        else:
-            save(after, self.output, overwrite=self.overwrite)
+            if self.output is not None:
+                refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+            before = open(self.scene)
+            after = adjust(before, self.intensity, objects=self.object, undo=self.undo)
+            if self.output is None:
+                revise(before, after, self.scene)
+            else:
+                save(after, self.output, overwrite=self.overwrite)
         painted = after.painted.paintings if after.painted else ()
         shown = {"intensity": {each.name: each.intensity for each in painted}} if painted else {}
         return {"scene": self.output or self.scene, **shown}

@@ -62,38 +62,34 @@ class Select:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.recovery import changing
+        from stylesplat.io.scene_folder import open, revise
+        from stylesplat.verbs.select import select
 
         if self.model is not None and self.text is None:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
         with changing(self.scene):  # from reading on, so that no other's selection is lost
-            return self._select()
-
-    def _select(self) -> dict[str, Any]:
-        from stylesplat.io.scene_folder import open, revise
-        from stylesplat.verbs.select import select
-
-        before = open(self.scene)
-        after = select(
-            before,
-            self.name,
-            id=self.id,
-            box=[(view, *numbers) for view, numbers in map(parse_box, self.box)],
-            point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
-            not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
-            text=self.text,
-            box3d=parse_box3d(self.box3d) if self.box3d else (),
-            sphere=self._sphere(),
-            plus=self.plus,
-            minus=self.minus,
-            grow=self.grow,
-            shrink=self.shrink,
-            threshold=self.threshold,
-            remove_outliers=not self.keep_outliers,
-            model=self.model,
-        )
-        revise(before, after, self.scene)
-        found = after.objects[self.name]
-        return {"name": self.name, **found.how, "picture": self._draw(after)}
+            before = open(self.scene)
+            after = select(
+                before,
+                self.name,
+                id=self.id,
+                box=[(view, *numbers) for view, numbers in map(parse_box, self.box)],
+                point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
+                not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
+                text=self.text,
+                box3d=parse_box3d(self.box3d) if self.box3d else (),
+                sphere=self._sphere(),
+                plus=self.plus,
+                minus=self.minus,
+                grow=self.grow,
+                shrink=self.shrink,
+                threshold=self.threshold,
+                remove_outliers=not self.keep_outliers,
+                model=self.model,
+            )
+            revise(before, after, self.scene)
+            picture = self._draw(after)
+        return {"name": self.name, **after.objects[self.name].how, "picture": picture}
 
     def _sphere(self) -> tuple[Any, ...] | None:
         if not self.sphere:

@@ -1,6 +1,7 @@
 """What `mask` has found so far, on disk, so that a run that was interrupted goes on."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -22,6 +23,7 @@ from stylesplat.scene.labels import Labels, Mask
 
 SETTINGS = "settings.json"
 STATE = "state.json"
+OURS = re.compile(r"\.?(settings|state|proposals|known|labels)[_\d]*(\.\w{12})?\.(json|npz|png)")
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def open_progress(folder: Path, settings: dict[str, Any]) -> Progress:
     Raises:
         StyleSplatError: If the folder holds something else.
     """
-    if folder.exists() and not (folder / SETTINGS).is_file():
+    if folder.exists() and not _is_ours(folder):
         raise StyleSplatError(f"{folder} is in the way of intermediate results. Move it elsewhere.")
     if folder.exists() and not _same(folder / SETTINGS, settings):
         say("An earlier run had other settings, photos or poses; beginning anew.")
@@ -94,6 +96,13 @@ def open_progress(folder: Path, settings: dict[str, Any]) -> Progress:
         say(f"Continuing from {folder}.")
     write_json(settings, folder / SETTINGS)
     return Progress(folder)
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether a run made it, and be it that it was killed before it wrote or deleted all."""
+    if not folder.is_dir():
+        return False
+    return (folder / SETTINGS).is_file() or all(OURS.fullmatch(p.name) for p in folder.iterdir())
 
 
 def _same(path: Path, settings: dict[str, Any]) -> bool:
