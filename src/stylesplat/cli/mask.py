@@ -7,15 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from stylesplat.cli.options import Device, Json, Overwrite, refuse_given
+from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
+from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
     from stylesplat.masks.boxes.grabcut import Box, Stroke
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
 
+Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
 DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
+# Options that mean nothing with a method that is no model; the others keep what they have found
+REFUSED = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 
 
@@ -28,7 +32,7 @@ class Mask:
 
     capture: Positional[Path]
     """Folder with the posed photos; the label maps go into its object_mask/."""
-    method: Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"] | None = None
+    method: Method | None = None
     """files takes masks of another program and grabcut cuts out what boxes hold, by default what
     the other options call for; the others find all objects with that model."""
     source: Annotated[Path | None, arg(name="from")] = None
@@ -52,6 +56,15 @@ class Mask:
     overwrite: Overwrite = False
     json: Json = False
 
+    @property
+    def after_interruption(self) -> str:
+        """How to go on."""
+        return WHOLE if self._method in REFUSED else CONTINUES
+
+    @property
+    def _method(self) -> Method:
+        return self.method or ("files" if self.source else "grabcut")
+
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
@@ -59,12 +72,11 @@ class Mask:
         from stylesplat.verbs.load import load
         from stylesplat.verbs.mask import mask
 
-        method = self.method or ("files" if self.source else "grabcut")
-        of_others = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
-        refuse_given(self, of_others.get(method, (*DRAWN, "source")), f"--method {method}")
+        method = self._method
+        refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), f"--method {method}")
         boxes, strokes = self._boxes(), self._strokes()
         output = self.capture / OBJECT_MASK
-        progress = None if method in of_others else output.with_suffix(".partial")
+        progress = None if method in REFUSED else output.with_suffix(".partial")
         capture = load(self.capture, masks=False)
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         masked = mask(
