@@ -2,19 +2,19 @@
 
 import _thread
 import ctypes
+import os
 import signal
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from sys import UnraisableHookArgs
 
 TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others only repeat it: clean-up goes on
+LOADING = 10.0  # seconds for which a signal waits for a module: some crash if they are interrupted
+FIRST = "torch"  # what is loaded, for seconds, before a verb begins to work
+AGAIN = 0.05  # seconds until it is tried again
 CRASHES = ("SIGSEGV", "SIGILL", "SIGFPE", "SIGABRT", "SIGBUS", "SIGTERM")  # that glog takes
 ACTION_BYTES = 256  # room for a `struct sigaction`: 152 bytes on Linux, 16 on macOS
 WHOLE = "Every file is as it was, or done."
@@ -25,10 +25,11 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Last:
-    """The last signal of this process that was raised."""
+    """The last signal of this process."""
 
     number: int | None = None
-    moment = -PATIENCE
+    moment = -PATIENCE  # when it came, or was raised
+    waits = False  # to be raised
 
 
 def take_signals() -> None:
@@ -48,6 +49,7 @@ def ignore_signals() -> None:
     for number in TAKEN:
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, signal.SIG_IGN)
+    eval("None")  # else Python kills itself if Ctrl-C came while it ran a text, as dataclasses do
 
 
 def interruption(error: BaseException) -> signal.Signals | None:
@@ -92,16 +94,50 @@ def kept_signals() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    if time.monotonic() - _Last.moment < PATIENCE:
-        return
-    _Last.number, _Last.moment = number, time.monotonic()
-    raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+    now = time.monotonic()
+    if not _Last.waits:
+        if now - _Last.moment < PATIENCE:
+            return
+        _Last.number, _Last.moment = number, now
+    if _loads(frame):
+        if not _is_loaded(FIRST):
+            os._exit(told(signal.Signals(number)))  # there is nothing to clean up
+        if now - _Last.moment < LOADING:
+            _try_again()
+            return
+    _Last.moment, _Last.waits = now, False
+    raise Terminated if _Last.number == signal.SIGTERM else KeyboardInterrupt
 
 
-def _raise_again(unraisable: "UnraisableHookArgs") -> None:
-    """Interrupt the main thread if Python cannot: in a `__del__`, or a callback from C."""
+def _loads(frame: FrameType | None) -> bool:
+    """Whether a module is being loaded."""
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _is_loaded(name: str) -> bool:
+    """Whether a module is there, and as a whole."""
+    module = sys.modules.get(name)
+    return module is not None and not getattr(module.__spec__, "_initializing", False)
+
+
+def _try_again() -> None:
+    """Let the last signal come once more, a moment later."""
+
+    def come() -> None:
+        time.sleep(AGAIN)
+        _thread.interrupt_main(_Last.number or signal.SIGINT)
+
+    _Last.waits = True
+    _thread.start_new_thread(come, ())  # takes no lock that what is interrupted may hold
+
+
+def _raise_again(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Python cannot raise in a `__del__`, or in what C has called."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        _Last.moment = -PATIENCE
-        _thread.interrupt_main(interruption(unraisable.exc_value) or signal.SIGINT)
+        _try_again()
     else:
         sys.__unraisablehook__(unraisable)
