@@ -1,3 +1,4 @@
+import http.client
 import socket
 import sys
 from dataclasses import replace
@@ -9,7 +10,9 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.drawing.browser import covariances, serve
+from stylesplat.drawing.private_server import is_own
 from stylesplat.errors import StyleSplatError
+from stylesplat.signals import Terminated
 
 
 @pytest.fixture
@@ -50,6 +53,86 @@ def test_blocks_until_ctrl_c_and_then_stops(free_port, monkeypatch):
 
     monkeypatch.setattr("stylesplat.drawing.browser.time.sleep", interrupt)
     serve(SPLATS, port=free_port)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", free_port)) != 0
+
+
+def test_sigterm_stops_it_too_and_is_no_normal_end(free_port, monkeypatch):
+    def terminate(seconds: float) -> None:
+        raise Terminated
+
+    monkeypatch.setattr("stylesplat.drawing.browser.time.sleep", terminate)
+    with pytest.raises(Terminated):
+        serve(SPLATS, port=free_port)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", free_port)) != 0
+
+
+WEBSOCKET = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    "Sec-WebSocket-Protocol": "viser-v1.1.1",
+}
+
+
+def test_only_its_own_pages_are_answered(free_port):
+    def status(**headers: str) -> int:
+        connection = http.client.HTTPConnection("127.0.0.1", free_port, timeout=10)
+        connection.putrequest("GET", "/", skip_host=True)
+        for name, value in headers.items():
+            connection.putheader(name, value.format(port=free_port))
+        connection.endheaders()
+        try:
+            return connection.getresponse().status
+        finally:
+            connection.close()
+
+    server = serve(SPLATS, port=free_port, block=False)
+    try:
+        for host in ("127.0.0.1:{port}", "localhost:{port}"):
+            assert status(Host=host) == 200
+            assert status(Host=host, **WEBSOCKET) == 101, "programs have no origin"
+            assert status(Host=host, Origin="http://" + host, **WEBSOCKET) == 101
+            assert status(Host=host, Origin="http://evil.example", **WEBSOCKET) == 403
+        for host in ("evil.example:{port}", "127.0.0.1.evil.example", "x@127.0.0.1:{port}"):
+            assert status(Host=host) == 403
+            assert status(Host=host, Origin="http://" + host, **WEBSOCKET) == 403
+        assert status() == 403, "without a host"
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize(
+    ("hosts", "origins", "own"),
+    [
+        (["[::1]:8080"], [], True),
+        (["localhost:9000"], ["http://localhost:9000"], True),  # the near end of a tunnel
+        (["localhost:8080"], ["http://localhost:9000"], False),  # another server's page
+        (["localhost:8080"], ["http://127.0.0.1:8080"], False),
+        (["localhost:8080"], ["null"], False),  # a file, or a frame in a sandbox
+        (["localhost:8080", "evil.example"], [], False),
+        ([], [], False),
+    ],
+)
+def test_whose_page_it_is(hosts: list[str], origins: list[str], own: bool):
+    assert is_own(hosts, origins) == own
+
+
+def test_a_viser_that_cannot_be_guarded_is_refused(free_port, monkeypatch):
+    import viser
+    from websockets.asyncio.server import serve as other_way
+
+    infra = sys.modules["viser.infra._infra"]
+    library = type(sys)("asyncio")
+    library.server = type(sys)("server")  # pyright: ignore
+    library.server.serve = other_way  # pyright: ignore
+    websockets = type(sys)("websockets")
+    websockets.__dict__.update(infra.websockets.__dict__, asyncio=library)  # pyright: ignore
+    monkeypatch.setattr(infra, "websockets", websockets)
+    with pytest.raises(StyleSplatError, match=f"viser {viser.__version__} answers to other sites"):
+        serve(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 

@@ -7,7 +7,13 @@ import torch
 
 from stylesplat.scene.capture import Capture
 from stylesplat.training import step as stepping
-from stylesplat.training.gradients import NEIGHBORS, fill_gradients, neighbors_of_some
+from stylesplat.training.gradients import (
+    NEIGHBOR_SAMPLES,
+    NEIGHBORS,
+    fill_gradients,
+    neighbors_of_some,
+    rows_of,
+)
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.run import Run
 from stylesplat.training.state import State, first_state
@@ -172,3 +178,22 @@ def test_fewer_gaussians_than_neighbours_still_train(capture: Capture, config: T
     few = first_state(state.splats.detach()[torch.arange(NEIGHBORS)])
     after, scores = train_step(run, few)
     assert scores.isfinite().all() and len(after.splats) == NEIGHBORS
+
+
+def test_gradients_of_rows_are_added_up_in_order():
+    """Enough of them that torch would share the work, and each many times."""
+    generator = torch.Generator().manual_seed(0)
+    table = torch.randn(50, 16, generator=generator).requires_grad_()
+    rows = torch.randint(len(table), (NEIGHBOR_SAMPLES, NEIGHBORS), generator=generator)
+    v_found = torch.randn(*rows.shape, 16, generator=generator)
+    assert torch.equal(rows_of(table, rows), table[rows])
+
+    def gradient() -> torch.Tensor:
+        return torch.autograd.grad(rows_of(table, rows), table, v_found)[0]
+
+    first, threads = gradient(), torch.get_num_threads()
+    try:
+        torch.set_num_threads(max(2, threads))
+        assert all(torch.equal(gradient(), first) for _ in range(50))
+    finally:
+        torch.set_num_threads(threads)

@@ -3,31 +3,51 @@ import threading
 
 import pytest
 
+from stylesplat.signals import TAKEN
 from stylesplat.training.interrupt import deferred_interrupt
 
 
-def test_ctrl_c_waits():
-    with deferred_interrupt() as interrupted:
+class Heard(Exception):
+    """What the handlers of these tests raise."""
+
+
+@pytest.fixture(params=TAKEN, ids=lambda number: number.name)
+def number(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+    """A signal, with a handler that raises `Heard`."""
+
+    def hear(*_: object) -> None:
+        raise Heard
+
+    before = signal.signal(request.param, hear)
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_signals_wait_and_then_do_what_they_would_have_done(number: signal.Signals):
+    reached = False
+    with pytest.raises(Heard), deferred_interrupt() as interrupted:
         assert not interrupted()
-        signal.raise_signal(signal.SIGINT)
-        assert interrupted()
-    assert interrupted()
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+        reached = interrupted()
+    assert reached
+    with pytest.raises(Heard):
+        signal.raise_signal(number)
 
 
-def test_afterwards_ctrl_c_is_what_it_was():
-    before = signal.getsignal(signal.SIGINT)
-    with deferred_interrupt():
-        assert signal.getsignal(signal.SIGINT) is not before
-    assert signal.getsignal(signal.SIGINT) is before
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-
-
-def test_also_after_an_error():
-    before = signal.getsignal(signal.SIGINT)
+def test_also_after_an_error(number: signal.Signals):
+    before = signal.getsignal(number)
     with pytest.raises(ValueError), deferred_interrupt():
+        assert signal.getsignal(number) is not before
         raise ValueError
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
+
+
+def test_what_is_ignored_stays_ignored(number: signal.Signals):
+    signal.signal(number, signal.SIG_IGN)  # nohup
+    with deferred_interrupt() as interrupted:
+        signal.raise_signal(number)
+        assert not interrupted()
 
 
 def test_other_threads_handle_no_signals():

@@ -13,7 +13,6 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
-from stylesplat.training import loop
 from stylesplat.training.gradients import _behind
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
@@ -105,7 +104,7 @@ def test_training_on_cut_outs_continues_and_repeats(cut_outs: Capture, tmp_path:
             raise RuntimeError("killed")
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(RuntimeError):
-        patch.setattr(loop, "CHECKPOINT_SECONDS", 0.0)
+        patch.setattr("stylesplat.training.keeper.CHECKPOINT_SECONDS", 0.0)
         fit(cut_outs, config, checkpoint=path, on_progress=killed)
     assert path.exists()
     continued, straight = fit(cut_outs, config, checkpoint=path), fit(cut_outs, config)

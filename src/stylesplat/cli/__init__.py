@@ -9,6 +9,7 @@ import tyro
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
 from stylesplat.cli.demo import Demo
+from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
@@ -20,10 +21,8 @@ from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.view import View
-from stylesplat.errors import StyleSplatError
 from stylesplat.progress import observed
-
-INTERRUPTED = 130  # what shells report after Ctrl-C
+from stylesplat.signals import WHOLE
 
 VERBS = {
     "demo": Demo,
@@ -47,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
-        after Ctrl-C. Wrong usage exits with 2.
+        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2.
     """
     command = tyro.extras.subcommand_cli_from_dict(
         VERBS,
@@ -55,24 +54,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
         args=arguments,
     )
+    try:
+        _run(command)
+    except (Exception, KeyboardInterrupt) as error:
+        status = status_after(error, getattr(command, "after_interruption", WHOLE))
+        if status is None:
+            raise
+        return status
+    return 0
+
+
+def _run(command: Any) -> None:
+    """Do it, and print what came of it."""
     from stylesplat.io.json_files import strict_json
     from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
     announce_compilation()
-    try:
-        with observed(Bars()):
-            result = command.run()
-    except StyleSplatError as error:
-        print(f"stylesplat: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stylesplat: interrupted. `train` and `mask` go on when run again.", file=sys.stderr)
-        return INTERRUPTED
+    with observed(Bars()):
+        result = command.run()
     if command.json:
-        print(strict_json(result))
+        print(strict_json(result), flush=True)
     else:
         print(*_lines(result), sep="\n", file=sys.stderr)
-    return 0
 
 
 def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from stylesplat.cli.options import Json, Output, Overwrite
+from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,7 @@ class Demo:
     """Folder for everything that is made."""
     overwrite: Overwrite = False
     json: Json = False
+    after_interruption: ClassVar[str] = CONTINUES
 
     def run(self) -> dict[str, Any]:
         """Do it."""

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from stylesplat.cli.options import Device, Json, Overwrite, refuse_given
+from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
+from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
     from stylesplat.masks.boxes.grabcut import Box, Stroke
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
 
 DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
+# Options that mean nothing with a method that is no model; the others keep what they have found
+REFUSED = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 
 
@@ -54,17 +57,25 @@ class Mask:
     overwrite: Overwrite = False
     json: Json = False
 
+    @property
+    def after_interruption(self) -> str:
+        """How to go on."""
+        return WHOLE if self._method in REFUSED else CONTINUES
+
+    @property
+    def _method(self) -> Method:
+        return self.method or ("files" if self.source else "grabcut")
+
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
         from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
-        method = self.method or ("files" if self.source else "grabcut")
-        of_others = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
-        refuse_given(self, of_others.get(method, (*DRAWN, "source")), f"--method {method}")
+        method = self._method
+        refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), f"--method {method}")
         output = self.capture / OBJECT_MASK
-        progress = None if method in of_others else output.with_suffix(".partial")
+        progress = None if method in REFUSED else output.with_suffix(".partial")
         capture = load(self.capture, masks=False)
         with changing(output):
             return self._mask(capture, method, output, progress)

@@ -12,6 +12,7 @@ Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
 Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
+CONTINUES = "The same command goes on where it stopped."  # said of verbs that do
 
 
 def given(command: object, names: tuple[str, ...]) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, given
+from stylesplat.signals import WHOLE
 
 PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
 KEPT_IN_IT = re.compile(r"checkpoint_\w+\.pt|\.checkpoint_\w+\.[0-9a-f]{12}\.pt")  # whole, or not
@@ -53,6 +54,18 @@ class Train:
     """Forget an interrupted run."""
     json: Json = False
 
+    @property
+    def after_interruption(self) -> str:
+        """How to go on."""
+        if not self._checkpoint.exists():
+            return WHOLE
+        return CONTINUES if not self.restart else "Without `--restart` it goes on where it stopped."
+
+    @property
+    def _checkpoint(self) -> Path:
+        output = self.output.resolve()
+        return output.with_name(output.name + PARTIAL) / f"checkpoint_{self.segment}.pt"
+
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.recovery import changing
@@ -70,9 +83,7 @@ class Train:
         names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
         config = replace(PRESETS[self.preset], **given(self, names))
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-        output = self.output.resolve()
-        partial = output.with_name(output.name + PARTIAL)
-        checkpoint = partial / f"checkpoint_{self.segment}.pt"
+        checkpoint, partial = self._checkpoint, self._checkpoint.parent
         capture = load(self.capture, downscale=self.downscale, masks=self.masks)
         if self.restart:
             _forget(partial)

@@ -27,6 +27,7 @@ from stylesplat.demo.vectors import (
     scaled,
     unit,
 )
+from stylesplat.rendering.kernels.jit import cached
 
 OBJECTS = len(NAMES)
 TABLE, BACKDROP = 0, -1  # both are label 0
@@ -173,7 +174,7 @@ def _ray(x: float, y: float, K: np.ndarray, c2w: np.ndarray) -> Vec:
 
 
 @no_type_check
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@cached(fastmath=True, parallel=True)
 def render_view(
     K: np.ndarray, c2w: np.ndarray, layout: np.ndarray, photo: np.ndarray, geometry: np.ndarray
 ) -> None:

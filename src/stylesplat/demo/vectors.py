@@ -3,11 +3,11 @@
 from math import sqrt
 from typing import no_type_check
 
-import numba
+from stylesplat.rendering.kernels.jit import cached
 
 Vec = tuple[float, float, float]
 
-kernel = numba.njit(cache=True, fastmath=True)
+kernel = cached(fastmath=True)
 
 
 @no_type_check

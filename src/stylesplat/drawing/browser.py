@@ -7,17 +7,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.drawing.private_server import private_server
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
+from stylesplat.signals import Terminated
 
 if TYPE_CHECKING:
     import viser
 
-HOST = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
 START_DISTANCE = 2.0  # from the middle along each axis, in median distances of the Gaussians
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
@@ -26,6 +27,8 @@ def serve(
     splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
 ) -> "viser.ViserServer":
     """Show splats in a browser, in their mean colours (spherical harmonics of degree 0).
+
+    Only this machine is served, and only the server's own pages: other sites cannot read along.
 
     Args:
         splats: The Gaussians.
@@ -40,15 +43,9 @@ def serve(
     Raises:
         StyleSplatError: If viser is not installed or there is nothing to show.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise StyleSplatError(
-            "The viewer needs viser, which is not installed. Run `pip install stylesplat[view]`."
-        ) from error
     if not len(splats):
         raise StyleSplatError("These splats are empty, so there is nothing to view.")
-    server = viser.ViserServer(host=HOST, port=port, label="StyleSplat")
+    server = private_server(port, "StyleSplat")
     splats = splats.detach().to("cpu")
     _add_splats(server, splats)
     _place_camera(server, splats, cameras)
@@ -93,5 +90,9 @@ def _serve_until_interrupted(server: "viser.ViserServer") -> None:
     try:
         while True:
             time.sleep(1)
-    except KeyboardInterrupt:
+    except Terminated:
+        raise
+    except KeyboardInterrupt:  # how a viewer is closed
+        pass
+    finally:
         server.stop()

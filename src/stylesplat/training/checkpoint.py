@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, reason
 from stylesplat.scene.fingerprint import differences
 from stylesplat.training.adam import Moments
 from stylesplat.training.state import State
@@ -48,7 +48,7 @@ def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
         "capture": checkpoint.capture,
     }
     with atomic_path(checkpoint.path) as temporary:
-        torch.save(content, temporary)
+        _write(content, temporary)
 
 
 def load_checkpoint(checkpoint: Checkpoint, device: torch.device) -> State:
@@ -85,6 +85,18 @@ def remove_leftovers(path: Path) -> None:
                 file.unlink(missing_ok=True)
             except OSError as error:
                 raise StyleSplatError(f"Cannot delete {file}: {error.strerror}.") from error
+
+
+def _write(content: dict[str, Any], path: Path) -> None:
+    """`torch.save`, raising OSErrors only, if it cannot write."""
+    try:
+        with path.open("wb") as file:
+            torch.save(content, file)
+    except RuntimeError as error:  # of its zip writer, after whatever stopped it
+        causes: list[BaseException] = [error]
+        while causes[-1].__context__ is not None:
+            causes.append(causes[-1].__context__)
+        raise next((e for e in causes if isinstance(e, OSError)), OSError(reason(error))) from error
 
 
 def _changed(content: Mapping[str, Any], checkpoint: Checkpoint) -> str:

@@ -91,10 +91,14 @@ def _identity_losses(
     loss = identity_loss(pixels, targets.long(), splats.classifier)
     if state.step // run.config.identity_every % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
         sample, neighbors = neighbors_of_some(splats.means.detach(), generator)
-        loss = loss + neighbor_loss(
-            splats.identities[sample], splats.identities[neighbors], splats.classifier
-        )
+        own, others = rows_of(splats.identities, sample), rows_of(splats.identities, neighbors)
+        loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss
+
+
+def rows_of(table: Float[Tensor, "N D"], rows: Int[Tensor, "*shape"]) -> Float[Tensor, "*shape D"]:
+    """`table[rows]`, whose gradient is added up in order on the CPU; that of indexing is not."""
+    return table.index_select(0, rows.flatten()).unflatten(0, rows.shape)
 
 
 def neighbors_of_some(

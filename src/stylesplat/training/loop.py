@@ -16,18 +16,16 @@ from stylesplat.training.checkpoint import (
     Checkpoint,
     load_checkpoint,
     remove_leftovers,
-    save_checkpoint,
 )
 from stylesplat.training.classes import say_unseen, shown_ids
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.interrupt import deferred_interrupt
+from stylesplat.training.keeper import Keeper
 from stylesplat.training.run import Run
 from stylesplat.training.state import State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views, training_views
-
-CHECKPOINT_SECONDS = 60.0
 
 
 def fit(
@@ -49,7 +47,8 @@ def fit(
         config: How to train.
         device: Where to train.
         checkpoint: A file to continue from if it exists. It is written every minute, when the run
-            is interrupted and at its end, and left where it is.
+            is interrupted and at its end, and left where it is. If it cannot be written, that is
+            said, and the training goes on.
         on_progress: Told the state, and the means of loss and PSNR since it was told last: after
             each step; on a GPU, which would have to be waited for, after every tenth, when a second
             has passed, and at the end.
@@ -60,7 +59,8 @@ def fit(
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
             settings or another capture; it is left as it is.
-        KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written.
+        KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written;
+            SIGTERM waits for them too, before it does what it does in your program.
 
     Example:
         >>> import stylesplat as ss
@@ -90,7 +90,7 @@ def fit(
     )
     _warm_up(run, state)
     with announced(config, state, on_progress) as report:
-        return _finish(run, state, saved, report)
+        return _finish(run, state, Keeper(saved, state), report)
 
 
 def _first(
@@ -126,9 +126,9 @@ def _warm_up(run: Run, state: State) -> None:
             train_step(run, replace(state.clone(), step=step))
 
 
-def _finish(run: Run, state: State, saved: Checkpoint | None, report: Report) -> State:
-    """Train to the end of the run; Ctrl-C waits for the end of a step."""
-    tally, written = Tally(), time.monotonic()
+def _finish(run: Run, state: State, keeper: Keeper, report: Report) -> State:
+    """Train to the end of the run; Ctrl-C and SIGTERM wait for the end of a step."""
+    tally = Tally()
     with deferred_interrupt() as interrupted:
         while run.progress(state) < 1 and not interrupted():
             start = time.perf_counter()
@@ -139,13 +139,10 @@ def _finish(run: Run, state: State, saved: Checkpoint | None, report: Report) ->
             if means is not None:
                 report(state, *means)
                 tally = Tally()
-            if saved is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
-                save_checkpoint(saved, state)
-                written = time.monotonic()
+            keeper.after_step(state)
         if tally.steps:
             report(state, *tally.means())
-        if saved is not None:
-            save_checkpoint(saved, state)
-    if interrupted():
+        keeper.at_end(state, interrupted=interrupted())
+    if interrupted():  # and the program's own handler has let it pass
         raise KeyboardInterrupt
     return state

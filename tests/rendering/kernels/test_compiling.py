@@ -3,7 +3,7 @@ from collections import defaultdict
 import numba
 from numba.core import event
 
-from stylesplat.rendering.kernels.compiling import LINE, announce_compilation
+from stylesplat.rendering.kernels.compiling import ONCE, announce_compilation
 
 
 def test_compilation_is_announced_once(said: list[str], monkeypatch):
@@ -14,4 +14,4 @@ def test_compilation_is_announced_once(said: list[str], monkeypatch):
     announce_compilation()
     numba.njit(lambda x: x + 1)(1)
     numba.njit(lambda x: x + 2)(1)
-    assert said == [LINE]
+    assert said == [ONCE]

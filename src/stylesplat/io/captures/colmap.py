@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_check import check_complete
+from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import reason

@@ -9,9 +9,8 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
-import pycolmap
-
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
 
 # The records of COLMAP's binary format (src/colmap/scene/reconstruction_io_binary.cc)
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters, float64

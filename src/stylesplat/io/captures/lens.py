@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
 
 MAPS_KEPT = 4  # photos usually share one lens; a map takes 8 bytes per pixel
 

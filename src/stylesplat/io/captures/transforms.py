@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import photo_sizes
 from stylesplat.io.captures.posed_files import PosedFiles

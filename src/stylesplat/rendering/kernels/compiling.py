@@ -5,11 +5,10 @@ from functools import lru_cache
 from numba.core import event
 
 from stylesplat.progress import say
+from stylesplat.rendering.kernels.code_cache import NOWHERE, said
 
-LINE = (
-    "Compiling the CPU kernels for this processor. It takes up to half a minute, once: "
-    "later starts find them in the cache."
-)
+LINE = "Compiling the CPU kernels for this processor. It takes up to half a minute"
+ONCE = f"{LINE}, once: later starts find them in the cache."
 
 
 class _Announcement(event.Listener):
@@ -21,7 +20,7 @@ class _Announcement(event.Listener):
     def on_start(self, event: event.Event) -> None:
         """Called before each compilation, but not when a kernel is loaded from the cache."""
         if not self.said:
-            say(LINE)
+            say(f"{LINE}." if NOWHERE in said else ONCE)
             self.said = True
 
     def on_end(self, event: event.Event) -> None:

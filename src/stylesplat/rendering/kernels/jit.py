@@ -8,10 +8,12 @@ arguments whose fields are no tuples (numba takes them apart and puts them toget
 that it makes itself. Arrays that it writes to are taken out of them in front of the loop.
 """
 
-# pyright: reportArgumentType=false, reportCallIssue=false
-# (numba's stubs know `parallel` as a boolean only)
+from collections.abc import Callable
+from typing import Any
 
 import numba
+
+from stylesplat.rendering.kernels.code_cache import keep
 
 ONLY_PRANGE = {
     "prange": True,
@@ -19,12 +21,25 @@ ONLY_PRANGE = {
     **dict.fromkeys(("numpy", "stencil", "fusion"), False),
 }
 
-kernel = numba.njit(cache=True, parallel=ONLY_PRANGE)
+
+def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` whose machine code is kept where that is possible; see `code_cache`."""
+    compiled = numba.njit(**options)
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = compiled(function)
+        keep(dispatcher, function)
+        return dispatcher
+
+    return decorate
+
+
+kernel = cached(parallel=ONLY_PRANGE)
 """Decorator of functions that Python calls and that use `prange`."""
-serial_kernel = numba.njit(cache=True)
+serial_kernel = cached()
 """Decorator of functions that Python calls and that use one thread."""
-INNER = {"cache": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-inner = numba.njit(**INNER)
+INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+inner = cached(**INNER)
 """Decorator of functions that only other kernels call."""
-inlined = numba.njit(**INNER, forceinline=True)
+inlined = cached(**INNER, forceinline=True)
 """Decorator of inner functions that are too large for LLVM to inline by itself, and too hot."""

@@ -1,0 +1,29 @@
+"""The process of the command line: whatever happens, signals end it in one line.
+
+They are taken before anything is loaded that takes long.
+"""
+
+import sys
+
+from stylesplat.signals import ignore_signals, interruption, take_signals, told
+
+
+def main() -> int:
+    """Run one verb, and let nothing interrupt Python's own end; see `cli.main`."""
+    try:
+        try:
+            take_signals()
+            from stylesplat.cli import main as run
+
+            return run()
+        finally:
+            ignore_signals()
+    except (Exception, KeyboardInterrupt) as error:
+        number = interruption(error)
+        if number is None:
+            raise
+        return told(number)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""What nobody has caught ends in one line too, if anything can be done about it."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import stylesplat
+from command_line import complaint
+from stylesplat.cli import main
+from stylesplat.cli.ending import BUG, OUT_OF_MEMORY
+from stylesplat.cli.objects import Objects
+from stylesplat.cli.train import Train
+
+
+def too_much() -> None:
+    np.empty(2**58, np.uint8)
+
+
+def too_much_for_torch() -> None:
+    torch.empty(2**58, dtype=torch.uint8)
+
+
+def failing(error: Exception):
+    def fail(*_: object) -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("fail", "expected"),
+    [
+        (failing(MemoryError()), OUT_OF_MEMORY),
+        (too_much, OUT_OF_MEMORY),
+        (too_much_for_torch, OUT_OF_MEMORY),
+        (failing(torch.OutOfMemoryError("CUDA out of memory. Tried to ...")), OUT_OF_MEMORY),
+        (failing(OSError(errno.ENOMEM, "Cannot allocate memory")), OUT_OF_MEMORY),
+        (failing(OSError(errno.ENOSPC, "No space", "a")), "Disk full: a. Free some space"),
+        (failing(PermissionError(errno.EACCES, "Not allowed", "a")), "Not allowed: a. Mend"),
+        (failing(OSError("image file is truncated\nmore")), "image file is truncated. Mend"),
+    ],
+)
+def test_one_line(fail, expected: str, monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.setattr(Objects, "run", lambda _: fail())
+    assert expected in complaint(capsys, "objects", "x")
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Objects, "run", failing(ValueError("what")))
+    with pytest.raises(ValueError) as caught:
+        main(["objects", "x"])
+    assert caught.value.__notes__ == [BUG]
+
+
+def test_who_restarts_is_told_how_to_go_on_instead(tmp_path: Path):
+    command = Train(tmp_path, tmp_path / "out", restart=True)
+    assert "Every file" in command.after_interruption
+    (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / "checkpoint_joint.pt").touch()
+    assert command.after_interruption.startswith("Without `--restart`")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
+def test_results_that_nobody_takes(scene: Path):
+    source = str(Path(stylesplat.__file__).parents[1])
+    command = [sys.executable, "-m", "stylesplat", "export", scene, scene / "x.splat", "--json"]
+
+    def ends(stdout: int) -> tuple[int, str]:
+        done = subprocess.run(
+            command,
+            env={**os.environ, "PYTHONPATH": source},
+            stdout=stdout,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        (scene / "x.splat").unlink()
+        return done.returncode, done.stderr
+
+    reader, writer = os.pipe()
+    os.close(reader)
+    assert ends(writer) == (141, ""), "as `stylesplat ... | head` may"
+    os.close(writer)
+    with Path("/dev/full").open("wb") as full:
+        status, said = ends(full.fileno())
+    assert status == 1
+    assert said == "stylesplat: Disk full. Free some space and try again.\n"

@@ -1,0 +1,219 @@
+"""Ctrl-C and SIGTERM at processes of the command line: one line, and the status of shells."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import stylesplat
+from command_line import QUICK, run
+from stylesplat.cli.options import CONTINUES
+from stylesplat.signals import WHOLE
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+
+pytestmark = pytest.mark.skipif(
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN, reason="processes started here ignore Ctrl-C"
+)
+
+
+class Begun:
+    """A process of the command line, with what it has said so far."""
+
+    def __init__(self, folder: Path, *arguments: object) -> None:
+        self.said, self.out = folder / "stderr", folder / "stdout"
+        with self.said.open("wb") as said, self.out.open("wb") as out:
+            command = [sys.executable, "-m", "stylesplat", *map(str, arguments)]
+            self.process = subprocess.Popen(command, env=ENVIRONMENT, stdout=out, stderr=said)
+
+    def wait_for(self, reached: Callable[["Begun"], bool]) -> None:
+        while not reached(self):
+            assert self.process.poll() is None, self.said.read_text()
+            time.sleep(0.01)
+
+    def says(self, words: str) -> bool:
+        return words in self.said.read_text()
+
+    def has_loaded(self, library: str) -> bool:
+        return library in Path(f"/proc/{self.process.pid}/maps").read_text()
+
+    def ended_by(self, number: signal.Signals) -> str:
+        """How to go on, as the one line says with which it ends; bars end with carriage returns."""
+        self.process.send_signal(number)
+        status, said = self.process.wait(timeout=60), self.said.read_text()
+        assert status == 128 + number, said
+        assert self.out.read_text() == ""
+        assert not any(word in said for word in ("Traceback", "***", "gnored")), said
+        *before, last = said.splitlines()
+        assert not any(line.startswith("stylesplat: ") for line in before), said
+        start = f"stylesplat: {WORDS[number]}. "
+        assert last.startswith(start)
+        return last.removeprefix(start)
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs Linux's /proc")
+@pytest.mark.parametrize(
+    ("library", "number"),
+    [
+        ("_json", signal.SIGTERM),  # with what parses the command
+        ("libtorch_python", signal.SIGINT),
+        ("pycolmap", signal.SIGTERM),
+    ],
+)
+def test_while_it_starts(library: str, number: signal.Signals, capture: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    begun = Begun(tmp_path, "train", capture, "-o", out, "--steps", 99_999, "--device", "cpu")
+    begun.wait_for(lambda begun: begun.has_loaded(library))
+    begun.ended_by(number)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_training_is_kept_and_goes_on(number: signal.Signals, capture: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    options = ("--device", "cpu", "--max-seconds", 4)
+    begun = Begun(tmp_path, "train", capture, "-o", out, *options)
+    begun.wait_for(lambda begun: begun.says("Gaussians"))
+    assert begun.ended_by(number) == CONTINUES
+    assert [p.name for p in (tmp_path / "out.partial").iterdir()] == ["checkpoint_joint.pt"]
+    assert run("train", capture, "-o", out, *options) == 0
+    assert not (tmp_path / "out.partial").exists()
+
+
+def test_a_stylisation_leaves_everything_as_it_was(scene: Path, style: Path, tmp_path: Path):
+    paint = ("--style", f"3={style}", "--steps", 9999, *QUICK)
+    begun = Begun(tmp_path, "stylize", scene, "-o", tmp_path / "out", *paint)
+    begun.wait_for(lambda begun: begun.says("/9999"))
+    assert begun.ended_by(signal.SIGINT) == WHOLE
+    assert {p.name for p in tmp_path.iterdir()} == {"scene", style.name, "stderr", "stdout"}
+
+
+def test_pictures_that_are_drawn(scene: Path, tmp_path: Path):
+    begun = Begun(tmp_path, "render", scene, "-o", tmp_path / "out.mp4", "--views", "orbit")
+    begun.wait_for(lambda _: any(p.suffix == ".mp4" for p in tmp_path.iterdir()))
+    assert begun.ended_by(signal.SIGTERM) == WHOLE
+    assert {p.name for p in tmp_path.iterdir()} == {"scene", "stderr", "stdout"}
+
+
+def test_the_console_script_is_the_module_that_takes_signals():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    assert project["project"]["scripts"] == {"stylesplat": "stylesplat.__main__:main"}
+
+
+IN_A_DEL = """
+import gc, signal, time
+from stylesplat.signals import Terminated, take_signals
+take_signals()
+class Dying:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+try:
+    Dying()
+    time.sleep(9)
+except Terminated:
+    print("raised")
+"""
+
+TWICE = """
+import signal
+from stylesplat.signals import take_signals
+take_signals()
+try:
+    try:
+        signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        print("cleaned up")
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+IN_A_TEXT = """
+import sys
+import stylesplat.__main__ as command_line
+def interrupted():
+    exec("import signal; signal.raise_signal(signal.SIGINT)")
+sys.modules["stylesplat.cli"] = type(sys)("cli")
+sys.modules["stylesplat.cli"].main = interrupted
+print(command_line.main())
+"""
+
+IGNORED = """
+import signal
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+from stylesplat.signals import take_signals
+take_signals()
+signal.raise_signal(signal.SIGINT)
+print("goes on")
+"""
+
+LOADING = """
+import pathlib, sys
+from stylesplat.signals import take_signals
+sys.path.insert(0, {folder!r})
+if {later}:
+    sys.modules["torch"] = type(sys)("torch")
+pathlib.Path({folder!r}, "slow.py").write_text(
+    "import signal\\nsignal.raise_signal(signal.SIGINT)\\nprint('loaded')"
+)
+take_signals()
+try:
+    import slow
+    import time
+    time.sleep(9)
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+
+@pytest.mark.parametrize(
+    ("script", "status", "expected"),
+    [
+        pytest.param(IN_A_DEL, 0, "raised\n", id="where Python cannot raise"),
+        pytest.param(TWICE, 0, "cleaned up\nraised\n", id="twice"),
+        pytest.param(IN_A_TEXT, 0, "130\n", id="in a text that is run"),
+        pytest.param(IGNORED, 0, "goes on\n", id="ignored"),
+        pytest.param(LOADING, 0, "loaded\nraised\n", id="while a module is loaded"),
+        pytest.param(LOADING.replace("{later}", "False"), 130, "", id="before there is work"),
+    ],
+)
+def test_no_signal_is_lost_or_does_harm(script: str, status: int, expected: str, tmp_path: Path):
+    script = script.replace("{folder!r}", repr(str(tmp_path))).replace("{later}", "True")
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (status, expected), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+ELSEWHERE = """
+import signal
+if {taken}:
+    signal.signal(signal.SIGTERM, lambda *_: print("heard"))
+from stylesplat.io.captures.colmap_library import pycolmap
+signal.raise_signal(signal.SIGTERM)
+"""
+
+
+@pytest.mark.parametrize(
+    ("taken", "status", "said"), [(True, 0, "heard\n"), (False, -signal.SIGTERM, "")]
+)
+def test_a_program_that_loads_us_keeps_its_signals(taken: bool, status: int, said: str):
+    command = [sys.executable, "-c", ELSEWHERE.format(taken=taken)]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (status, said, "")
+
+
+def test_everybody_takes_pycolmap_from_there():
+    root = Path(stylesplat.__file__).parent
+    taken = re.compile(r"^\s*(import|from) pycolmap\b", re.MULTILINE)
+    found = [p.name for p in root.rglob("*.py") if taken.search(p.read_text())]
+    assert found == ["colmap_library.py"]
