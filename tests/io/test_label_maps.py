@@ -159,7 +159,7 @@ def test_no_names_no_file(tmp_path: Path):
     [
         ('{"3": "va', "not valid JSON"),
         ('["vase"]', "expected a JSON object"),
-        ('{"vase": "3"}', "expected names by label id. Mend or delete it"),
+        ('{"vase": "3"}', "expected names by label id.* Mend or delete it"),
         ('{"-3": "vase"}', "expected names by label id"),
         ('{"3": null}', "expected names by label id"),
     ],

@@ -10,6 +10,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.scene import brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 MAX_STEM = 48  # characters of a file name that are taken from a text
@@ -39,6 +40,31 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The path of a name within a folder, for names that came from a file.
+
+    Raises:
+        StyleSplatError: If it lies elsewhere, be it by way of a sub-folder that is a link.
+    """
+    path = folder / name
+    here, there = folder.resolve(), path.parent.resolve()
+    if path.name in ("", "..") or not there.is_relative_to(here):
+        raise StyleSplatError(
+            f"{brief(name)!r} leads out of the folder {folder}. Rename it, or remove the link."
+        )
+    return path
+
+
+def require_regular(path: Path | str) -> None:
+    """Raise a StyleSplatError for what is there but no file: to read a pipe may never end."""
+    try:
+        other = Path(path).exists() and not Path(path).is_file()
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {brief(str(path))}: {error.strerror}.") from error
+    if other:
+        raise StyleSplatError(f"Cannot read {path}: it is no regular file. Put a file there.")
 
 
 def file_stem(name: str) -> str:

@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Int
@@ -12,15 +14,19 @@ from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.photos import UNREADABLE, Photo, photo_sizes, same_shape, unreadable
-from stylesplat.io.files import atomic_path
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.captures.decoding import in_bands, opened
+from stylesplat.io.captures.photos import Photo, photo_sizes, same_shape
+from stylesplat.io.files import atomic_path, require_regular
+from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.io.recovery import ensure_whole
 from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
 from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
+ID_MODES = ("1", "L", "P", "I", "I;16", "RGB", "RGBA")  # of Pillow
 NAMES = "names.json"  # beside the label maps: what objects are called, by id
+
+LabelId = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,8}\Z")]
 
 
 def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
@@ -29,12 +35,10 @@ def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
     Raises:
         StyleSplatError: If there is no such file or its pixels cannot be ids.
     """
-    path = Path(path)
-    try:
-        with Image.open(path) as image:
-            return torch.from_numpy(_ids(image))
-    except UNREADABLE as error:
-        raise unreadable(path, error) from error
+    with opened(Path(path)) as image:
+        if image.format == "JPEG" or image.mode not in ID_MODES:
+            raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
+        return torch.from_numpy(in_bands(image, _ids))
 
 
 def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
@@ -84,11 +88,11 @@ def read_names(folder: Path) -> dict[int, str]:
         StyleSplatError: If the file that says it is damaged.
     """
     path = folder / NAMES
+    require_regular(path)
     if not path.exists():
         return {}
-    names = read_json(path)
-    if not all(id.isdecimal() and isinstance(name, str) for id, name in names.items()):
-        raise StyleSplatError(f"Cannot read {path}: expected names by label id. Mend or delete it.")
+    expected = f"Cannot read {path}: expected names by label id"
+    names = fitting(read_json(path), dict[LabelId, str], expected, "Mend or delete it.")
     return {int(id): name for id, name in names.items()}
 
 
@@ -166,7 +170,5 @@ def _key(path: Path) -> str:
 
 
 def _ids(image: Image.Image) -> Int[np.ndarray, "H W"]:
-    if image.format == "JPEG" or image.mode not in ("1", "L", "P", "I", "I;16", "RGB", "RGBA"):
-        raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
-    pixels = np.array(image).astype(np.int32)
+    pixels = np.asarray(image).astype(np.int32)
     return pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE

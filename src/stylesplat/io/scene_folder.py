@@ -82,7 +82,9 @@ def _read(path: Path) -> Scene:
     splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
     with within(f"Cannot read {folder / SCENE}"):
         capture = fitting(info.pop("capture", None), str | None, "capture is wrong", AGAIN)
-        held_out = fitting(info.pop("test_views", []), tuple[str, ...], "test_views is wrong", AGAIN)
+        held_out = fitting(
+            info.pop("test_views", []), tuple[str, ...], "test_views is wrong", AGAIN
+        )
         downscale = _taken_downscale(info)
     picks = read_rows(folder / PICKS, len(splats))
     painted = read_painted(folder, picks, len(splats))

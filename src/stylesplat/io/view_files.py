@@ -8,6 +8,7 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import inside
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
@@ -69,7 +70,7 @@ def write_views(
     with claim_directory(output, overwrite=overwrite, marker="") as folder:
         for name, picture in zip(png_names(names), pictures, strict=True):
             write = write_label_map if picture.ndim == 2 else write_image
-            write(picture, folder / name)
+            write(picture, inside(folder, name))
 
 
 def is_video(output: Path) -> bool:

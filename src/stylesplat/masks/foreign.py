@@ -1,22 +1,18 @@
 """Masks of other programs, as label maps: pictures of ids, binary masks by object, COCO's RLE."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import read_json
 from stylesplat.io.label_maps import DrawnLabels, read_label_map
+from stylesplat.masks.coco import decode_rle, read_coco, rle_size
 from stylesplat.masks.photo_names import match_photos, photo_key
-from stylesplat.scene.labels import MAX_ID, Labels, Mask
-
-MAX_PIXELS = 2**28  # of a mask: more is a mistake, and would fill the memory
-BAD_RLE = (KeyError, TypeError, ValueError, OverflowError)  # what damaged run lengths raise
+from stylesplat.scene.labels import MAX_ID, Labels, Mask, ids_of
 
 
 @dataclass(frozen=True)
@@ -109,7 +105,7 @@ def _numbers(folders: Sequence[str]) -> dict[int, str]:
 
 
 def _is_binary(path: Path) -> bool:
-    return len(read_label_map(path).unique()) <= 2
+    return len(ids_of(read_label_map(path))) <= 2
 
 
 def _stack(layers: Sequence[tuple[int, Path]]) -> DrawnLabels:
@@ -119,108 +115,53 @@ def _stack(layers: Sequence[tuple[int, Path]]) -> DrawnLabels:
 
 def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
     """One label map of binary masks; smaller objects lie over larger ones."""
-    masks = [(number, read_label_map(path) != 0) for number, path in layers]
-    return overlaid(masks)
+    return overlaid((number, read_label_map(path) != 0) for number, path in layers)
 
 
-def overlaid(masks: Sequence[tuple[int, Mask]]) -> Labels:
-    """A label map of masks by id; where they overlap the smaller one shows."""
-    labels = torch.zeros(masks[0][1].shape, dtype=torch.int64)
-    for number, mask in sorted(masks, key=lambda each: -int(each[1].sum())):
+def overlaid(masks: Iterable[tuple[int, Mask]]) -> Labels:
+    """A label map of masks by id, taken one by one; where they overlap the smaller one shows."""
+    labels = areas = torch.zeros(0, 0, dtype=torch.int32)
+    for place, (number, mask) in enumerate(masks):
+        if place == 0:
+            labels = torch.zeros(mask.shape, dtype=torch.int32)
+            areas = torch.full_like(labels, mask.numel())  # of what shows there
         if mask.shape != labels.shape:
-            raise StyleSplatError(
-                f"The masks of a photo differ in size: {list(mask.shape)} and "
-                f"{list(labels.shape)}. Export them at the photo's size."
-            )
-        labels[mask] = number
+            raise _differ("of a photo", (mask.shape[1], mask.shape[0]), tuple(labels.shape[::-1]))
+        area = int(mask.sum())
+        shown = mask & (areas >= area)
+        labels.masked_fill_(shown, number)
+        areas.masked_fill_(shown, area)
     return labels
 
 
 def _coco(source: Path, names: Sequence[str]) -> Found:
-    """Annotations with RLE masks; an object is a track, or else a category."""
-    content = read_json(source)
-    try:
-        files = {image["id"]: photo_key(image["file_name"]) for image in content["images"]}
-        kinds = {kind["id"]: str(kind["name"]) for kind in content.get("categories", [])}
-        tracked = any("track_id" in each for each in content["annotations"])
-        titles: dict[int, str] = {}
-        found: dict[str, list[tuple[int, Any]]] = {}
-        for each in content["annotations"]:
-            file = files[each["image_id"]]
-            number = int(each["track_id"] if tracked else each["category_id"])
-            if not tracked and number in kinds:
-                titles[number] = kinds[number]
-            if not 0 < number <= MAX_ID:
-                raise ValueError(f"the id {number} is not within 1 to {MAX_ID}")
-            found.setdefault(file, []).append((number, each["segmentation"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise StyleSplatError(
-            f"Cannot read {source} as COCO annotations: {error!r}. Export them with images, "
-            "annotations and RLE masks."
-        ) from error
-    matches = match_photos(found, names)
+    """Annotations with RLE masks."""
+    layers = read_coco(source)
+    matches = match_photos(layers.by_photo, names)
     maps = {
         photo: DrawnLabels(
-            size=_rle_size(found[file][0][1], source),
-            read=partial(_decoded, found[file], source),
+            size=_shared_size(layers.by_photo[file], file, source),
+            read=partial(_decoded, layers.by_photo[file], source),
             what=f"of {file} in {source}",
         )
         for file, photo in matches.items()
     }
-    return Found(maps, titles)
+    return Found(maps, dict(layers.names))
+
+
+def _shared_size(layers: Sequence[tuple[int, Any]], file: str, source: Path) -> tuple[int, int]:
+    sizes = {rle_size(rle, source) for _, rle in layers}
+    if len(sizes) > 1:
+        raise _differ(f"of {file} in {source}", *sorted(sizes)[:2])
+    return sizes.pop()
 
 
 def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:
-    masks = [(number, decode_rle(rle, source)) for number, rle in layers]
-    return overlaid(masks)
+    return overlaid((number, decode_rle(rle, source)) for number, rle in layers)
 
 
-def decode_rle(rle: Any, source: Path) -> Mask:
-    """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros.
-
-    Raises:
-        StyleSplatError: If they do not fill the mask.
-    """
-    width, height = _rle_size(rle, source)
-    try:
-        counts = rle["counts"]
-        runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
-        if height * width != runs.sum() or runs.min(initial=0) < 0:
-            raise ValueError(f"its runs hold {runs.sum()} pixels of {height}x{width}")
-        if height * width > MAX_PIXELS:
-            raise ValueError(f"{height}x{width} pixels are no photo's")
-    except BAD_RLE as error:
-        raise _unreadable_rle(source, error) from error
-    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
-    return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
-
-
-def _rle_size(rle: Any, source: Path) -> tuple[int, int]:
-    """Width and height."""
-    try:
-        height, width = (int(side) for side in rle["size"])
-    except BAD_RLE as error:
-        raise _unreadable_rle(source, error) from error
-    return width, height
-
-
-def _unreadable_rle(source: Path, error: Exception) -> StyleSplatError:
+def _differ(what: str, *sizes: tuple[int, int]) -> StyleSplatError:
+    shown = " and ".join(f"{width}x{height}" for width, height in sizes)
     return StyleSplatError(
-        f"Cannot read a mask in {source}: {error!r}. Polygons are not understood: export RLE."
+        f"The masks {what} differ in size: {shown}. Export them at the photo's size."
     )
-
-
-def _unpack(text: str) -> list[int]:
-    """Run lengths from COCO's string: groups of 5 bits, and differences to the last but one."""
-    runs: list[int] = []
-    value = shift = 0
-    for letter in text:
-        group = ord(letter) - 48
-        value |= (group & 0x1F) << shift
-        shift += 5
-        if not group & 0x20:
-            if group & 0x10:  # negative
-                value -= 1 << shift
-            runs.append(value + runs[-2] if len(runs) > 2 else value)
-            value = shift = 0
-    return runs

@@ -1,23 +1,21 @@
 """Style pictures from files: upright, of a sensible size, cropped and turned."""
 
 import math
-import warnings
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.photos import UNREADABLE, read_image, unreadable
+from stylesplat.io.captures.decoding import opened
+from stylesplat.io.captures.photos import photo_sizes, read_image
 from stylesplat.progress import say
 
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
 MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
-STILL = ("MPO", "PSD")  # further frames are a phone's depth or gain map, or layers
 
 
 def read_style(
@@ -28,7 +26,7 @@ def read_style(
     Longer sides than 4096 pixels are scaled down, which the user is told.
 
     Args:
-        path: Any picture that Pillow reads, with one frame.
+        path: A picture with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA.
         rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
             without empty corners is kept. Multiples of 90 keep every pixel as it is.
         region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
@@ -43,11 +41,8 @@ def read_style(
     path = Path(path)
     if not math.isfinite(rotate):
         raise StyleSplatError(f"Cannot turn {path} by {rotate} degrees. Pass a number of degrees.")
-    with warnings.catch_warnings():
-        # Pillow's, from 90 megapixels on; it refuses twice as many
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        _refuse_unfit(path)
-        pixels = read_image(path).numpy()
+    _refuse_unfit(path)
+    pixels = read_image(path).numpy()
     if region is not None:
         pixels = _crop(pixels, region, path)
     pixels = _shrink(pixels, path)
@@ -72,12 +67,8 @@ def inscribed_rectangle(width: int, height: int, degrees: float) -> tuple[float,
 
 def _refuse_unfit(path: Path) -> None:
     """Look at the file's header, before its pixels are decoded."""
-    try:
-        with Image.open(path) as image:
-            frames = 1 if image.format in STILL else getattr(image, "n_frames", 1)
-            size = image.size
-    except UNREADABLE as error:
-        raise unreadable(path, error) from error
+    with opened(path) as image:
+        frames, size = getattr(image, "n_frames", 1), image.size
     if frames > 1:
         raise StyleSplatError(
             f"The picture {path} has {frames} frames (an animation or several pages). "
@@ -98,14 +89,15 @@ def _crop(
     pixels: UInt8[np.ndarray, "H W 3"], region: tuple[int, int, int, int], path: Path
 ) -> UInt8[np.ndarray, "_ _ 3"]:
     x0, y0, x1, y1 = region
-    height, width = pixels.shape[:2]
+    width, height = photo_sizes(path, reduced=False)[1]
     name = f"The region {x0},{y0},{x1},{y1} of {path}"
     if x0 >= x1 or y0 >= y1:
         raise StyleSplatError(f"{name} is empty. Pass x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
     if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
         raise StyleSplatError(f"{name} reaches outside. Stay within 0,0,{width},{height}.")
     _refuse_small(x1 - x0, y1 - y0, name)
-    return pixels[y0:y1, x0:x1]
+    shrunk = round(width / pixels.shape[1])  # 2 for the largest JPEGs
+    return pixels[y0 // shrunk : -(-y1 // shrunk), x0 // shrunk : -(-x1 // shrunk)]
 
 
 def _shrink(pixels: UInt8[np.ndarray, "H W 3"], path: Path) -> UInt8[np.ndarray, "_ _ 3"]:

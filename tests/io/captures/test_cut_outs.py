@@ -1,6 +1,7 @@
 """Photos with transparency, from the file to the capture."""
 
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -179,9 +180,14 @@ def test_style_pictures_keep_white_under_transparency(tmp_path: Path):
 
 def test_colours_and_alpha_are_decoded_together(cut_outs: Path, monkeypatch: pytest.MonkeyPatch):
     capture = load(cut_outs)
-    opened: list[Path] = []
+    opened: list[str] = []
     real = Image.open
-    monkeypatch.setattr(Image, "open", lambda path, *args: (opened.append(path), real(path))[1])
+
+    def note(file: BinaryIO, **options: Any) -> Image.Image:
+        opened.append(file.name)
+        return real(file, **options)
+
+    monkeypatch.setattr(Image, "open", note)
     for row in range(len(capture)):
         assert capture.photos[row] is not None and capture.labels(row) is not None
         assert capture.alpha(row) is not None

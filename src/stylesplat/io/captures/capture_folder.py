@@ -1,6 +1,7 @@
 """From a folder to a capture."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,10 +13,12 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures import cut_outs
 from stylesplat.io.captures.colmap import find_sparse, read_colmap
-from stylesplat.io.captures.photos import Photo, fit_photo
+from stylesplat.io.captures.decoding import MAX_PIXELS
+from stylesplat.io.captures.photos import Photo, fit_photo, is_reduced
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
 from stylesplat.io.label_maps import match_label_maps, read_names
+from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.lazy import Lazy
@@ -92,6 +95,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     posed = _read_poses(folder)
     _check_poses(posed, folder)
     photos = [fit_photo(*each) for each in zip(posed.paths, posed.lenses, strict=True)]
+    _announce_reduced(photos, posed)
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),
@@ -127,11 +131,28 @@ def _read_poses(folder: Path) -> PosedFiles:
 
 
 def _check_poses(posed: PosedFiles, folder: Path) -> None:
-    bad = [name for name, m in zip(posed.names, posed.viewmats, strict=True) if not _is_rigid(m)]
+    viewmats = posed.viewmats.float()
+    bad = [name for name, m in zip(posed.names, viewmats, strict=True) if not _is_rigid(m)]
     if bad:
         raise StyleSplatError(
             f"{len(bad)} of the {len(posed.names)} poses in {folder} are NaN or no rotation and "
             f"shift, the first that of {bad[0]}. Pose the photos again."
+        )
+    if posed.points is not None and not posed.points.isfinite().all():
+        raise StyleSplatError(
+            f"Some points in {folder} are NaN or infinitely far. Pose the photos again."
+        )
+
+
+def _announce_reduced(photos: Sequence[Photo], posed: PosedFiles) -> None:
+    pairs = zip(photos, posed.lenses, strict=True)
+    smaller = [photo.path for photo, lens in pairs if photo.lens.size != lens.size]
+    reduced = [path for path in smaller if is_reduced(path)]
+    if reduced:
+        say(
+            f"{len(reduced)} photos have more than {MAX_PIXELS // 10**6} megapixels, such as "
+            f"{reduced[0]}: they are read at half their width and height, which boxes and points "
+            "go by."
         )
 
 

@@ -14,8 +14,8 @@ from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import reason
 
-# All that pycolmap raises on bad files
-MALFORMED = (ValueError, IndexError, KeyError, RuntimeError, MemoryError)
+# All that pycolmap raises on bad files; a ValueError also for names that are not UTF-8
+MALFORMED = (ValueError, IndexError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError)
 
 
 def find_sparse(folder: Path) -> Path | None:
@@ -36,7 +36,16 @@ def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
     Raises:
         StyleSplatError: If a file is missing, truncated or malformed, or no photo is posed.
     """
-    model = _read(sparse)
+    check_complete(sparse)
+    try:
+        return _posed(pycolmap.Reconstruction(sparse), sparse, folder)
+    except MALFORMED as error:
+        raise StyleSplatError(
+            f"Cannot read the reconstruction {sparse}: {reason(error)}. Copy it again."
+        ) from error
+
+
+def _posed(model: pycolmap.Reconstruction, sparse: Path, folder: Path) -> PosedFiles:
     images = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     if not images:
         raise StyleSplatError(
@@ -56,16 +65,6 @@ def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
         points=points,
         point_colors=point_colors,
     )
-
-
-def _read(sparse: Path) -> pycolmap.Reconstruction:
-    check_complete(sparse)
-    try:
-        return pycolmap.Reconstruction(sparse)
-    except MALFORMED as error:
-        raise StyleSplatError(
-            f"Cannot read the reconstruction {sparse}: {reason(error)}. Copy it again."
-        ) from error
 
 
 def _find_photos(folder: Path) -> Path:

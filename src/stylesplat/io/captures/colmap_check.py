@@ -7,10 +7,12 @@ else, are followed here first.
 
 import struct
 from collections.abc import Callable
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.io.files import require_regular
 
 # The records of COLMAP's binary format (src/colmap/scene/reconstruction_io_binary.cc)
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters, float64
@@ -35,25 +37,39 @@ def check_complete(sparse: Path) -> None:
     """
     for name, skip in SKIPPERS.items():
         path = sparse / f"{name}.bin"
-        if path.is_file() and not _is_complete(path.read_bytes(), skip):
+        require_regular(path)
+        require_regular(path.with_suffix(".txt"))
+        if path.exists() and not _holds(path, skip):
             raise StyleSplatError(
                 f"{path} is truncated or damaged: its records do not end where the file does. "
                 "Copy it again."
             )
 
 
-def _is_complete(content: bytes, skip: Callable[[bytes, int], int]) -> bool:
+def _holds(path: Path, skip: Callable[[mmap, int], int]) -> bool:
+    try:
+        with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+            return _is_complete(content, skip)
+    except ValueError:  # an empty file
+        return False
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+
+
+def _is_complete(content: mmap, skip: Callable[[mmap, int], int]) -> bool:
     try:
         (count,) = COUNT.unpack_from(content)
         offset = COUNT.size
         for _ in range(count):
             offset = skip(content, offset)
+            if offset > len(content):  # perhaps by more than can be an offset at all
+                return False
     except (struct.error, ValueError):
         return False
     return offset == len(content)
 
 
-def _skip_camera(content: bytes, offset: int) -> int:
+def _skip_camera(content: mmap, offset: int) -> int:
     _, model, width, height = CAMERA.unpack_from(content, offset)
     camera = pycolmap.Camera.create_from_model_id(
         0, pycolmap.CameraModelId(model), 1.0, width, height
@@ -61,26 +77,28 @@ def _skip_camera(content: bytes, offset: int) -> int:
     return offset + CAMERA.size + 8 * len(camera.params)
 
 
-def _skip_image(content: bytes, offset: int) -> int:
-    end = content.index(b"\0", offset + IMAGE_HEAD) + 1
+def _skip_image(content: mmap, offset: int) -> int:
+    end = content.find(b"\0", offset + IMAGE_HEAD) + 1
+    if not end:
+        raise ValueError("a name without end")
     return end + COUNT.size + POINT2D * COUNT.unpack_from(content, end)[0]
 
 
-def _skip_point(content: bytes, offset: int) -> int:
+def _skip_point(content: mmap, offset: int) -> int:
     end = offset + POINT3D_HEAD
     return end + COUNT.size + TRACK_ELEMENT * COUNT.unpack_from(content, end)[0]
 
 
-def _skip_rig(content: bytes, offset: int) -> int:
+def _skip_rig(content: mmap, offset: int) -> int:
     _, sensors = RIG_HEAD.unpack_from(content, offset)
     offset += RIG_HEAD.size + SENSOR * (sensors > 0)  # the reference sensor has no pose
     for _ in range(sensors - 1):
         (has_pose,) = struct.unpack_from("<B", content, offset + SENSOR)
-        offset += SENSOR + 1 + RIG_POSE * has_pose
+        offset += SENSOR + 1 + RIG_POSE * (has_pose > 0)
     return offset
 
 
-def _skip_frame(content: bytes, offset: int) -> int:
+def _skip_frame(content: mmap, offset: int) -> int:
     end = offset + FRAME_HEAD
     return end + FRAME_COUNT.size + DATA_ID * FRAME_COUNT.unpack_from(content, end)[0]
 

@@ -8,6 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
+from stylesplat.io.files import inside
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label_map, write_names
 from stylesplat.progress import track
@@ -48,7 +49,7 @@ def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> Non
 
     Raises:
         StyleSplatError: If there are some already, a file is in their place, or photos differ in
-            their suffix only.
+            their suffix only, or a name or a link leads out of the folder.
     """
     names = capture.cameras.names
     if len({Path(name).with_suffix("") for name in names}) < len(names):
@@ -56,6 +57,8 @@ def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> Non
             f"Some photos in {capture.path} differ in their suffix only, so their label maps would "
             "have one name. Rename them."
         )
+    for name in names:
+        _map_path(folder, name)
     refuse_occupied(folder, marker="", overwrite=overwrite)
 
 
@@ -88,12 +91,16 @@ def write_label_maps(
             labels = capture.label_maps[row]
             if labels is not None:
                 whole = resize_labels(labels, capture.full_cameras[row].size[::-1])
-                write_label_map(whole, (claimed / name).with_suffix(".png"))
+                write_label_map(whole, _map_path(claimed, name))
                 found[name] = ids_of(whole) - {BACKGROUND}
         called = {id: capture.object_names[id] for id in _named(capture, found.values())}
         write_names(called, claimed)
         stale += _stale({*capture.cameras.names} - found.keys(), named=bool(called))
     return found
+
+
+def _map_path(folder: Path, name: str) -> Path:
+    return inside(folder, name).with_suffix(".png")
 
 
 def _none() -> None:

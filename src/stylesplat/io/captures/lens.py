@@ -1,6 +1,7 @@
 """Camera models with distortion, and the way from their photos to pinhole photos."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -13,7 +14,11 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 
-MAPS_KEPT = 4  # photos usually share one lens; a map takes 8 bytes per pixel
+MAX_SIDE = 2**20  # pixels; COLMAP walks along the rim of what it undistorts
+# Sampling maps are made and kept by bands of rows. A pixel takes about 100 bytes while one is made
+# and 8 after that: less than half a GiB and, for all that are kept, one
+BAND = 2**22
+BANDS_KEPT = 32
 
 
 @dataclass(frozen=True)
@@ -37,9 +42,9 @@ class Lens:
             StyleSplatError: If a number is missing, not finite or not positive where it has to
                 be, or if the camera is a panorama's.
         """
-        name = camera.model_name
+        name, size = camera.model_name, (camera.width, camera.height)
         finite = camera.verify_params() and all(map(math.isfinite, camera.params))
-        if not finite or min(camera.width, camera.height) < 1:
+        if not finite or not 1 <= min(size) <= max(size) <= MAX_SIDE:
             raise StyleSplatError(f"A {name} camera has impossible numbers. Pose the photos again.")
         if not camera.is_perspective():
             raise StyleSplatError(
@@ -91,16 +96,30 @@ class Lens:
         if self.is_pinhole:
             return pixels
         how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-        return cv2.remap(pixels, *_sampling_map(self), how, borderMode=cv2.BORDER_CONSTANT)
+        width, height = self.pinhole().size
+        seen = np.empty((height, width, *pixels.shape[2:]), pixels.dtype)
+        for rows in bands(width, height):
+            maps = _sampling_map(self, rows.start, rows.stop)
+            seen[rows] = cv2.remap(pixels, *maps, how, borderMode=cv2.BORDER_CONSTANT)
+        return seen
 
 
-@lru_cache(maxsize=MAPS_KEPT)
-def _sampling_map(lens: Lens) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """For each pixel of the pinhole photo its place in the distorted one, as OpenCV counts."""
+def bands(width: int, height: int) -> Iterator[slice]:
+    """The rows of a picture, so many at a time that copies of them take little memory."""
+    rows = max(1, BAND // width)
+    return (slice(start, min(start + rows, height)) for start in range(0, height, rows))
+
+
+@lru_cache(maxsize=BANDS_KEPT)
+def _sampling_map(
+    lens: Lens, start: int, stop: int
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """For some rows of the pinhole photo the pixels' places in the distorted, as OpenCV counts."""
     pinhole = lens.pinhole()
-    rows, columns = np.mgrid[: pinhole.height, : pinhole.width] + 0.5
+    rows, columns = np.mgrid[start:stop, : pinhole.width] + 0.5
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
     rays = np.asarray(pinhole.camera.cam_from_img(pixels))
     rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [HW, 3]
     places = np.asarray(lens.camera.img_from_cam(rays)).reshape(*rows.shape, 2) - 0.5
-    return places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # far outside
+        return places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)

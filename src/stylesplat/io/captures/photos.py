@@ -1,33 +1,35 @@
 """Photos on disk, as the pinhole cameras of a capture see them."""
 
-import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.lens import Lens
-from stylesplat.io.files import reason
+from stylesplat.io.captures.decoding import in_bands, opened, reading
+from stylesplat.io.captures.lens import Lens, bands
 
-# All that Pillow raises on bad files
-UNREADABLE = (
-    OSError,
-    SyntaxError,
-    ValueError,
-    EOFError,
-    struct.error,
-    Image.DecompressionBombError,
-)
 UPRIGHT = 1  # EXIF's orientation of a photo to be shown as it is stored
 MAX_GREY = 0xFFFF  # Pillow's mode I is of 32 bits, but holds 16-bit grey of PGM files too
 OPAQUE = 128  # the alpha from which a pixel shows something
 BLACK, WHITE = 0, 255
+# What shows a picture upright, by EXIF orientation
+TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    2: np.fliplr,
+    3: partial(np.rot90, k=2),
+    4: np.flipud,
+    5: lambda pixels: pixels.swapaxes(0, 1),
+    6: partial(np.rot90, k=-1),
+    7: lambda pixels: np.rot90(pixels, k=2).swapaxes(0, 1),
+    8: np.rot90,
+}
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
@@ -40,7 +42,9 @@ def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
     Raises:
         StyleSplatError: If there is no such file or it is no readable picture.
     """
-    return torch.from_numpy(_rgb(_decode(Path(path), upright=True), WHITE))
+    with reading(Path(path)):
+        pixels = _over(WHITE, _decode(Path(path), upright=True))
+        return torch.from_numpy(np.ascontiguousarray(pixels[..., :3]))
 
 
 @dataclass(frozen=True)
@@ -72,10 +76,13 @@ class Photo:
         Raises:
             StyleSplatError: If the file is no longer readable.
         """
-        pixels = self.lens.undistort(_premultiplied(_decode(self.path, upright=self.upright)))
-        if pixels.shape[1::-1] != self.size:
-            pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
-        return torch.from_numpy(pixels)
+        with reading(self.path):
+            # Over black: averages of such pixels are free of the colours that nobody sees
+            pixels = _over(BLACK, _decode(self.path, upright=self.upright))
+            pixels = self.lens.undistort(pixels)
+            if pixels.shape[1::-1] != self.size:
+                pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
+            return torch.from_numpy(pixels)
 
     def is_cut_out(self) -> bool:
         """Whether the file has transparent pixels; looks for them only if it may have some.
@@ -93,11 +100,8 @@ class Photo:
         Raises:
             StyleSplatError: If the file is no longer readable.
         """
-        try:
-            with Image.open(self.path) as image:
-                return image.has_transparency_data
-        except UNREADABLE as error:
-            raise unreadable(self.path, error) from error
+        with opened(self.path) as image:
+            return image.has_transparency_data
 
     def resized(self, width: int, height: int) -> "Photo":
         """The same photo, to be given another size."""
@@ -127,19 +131,29 @@ def fit_photo(path: Path, lens: Lens) -> Photo:
     return Photo(path, is_upright, lens, lens.pinhole().size)
 
 
-def photo_sizes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
+def photo_sizes(path: Path, *, reduced: bool = True) -> tuple[tuple[int, int], tuple[int, int]]:
     """Width and height as stored, and after the EXIF rotation, from the file's header.
+
+    Args:
+        path: The file.
+        reduced: False for those in the file, be they more than what is decoded.
 
     Raises:
         StyleSplatError: If the file is missing or no picture.
     """
-    try:
-        with Image.open(path) as image:
-            turned = _orientation(image) in QUARTER_TURNS
-            width, height = image.size
-            return (width, height), (height, width) if turned else (width, height)
-    except UNREADABLE as error:
-        raise unreadable(path, error) from error
+    with opened(path, reduced=reduced) as image:
+        turned = _orientation(image) in QUARTER_TURNS
+        width, height = image.size
+        return (width, height), (height, width) if turned else (width, height)
+
+
+def is_reduced(path: Path) -> bool:
+    """Whether a file has so many pixels that it is read at half its width and height.
+
+    Raises:
+        StyleSplatError: If the file is missing or no picture.
+    """
+    return photo_sizes(path) != photo_sizes(path, reduced=False)
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
@@ -147,21 +161,12 @@ def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
     return abs(size[0] * other[1] - size[1] * other[0]) <= max(other)
 
 
-def unreadable(path: Path, error: Exception) -> StyleSplatError:
-    """What to tell the user about a picture that Pillow could not read."""
-    if isinstance(error, FileNotFoundError):
-        return StyleSplatError(f"There is no image {path}. Check the name and the folder.")
-    return StyleSplatError(f"Cannot read the image {path}: {reason(error)}. Replace the file.")
-
-
 def _decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
     """RGB, or RGBA where the file has transparency."""
-    try:
-        with Image.open(path) as image:
-            turn = upright and _orientation(image) != UPRIGHT
-            return _pixels(ImageOps.exif_transpose(image) if turn else image)
-    except UNREADABLE as error:
-        raise unreadable(path, error) from error
+    with opened(path) as image:
+        turn = TURNS.get(_orientation(image)) if upright else None
+        pixels = in_bands(image, _pixels)
+    return np.ascontiguousarray(turn(pixels)) if turn else pixels
 
 
 def _orientation(image: Image.Image) -> int:
@@ -183,16 +188,11 @@ def _pixels(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
     return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
 
 
-def _premultiplied(pixels: UInt8[np.ndarray, "H W D"]) -> UInt8[np.ndarray, "H W D"]:
-    """The same over black; averages of such pixels are free of the colours that nobody sees."""
+def _over(behind: int, pixels: UInt8[np.ndarray, "H W D"]) -> UInt8[np.ndarray, "H W D"]:
+    """The same pixels, in place, before a grey level where they are transparent."""
     if pixels.shape[2] == 3:
         return pixels
-    return np.concatenate([_rgb(pixels, BLACK), pixels[:, :, 3:]], axis=2)
-
-
-def _rgb(pixels: UInt8[np.ndarray, "H W D"], behind: int) -> UInt8[np.ndarray, "H W 3"]:
-    """What shows before a grey level."""
-    if pixels.shape[2] == 3:
-        return pixels
-    colors, alpha = pixels[:, :, :3].astype(np.uint16), pixels[:, :, 3:].astype(np.uint16)
-    return ((colors * alpha + behind * (255 - alpha) + 127) // 255).astype(np.uint8)
+    for rows in bands(*pixels.shape[1::-1]):
+        colors, alpha = pixels[rows, :, :3].astype(np.uint16), pixels[rows, :, 3:].astype(np.uint16)
+        pixels[rows, :, :3] = (colors * alpha + behind * (255 - alpha) + 127) // 255
+    return pixels

@@ -1,17 +1,32 @@
 """What the readers of COLMAP and transforms.json have in common."""
 
+import re
+from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import Lens
+from stylesplat.scene.scene import brief
+
+# Of a file's or folder's name: systems take 255, and to be written a name gets 14 more
+MAX_PART = 240
+MAX_NAME = 1024  # bytes of a whole path; systems take 4096 or less
+CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
 @dataclass(frozen=True)
 class PosedFiles:
-    """Posed photos as a capture's files describe them; no photo has been looked at."""
+    """Posed photos as a capture's files describe them; no photo has been looked at.
+
+    Label maps and views are written under the photos' names, so these never leave their folder.
+
+    Raises:
+        StyleSplatError: If a name does, is none that a file can have, or is that of two photos.
+    """
 
     names: tuple[str, ...]
     """Of the photos, within their common folder."""
@@ -25,3 +40,46 @@ class PosedFiles:
     """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
     """Colours of `points`."""
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            check_path(name)
+            if _leaves(name):
+                raise StyleSplatError(
+                    f"The photo {brief(name)!r} has a name that leaves the folder of the photos. "
+                    "Pose the photos again, under names without '..' that are not absolute."
+                )
+        for name, count in Counter(map(PurePosixPath, self.names)).items():
+            if count > 1:
+                raise StyleSplatError(
+                    f"The photo {brief(str(name))!r} is posed {count} times. Keep one of its poses."
+                )
+
+
+def check_path(text: str) -> None:
+    """Raise a StyleSplatError for the path of a photo that no file has."""
+    fault = _fault(text)
+    if fault:
+        raise StyleSplatError(
+            f"The photo {brief(text)!r} cannot be a file: {fault}. Rename it, and pose again."
+        )
+
+
+def _fault(text: str) -> str | None:
+    try:
+        parts = [part.encode() for part in text.split("/")]
+    except UnicodeEncodeError:
+        return "its name is not UTF-8"
+    if CONTROL.search(text):
+        return "its name has control characters"
+    if sum(map(len, parts)) > MAX_NAME or max(map(len, parts)) > MAX_PART:
+        return "its name is too long"
+    return None
+
+
+def _leaves(name: str) -> bool:
+    """Whether a name leaves the folder that it is put in, or names that folder, on any system."""
+    windows = PureWindowsPath(name)
+    return bool(
+        windows.drive or windows.root or ".." in windows.parts or not PurePosixPath(name).name
+    )

@@ -2,9 +2,11 @@
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -12,13 +14,14 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.lens import MAX_SIDE, Lens
 from stylesplat.io.captures.photos import photo_sizes
-from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.captures.posed_files import PosedFiles, check_path
 from stylesplat.io.files import reason
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.io.ply import read_ply_table, write_ply_table
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import brief
 
 TRANSFORMS = "transforms.json"
 POINTS = "points.ply"
@@ -27,33 +30,73 @@ COLOR = ("red", "green", "blue")
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")  # tried where a name has none
 FISHEYE = "OPENCV_FISHEYE"
 FRAME_MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+AGAIN = "Pose the photos again."
 OPENGL_AXES = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)  # x right, y up, z back
+
+Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Side = Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)]  # some programs write 1920.0
+Row = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]  # which may be NaN
+Pose = Annotated[list[Row], msgspec.Meta(min_length=3, max_length=4)]
+
+
+class Frame(msgspec.Struct):
+    """A photo's entry, together with what the file says of all."""
+
+    file_path: str
+    transform_matrix: Pose
+    w: Side | None = None
+    h: Side | None = None
+    fl_x: Number | None = None
+    fl_y: Number | None = None
+    camera_angle_x: Number | None = None
+    camera_angle_y: Number | None = None
+    cx: Number | None = None
+    cy: Number | None = None
+    k1: Number = 0.0
+    k2: Number = 0.0
+    k3: Number = 0.0
+    k4: Number = 0.0
+    p1: Number = 0.0
+    p2: Number = 0.0
+    camera_model: str | None = None
+    is_fisheye: bool = False
+
+
+class Transforms(msgspec.Struct):
+    """The file, but for what frames may say too."""
+
+    frames: list[dict[str, Any]] = []
+    ply_file_path: str | None = None
 
 
 def read_transforms(folder: Path) -> PosedFiles:
     """Read poses and cameras, and the points where `ply_file_path` names some.
 
-    Intrinsics may stand in each frame or once for all. Photos are sorted by path.
+    Intrinsics may stand in each frame or once for all. Photos may lie anywhere; they are sorted
+    by path, and named within the folder that they have in common.
 
     Raises:
         StyleSplatError: If the file is malformed, lacks a key or has no frames.
     """
     path = folder / TRANSFORMS
     content = read_json(path)
-    frames = content.pop("frames", None)
-    if not frames:
+    whole = fitting(content, Transforms, f"{path} is malformed", AGAIN)
+    if not whole.frames:
         raise StyleSplatError(f"{path} has no frames, so no cameras. Pose the photos again.")
     try:
-        posed = sorted((_read_frame(folder, content | f) for f in frames), key=lambda f: f[0])
-        points, point_colors = _read_points(folder, content.get("ply_file_path"))
-    except KeyError as error:
-        raise StyleSplatError(f"{path} lacks the key {error}. Pose the photos again.") from error
-    except (TypeError, ValueError, RuntimeError, ArithmeticError) as error:
-        raise StyleSplatError(f"{path} is malformed: {reason(error)}. Pose them again.") from error
+        posed = sorted((_read_frame(path, content | f) for f in whole.frames), key=lambda f: f[0])
+        points, point_colors = _read_points(folder, whole.ply_file_path)
+    except (ValueError, RuntimeError, ArithmeticError) as error:
+        raise StyleSplatError(f"{path} is malformed: {reason(error)}. {AGAIN}") from error
     paths, lenses, viewmats = zip(*posed, strict=True)
-    common = Path(os.path.commonpath([photo.parent for photo in paths]))
-    names = tuple(photo.relative_to(common).as_posix() for photo in paths)
-    return PosedFiles(names, paths, lenses, torch.stack(viewmats), points, point_colors)
+    return PosedFiles(_names(paths), paths, lenses, torch.stack(viewmats), points, point_colors)
+
+
+def _names(paths: Sequence[Path]) -> tuple[str, ...]:
+    """What photos are called within their common folder, without a '..' on the way."""
+    plain = [Path(os.path.normpath(path.absolute())) for path in paths]
+    common = Path(os.path.commonpath([photo.parent for photo in plain]))
+    return tuple(photo.relative_to(common).as_posix() for photo in plain)
 
 
 def write_transforms(
@@ -91,10 +134,12 @@ def write_transforms(
     write_json(content, folder / TRANSFORMS)
 
 
-def _read_frame(folder: Path, frame: dict[str, Any]) -> tuple[Path, Lens, Float[Tensor, "4 4"]]:
-    photo = _find_photo(folder / frame["file_path"])
+def _read_frame(path: Path, content: dict[str, Any]) -> tuple[Path, Lens, Float[Tensor, "4 4"]]:
+    frame = fitting(content, Frame, f"A frame of {path} is malformed", AGAIN)
+    check_path(frame.file_path)
+    photo = _find_photo(path.parent / frame.file_path)
     pose = torch.eye(4, dtype=torch.float64)
-    pose[:3] = torch.tensor(frame["transform_matrix"], dtype=torch.float64)[:3]
+    pose[:3] = torch.tensor(frame.transform_matrix[:3], dtype=torch.float64)
     # Without an error for what is no pose: `load` names all that are none
     return photo, _read_lens(frame, photo), torch.linalg.inv_ex(pose * OPENGL_AXES).inverse
 
@@ -104,28 +149,41 @@ def _find_photo(path: Path) -> Path:
     return next((p for p in candidates if p.is_file()), path)
 
 
-def _read_lens(frame: dict[str, Any], photo: Path) -> Lens:
-    width, height = (frame["w"], frame["h"]) if "w" in frame else photo_sizes(photo)[1]
-    fx = _focal(frame, "x", width)
-    fy = _focal(frame, "y", height) if {"fl_y", "camera_angle_y"} & frame.keys() else fx
-    pinhole = [fx, fy, frame.get("cx", width / 2), frame.get("cy", height / 2)]
-    k1, k2, k3, k4, p1, p2 = (frame.get(key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    named = frame.get("camera_model", FISHEYE if frame.get("is_fisheye") else "OPENCV")
+def _read_lens(frame: Frame, photo: Path) -> Lens:
+    width, height = _size(frame, photo)
+    fx = _focal(frame.fl_x, frame.camera_angle_x, width, "x")
+    fy = fx
+    if frame.fl_y is not None or frame.camera_angle_y is not None:
+        fy = _focal(frame.fl_y, frame.camera_angle_y, height, "y")
+    cx = width / 2 if frame.cx is None else frame.cx
+    cy = height / 2 if frame.cy is None else frame.cy
+    pinhole, k = [fx, fy, cx, cy], (frame.k1, frame.k2, frame.k3, frame.k4)
+    named = frame.camera_model or (FISHEYE if frame.is_fisheye else "OPENCV")
     if named == FISHEYE:
-        model, params = FISHEYE, [*pinhole, k1, k2, k3, k4]
-    elif named in FRAME_MODELS and k4 == 0:
-        model, params = "FULL_OPENCV", [*pinhole, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
+        model, params = FISHEYE, [*pinhole, *k]
+    elif named in FRAME_MODELS and frame.k4 == 0:
+        further = [frame.p1, frame.p2, frame.k3, 0.0, 0.0, 0.0]
+        model, params = "FULL_OPENCV", [*pinhole, frame.k1, frame.k2, *further]
     else:
-        raise ValueError(f"cameras of the model {named} with k4 = {k4} are not supported")
-    return Lens.from_colmap(
-        pycolmap.Camera(model=model, width=int(width), height=int(height), params=params)
-    )
+        raise ValueError(f"cameras of the model {brief(named)} with k4 = {frame.k4} are not known")
+    return Lens.from_colmap(pycolmap.Camera(model=model, width=width, height=height, params=params))
 
 
-def _focal(frame: dict[str, Any], axis: str, side: int) -> float:
-    angle = frame.get(f"camera_angle_{axis}")
-    if f"fl_{axis}" in frame or angle is None:
-        return float(frame[f"fl_{axis}"])
+def _size(frame: Frame, photo: Path) -> tuple[int, int]:
+    if frame.w is None:
+        return photo_sizes(photo, reduced=False)[1]
+    if frame.h is None:
+        raise ValueError("it has w, but lacks the key 'h'")
+    return int(frame.w), int(frame.h)
+
+
+def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> float:
+    if focal is not None:
+        return focal
+    if angle is None:
+        raise ValueError(f"it lacks the key 'fl_{axis}'")
+    if not 0 < angle < math.pi:
+        raise ValueError(f"no camera_angle_{axis} is {angle}")
     return side / (2 * math.tan(angle / 2))
 
 
@@ -143,8 +201,9 @@ def _read_points(
     missing = {*PLACE, *COLOR} - {*(table.dtype.names or ())}
     if missing:
         raise ValueError(f"the points {name} have no column {min(missing)}")
-    places = np.stack([table[c].astype(np.float32) for c in PLACE], axis=1)
-    colors = np.stack([table[c].astype(np.uint8) for c in COLOR], axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # PLY colours may be of any type
+        places = np.stack([table[c].astype(np.float32) for c in PLACE], axis=1)
+        colors = np.stack([table[c].astype(np.uint8) for c in COLOR], axis=1)
     return torch.from_numpy(places), torch.from_numpy(colors)
 
 

@@ -1,0 +1,163 @@
+"""COCO annotations with run-length masks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.decoding import MAX_PIXELS
+from stylesplat.io.captures.lens import MAX_SIDE
+from stylesplat.io.json_files import fitting, read_json_as
+from stylesplat.masks.photo_names import photo_key
+from stylesplat.scene.labels import MAX_ID, Mask
+
+REMEDY = "Export images, annotations and RLE masks."
+MAX_BITS = 40  # of a run's letters; 8 letters of 5, more than MAX_PIXELS needs
+Id = int | str
+Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
+Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
+
+
+class CocoImage(msgspec.Struct):
+    """A photo."""
+
+    id: Id
+    file_name: str
+
+
+class CocoCategory(msgspec.Struct):
+    """A kind of object."""
+
+    id: Id
+    name: Id
+
+
+class CocoAnnotation(msgspec.Struct):
+    """The mask of an object in a photo."""
+
+    image_id: Id
+    segmentation: Any  # looked at when the mask is wanted: masks of other photos do not matter
+    category_id: int | None = None
+    track_id: int | None = None
+
+
+class CocoFile(msgspec.Struct):
+    """Such a file."""
+
+    images: list[CocoImage]
+    annotations: list[CocoAnnotation]
+    categories: list[CocoCategory] = []
+
+
+class RunLengths(msgspec.Struct):
+    """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros."""
+
+    size: tuple[Side, Side]
+    """Height and width."""
+    counts: str | list[Run]
+
+
+@dataclass(frozen=True)
+class Layers:
+    """The masks in a file, not yet decoded."""
+
+    by_photo: Mapping[str, list[tuple[int, Any]]]
+    """By photo's name without suffix the objects' ids and what shall be run lengths."""
+    names: Mapping[int, str]
+    """What objects are called, by id, where they are categories."""
+
+
+def read_coco(source: Path) -> Layers:
+    """The masks in a file; an object is a track, or else a category.
+
+    Raises:
+        StyleSplatError: If the file is missing or holds no annotations.
+    """
+    content = read_json_as(source, CocoFile, REMEDY)
+    files = {image.id: photo_key(image.file_name) for image in content.images}
+    kinds = {kind.id: str(kind.name) for kind in content.categories}
+    tracked = any(each.track_id is not None for each in content.annotations)
+    names: dict[int, str] = {}
+    found: dict[str, list[tuple[int, Any]]] = {}
+    for each in content.annotations:
+        number = each.track_id if tracked else each.category_id
+        fault = _fault(number, each.image_id, files)
+        if number is None or fault:
+            raise StyleSplatError(f"Cannot read {source} as COCO annotations: {fault}. {REMEDY}")
+        if not tracked and number in kinds:
+            names[number] = kinds[number]
+        found.setdefault(files[each.image_id], []).append((number, each.segmentation))
+    return Layers(found, names)
+
+
+def rle_size(rle: Any, source: Path) -> tuple[int, int]:
+    """Width and height of a mask that nobody has decoded.
+
+    Raises:
+        StyleSplatError: If it is none.
+    """
+    return _checked(rle, source).size[::-1]
+
+
+def decode_rle(rle: Any, source: Path) -> Mask:
+    """A mask of COCO's run lengths.
+
+    Raises:
+        StyleSplatError: If they do not fill the mask, or it has more pixels than a photo.
+    """
+    checked = _checked(rle, source)
+    height, width = checked.size
+    runs = checked.counts
+    if isinstance(runs, str):
+        runs = _unpack(runs)
+    if height * width > MAX_PIXELS:
+        raise _unreadable_rle(source, f"{height}x{width} pixels are no photo's")
+    # As Python's integers, which do not wrap: what NumPy then repeats is as much as there is room
+    if sum(runs) != height * width or min(runs, default=0) < 0:
+        raise _unreadable_rle(source, f"its runs do not hold the pixels of {height}x{width}")
+    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
+
+
+def _fault(number: int | None, photo: Id, files: Mapping[Id, str]) -> str | None:
+    if photo not in files:
+        return f"there is no image {photo!r}"
+    if number is None:
+        return "an annotation has no track_id or category_id"
+    return None if 0 < number <= MAX_ID else f"the id {number} is not within 1 to {MAX_ID}"
+
+
+def _checked(rle: Any, source: Path) -> RunLengths:
+    return fitting(
+        rle,
+        RunLengths,
+        f"Cannot read a mask in {source}",
+        "Polygons are not understood: export RLE.",
+    )
+
+
+def _unreadable_rle(source: Path, fault: str) -> StyleSplatError:
+    return StyleSplatError(f"Cannot read a mask in {source}: {fault}. Export the masks again.")
+
+
+def _unpack(text: str) -> list[int]:
+    """Run lengths from COCO's string: groups of 5 bits, and differences to the last but one."""
+    value = shift = 0
+    runs: list[int] = []
+    for letter in text:
+        group = ord(letter) - 48
+        value |= (group & 0x1F) << shift
+        shift += 5
+        if shift > MAX_BITS:  # would be slow, too: numbers of any length
+            return []
+        if not group & 0x20:
+            if group & 0x10:  # negative
+                value -= 1 << shift
+            runs.append(value + runs[-2] if len(runs) > 2 else value)
+            value = shift = 0
+    return runs
