@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import re
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,6 +36,34 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def read_bytes(path: Path | str, *, most: int | None = None) -> bytes:
+    """Read a plain file; pipes and devices may have no end.
+
+    Args:
+        path: The file.
+        most: Bytes that such a file can have; None sets no bound.
+
+    Raises:
+        StyleSplatError: If there is none, or it is larger or cannot be read.
+    """
+    path = Path(path)
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise StyleSplatError(f"Cannot read {path}: it is no plain file. Check the name.")
+        if most is not None and found.st_size > most:
+            raise StyleSplatError(
+                f"Cannot read {path}: it has {found.st_size} bytes, such files {most} at most."
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+    except MemoryError as error:
+        raise StyleSplatError(f"Cannot read {path}: it is larger than the free memory.") from error
+    except ValueError as error:  # of a name with NUL or half a character
+        raise StyleSplatError(f"Cannot read {str(path)!r}: it is no name of a file.") from error
 
 
 def file_stem(name: str) -> str:

@@ -3,17 +3,50 @@
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import yaml
 from jaxtyping import Bool
+from msgspec import UNSET, Meta, UnsetType
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import reason
-from stylesplat.scene.paintings import Painted, Painting, Source
+from stylesplat.io.json_files import FilePath, fitting, read_json_as
+from stylesplat.scene.paintings import MAX_INTENSITY, Painted, Painting, Source
+from stylesplat.scene.scene import check_name_or_id
 
+AGAIN = "Style the scene again."
 TEXT, MERGE, FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("str", "merge", "float"))
+
+
+Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
+Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
+
+
+class RecipeEntry(msgspec.Struct):
+    """One object of a `recipe.json`; those of old lack what has a default."""
+
+    name: str
+    style: FilePath | tuple[FilePath | None, ...] | None
+    sha256: Word | tuple[Word | None, ...] | None
+    settings: dict[str, Any]
+    intensity: Intensity | None = None
+    features: Word | None = None
+    weights: FilePath | UnsetType | None = UNSET
+    weights_sha256: Word | None = None
+    upon: dict[str, Intensity] = {}
+
+
+class RecipeJson(msgspec.Struct):
+    """A `recipe.json`; see `recipe_of`."""
+
+    objects: Annotated[tuple[RecipeEntry, ...], Meta(min_length=1)]
+    settings: dict[str, Any]
+    features: Word | None = None
+    weights: FilePath | None = None
+    scene: FilePath | None = None
 
 
 def parse_yaml(text: str | bytes) -> Any:
@@ -46,23 +79,36 @@ def recipe_of(painted: Painted) -> dict[str, Any]:
     }
 
 
-def paintings_in(
-    content: Mapping[str, Any], rows: Sequence[Bool[Tensor, " N"]]
-) -> tuple[Painting, ...]:
+def read_recipe_json(path: Path) -> RecipeJson:
+    """Read the `recipe.json` of a styled scene.
+
+    Raises:
+        StyleSplatError: If it is missing, or no such file.
+    """
+    recipe = read_json_as(path, RecipeJson, AGAIN)
+    with within(f"Cannot read {path}"):
+        for each in recipe.objects:
+            check_name_or_id(each.name)
+    return recipe
+
+
+def paintings_in(recipe: RecipeJson, rows: Sequence[Bool[Tensor, " N"]]) -> tuple[Painting, ...]:
     """What a `recipe.json` says was painted.
 
     Args:
-        content: Of the file.
+        recipe: The file.
         rows: The Gaussians of each object, in its order.
 
     Raises:
-        StyleSplatError: If the file does not say it.
+        StyleSplatError: If these are of other objects, or an object lacks something.
     """
-    try:
-        entries = zip(content["objects"], rows, strict=True)
-        return tuple(_painting(entry, content, picked) for entry, picked in entries)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StyleSplatError(f"it does not say what was painted: {reason(error)}.") from error
+    if len(rows) != len(recipe.objects):
+        raise StyleSplatError(
+            f"it does not say what was painted: it names {len(recipe.objects)} objects, but "
+            f"{len(rows)} are known. {AGAIN}"
+        )
+    pairs = zip(recipe.objects, rows, strict=True)
+    return tuple(_painting(entry, recipe, picked) for entry, picked in pairs)
 
 
 def listed(values: Any) -> tuple[Any, ...]:
@@ -88,29 +134,38 @@ def _entry(painting: Painting, shared: Mapping[str, Any]) -> dict[str, Any]:
     return entry | ({"upon": dict(painting.upon)} if painting.upon else {})
 
 
-def _painting(
-    entry: Mapping[str, Any], content: Mapping[str, Any], picked: Bool[Tensor, " N"]
-) -> Painting:
-    settings = {**content["settings"], **entry["settings"]}
-    paths, digests = _several(entry["style"]), _several(entry["sha256"])
-    weights = entry["weights"] if "weights" in entry else content.get("weights")
+def _painting(entry: RecipeEntry, recipe: RecipeJson, picked: Bool[Tensor, " N"]) -> Painting:
+    settings = {**recipe.settings, **entry.settings}
+    paths, digests = _several(entry.style), _several(entry.sha256)
+    weights = recipe.weights if entry.weights is UNSET else entry.weights
+    features = entry.features or recipe.features
+    if len(paths) != len(digests) or not features:
+        raise StyleSplatError(
+            f"{entry.name} has {len(paths)} styles, {len(digests)} digests and the features "
+            f"{features}. {AGAIN}"
+        )
+    intensity = entry.intensity
+    if intensity is None:
+        said = settings.get("intensity", 1.0)
+        intensity = fitting(said, Intensity, f"{entry.name}: intensity is wrong", AGAIN)
     return Painting(
-        name=str(entry["name"]),
+        name=entry.name,
         picked=picked,
         styles=tuple(
-            Source(path and Path(path), digest) for path, digest in zip(paths, digests, strict=True)
+            Source(Path(path) if path else None, digest)
+            for path, digest in zip(paths, digests, strict=True)
         ),
         settings=settings,
-        intensity=float(entry.get("intensity", settings.get("intensity", 1.0))),
-        features=entry.get("features") or content["features"],
-        weights=Source(Path(weights), entry.get("weights_sha256")) if weights else None,
-        upon={str(name): float(value) for name, value in entry.get("upon", {}).items()},
+        intensity=intensity,
+        features=features,
+        weights=Source(Path(weights), entry.weights_sha256) if weights else None,
+        upon=entry.upon,
     )
 
 
-def _several(items: Any) -> list[Any]:
+def _several(items: str | tuple[str | None, ...] | None) -> tuple[str | None, ...]:
     """What `_single` was given."""
-    return items if isinstance(items, list) else [items]
+    return items if isinstance(items, tuple) else (items,)
 
 
 def _single(items: list[Any]) -> Any:

@@ -106,6 +106,12 @@ def check_name(name: str) -> None:
         )
 
 
+def check_name_or_id(name: str) -> None:
+    """Raise a StyleSplatError if nothing that is painted can be called that."""
+    if not name.isdecimal():
+        check_name(name)
+
+
 def name_fault(name: str) -> str | None:
     """Why an object cannot be called that; None if it can."""
     if not name.strip():

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.paintings import MAX_INTENSITY
 
 LAYERS = range(1, 5)  # groups that the networks share
 LARGEST = 1e4  # of any setting: more is a slip, or no number
-MAX_INTENSITY = 1.5  # beyond it colours leave their range
 
 Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
