@@ -38,12 +38,13 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             temporary.unlink()
 
 
-def read_bytes(path: Path | str, *, most: int | None = None) -> bytes:
+def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) -> bytes:
     """Read a plain file; pipes and devices may have no end.
 
     Args:
         path: The file.
         most: Bytes that such a file can have; None sets no bound.
+        first: How many bytes are wanted; -1 is all.
 
     Raises:
         StyleSplatError: If there is none, or it is larger or cannot be read.
@@ -57,7 +58,8 @@ def read_bytes(path: Path | str, *, most: int | None = None) -> bytes:
             raise StyleSplatError(
                 f"Cannot read {path}: it has {found.st_size} bytes, such files {most} at most."
             )
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read(first)
     except OSError as error:
         raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
     except MemoryError as error:

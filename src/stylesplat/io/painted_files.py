@@ -14,6 +14,7 @@ from stylesplat.io.recipe_files import paintings_in, read_recipe_json, recipe_of
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import read_named, read_tensors, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit
+from stylesplat.scene.scene import check_name_or_id
 
 AGAIN = "Style the scene again."
 COLORS = {"sh0": GAUSSIANS["sh0"], "shN": replace(GAUSSIANS["shN"], shape=("N", FULL_BANDS, 3))}
@@ -28,12 +29,14 @@ def write_painted(painted: Painted | None, folder: Path) -> None:
     """Write what was painted into a scene's folder; remove what it said of that before.
 
     Raises:
-        StyleSplatError: If it cannot be written.
+        StyleSplatError: If it cannot be written, or an object has a name that files cannot have.
     """
     for name in (BASE_COLORS, STYLE_COLORS, UNSPLIT, PAINTINGS, RECIPE):
         (folder / name).unlink(missing_ok=True)  # an earlier state's
     if painted is None:
         return
+    for name in painted.names:
+        check_name_or_id(name)
     for colors, name in ((painted.before, BASE_COLORS), (painted.full, STYLE_COLORS)):
         write_tensors({"sh0": colors.sh0, "shN": pad_bands(colors.shN)}, folder / name)
     if painted.unsplit is not None:

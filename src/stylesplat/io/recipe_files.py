@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import yaml
@@ -18,7 +18,22 @@ from stylesplat.scene.paintings import MAX_INTENSITY, Painted, Painting, Source
 from stylesplat.scene.scene import check_name_or_id
 
 AGAIN = "Style the scene again."
-TEXT, MERGE, FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("str", "merge", "float"))
+MAX_YAML = 2**19  # bytes; a recipe of ten objects has 10,000, and a million may take a minute
+MAX_DEPTH = 20  # of lists and maps in each other: recipes have 4
+TEXT, *_PLAIN = (f"tag:yaml.org,2002:{n}" for n in ("str", "null", "null", "bool", "int", "float"))
+# What is no text though it has no quotes, by the first characters. JSON's 1e-05 is a number,
+# unlike in YAML 1.1; numbers that no setting can have (hours:minutes, hundreds of digits) are not
+PLAIN = [
+    (_PLAIN[0], "", ""),
+    (_PLAIN[1], "~|null|Null|NULL", "~nN"),
+    (_PLAIN[2], "(?i:yes|no|true|false|on|off)", "yYnNtTfFoO"),
+    (_PLAIN[3], r"[-+]?(0|[1-9][0-9_]{0,18})", "-+0123456789"),
+    (
+        _PLAIN[4],
+        r"[-+]?([0-9][0-9_]*\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+",
+        "-+.0123456789",
+    ),
+]
 
 
 Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
@@ -53,14 +68,16 @@ def parse_yaml(text: str | bytes) -> Any:
     """Read YAML or JSON, whose keys become texts.
 
     Raises:
-        StyleSplatError: If it is neither.
+        StyleSplatError: If it is neither, or has what recipes have no use for.
     """
+    if len(text) > MAX_YAML:
+        raise StyleSplatError(f"it is larger than recipes are, which is {MAX_YAML} bytes at most.")
     try:
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else "?"
         raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}.") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, OverflowError) as error:  # of "\U99999999"
         raise StyleSplatError(f"it is no YAML text: {reason(error)}.") from error
 
 
@@ -174,19 +191,37 @@ def _single(items: list[Any]) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML whose keys are unique texts, so that `3:` and `no:` are names, and all JSON."""
+    """YAML as recipes need it, and all JSON: texts, numbers, lists, maps whose keys are texts.
+
+    So `3:` and `no:` are names. There are no dates, tags or merge keys; and no references, by
+    which a few lines can stand for more than fits in memory, or hold themselves.
+    """
+
+    yaml_implicit_resolvers: ClassVar = {}
+    depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event = self.peek_event()
+        if isinstance(event, yaml.AliasEvent):
+            raise _refused("references such as *name are not for recipes", event)
+        if getattr(event, "tag", None) is not None:
+            raise _refused("tags such as !name are not for recipes", event)
+        if self.depth == MAX_DEPTH:
+            raise _refused(f"lists and maps lie more than {MAX_DEPTH} deep in each other", event)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         mapping = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in mapping.value:
-            if not isinstance(key, yaml.ScalarNode) or key.tag == MERGE:
-                continue
+            if not isinstance(key, yaml.ScalarNode):
+                raise _refused("a key is a list or a map", key)
             key.tag = TEXT
             if key.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"{key.value} is listed twice", problem_mark=key.start_mark
-                )
+                raise _refused(f"{key.value} is listed twice", key)
             seen.add(key.value)
         return mapping
 
@@ -196,7 +231,9 @@ class _Loader(yaml.SafeLoader):
         return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
 
 
-# JSON's 1e-05, which YAML 1.1 takes for text as it has no point
-_Loader.add_implicit_resolver(
-    FLOAT, re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
+def _refused(problem: str, where: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=where.start_mark)
+
+
+for _tag, _pattern, _first in PLAIN:
+    _Loader.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern})\Z"), list(_first) or [""])

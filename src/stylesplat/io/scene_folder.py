@@ -26,7 +26,7 @@ from stylesplat.io.painted_files import read_painted, write_painted
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, write_splat_ply
 from stylesplat.io.tensors import read_named, write_tensors
 from stylesplat.scene.labels import MAX_ID
-from stylesplat.scene.scene import Scene, SceneObject, brief, name_fault
+from stylesplat.scene.scene import Scene, SceneObject, brief, check_name, name_fault
 from stylesplat.scene.splats import Splats
 
 SCENE = "scene.json"
@@ -148,6 +148,8 @@ def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
     if differs("cameras"):
         write_cameras(scene.cameras, folder / CAMERAS)
     if differs("objects"):
+        for name in scene.objects:
+            check_name(name)
         picks = {name: each.picked for name, each in scene.objects.items()}
         write_tensors(picks, folder / PICKS)
         write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)

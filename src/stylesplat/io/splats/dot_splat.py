@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, read_bytes
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.splats import SH_C0, Splats
 
@@ -20,10 +20,7 @@ def read_dot_splat(path: Path | str) -> Splats:
     Raises:
         StyleSplatError: If the file is missing, truncated, or holds numbers that are not finite.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+    content = read_bytes(path)
     if len(content) % ROW.itemsize:
         raise StyleSplatError(
             f"Cannot read {path}: {len(content)} bytes are no whole number of Gaussians of "

@@ -9,7 +9,7 @@ import torch
 import zstandard
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, read_bytes
 from stylesplat.io.splats.gsply_data import from_gsply
 from stylesplat.scene.splats import Splats
 
@@ -35,8 +35,9 @@ def read_spz(path: Path | str) -> Splats:
         StyleSplatError: If the file is missing, damaged, or claims more Gaussians than it can hold.
     """
     path = Path(path)
+    content = read_bytes(path)
     try:
-        _check(path.read_bytes())
+        _check(content)
         data = gsply.read_spz(path)
     except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
         raise StyleSplatError(f"Cannot read {path} as SPZ: {error}. Export it again.") from error
