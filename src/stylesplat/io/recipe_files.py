@@ -1,41 +1,20 @@
-"""Recipes on disk: YAML that a user writes, and the `recipe.json` of a styled scene."""
+"""What was painted on a scene, as its `recipe.json`."""
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import msgspec
-import yaml
 from jaxtyping import Bool
 from msgspec import UNSET, Meta, UnsetType
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, within
-from stylesplat.io.files import reason
 from stylesplat.io.json_files import FilePath, fitting, read_json_as
 from stylesplat.scene.paintings import MAX_INTENSITY, Painted, Painting, Source
 from stylesplat.scene.scene import check_name_or_id
 
 AGAIN = "Style the scene again."
-MAX_YAML = 2**19  # bytes; a recipe of ten objects has 10,000, and a million may take a minute
-MAX_DEPTH = 20  # of lists and maps in each other: recipes have 4
-TEXT, *_PLAIN = (f"tag:yaml.org,2002:{n}" for n in ("str", "null", "null", "bool", "int", "float"))
-# What is no text though it has no quotes, by the first characters. JSON's 1e-05 is a number,
-# unlike in YAML 1.1; numbers that no setting can have (hours:minutes, hundreds of digits) are not
-PLAIN = [
-    (_PLAIN[0], "", ""),
-    (_PLAIN[1], "~|null|Null|NULL", "~nN"),
-    (_PLAIN[2], "(?i:yes|no|true|false|on|off)", "yYnNtTfFoO"),
-    (_PLAIN[3], r"[-+]?(0|[1-9][0-9_]{0,18})", "-+0123456789"),
-    (
-        _PLAIN[4],
-        r"[-+]?([0-9][0-9_]*\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+",
-        "-+.0123456789",
-    ),
-]
-
-
 Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
 Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
 
@@ -62,23 +41,6 @@ class RecipeJson(msgspec.Struct):
     features: Word | None = None
     weights: FilePath | None = None
     scene: FilePath | None = None
-
-
-def parse_yaml(text: str | bytes) -> Any:
-    """Read YAML or JSON, whose keys become texts.
-
-    Raises:
-        StyleSplatError: If it is neither, or has what recipes have no use for.
-    """
-    if len(text) > MAX_YAML:
-        raise StyleSplatError(f"it is larger than recipes are, which is {MAX_YAML} bytes at most.")
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else "?"
-        raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}.") from error
-    except (yaml.YAMLError, ValueError, OverflowError) as error:  # of "\U99999999"
-        raise StyleSplatError(f"it is no YAML text: {reason(error)}.") from error
 
 
 def recipe_of(painted: Painted) -> dict[str, Any]:
@@ -188,52 +150,3 @@ def _several(items: str | tuple[str | None, ...] | None) -> tuple[str | None, ..
 def _single(items: list[Any]) -> Any:
     """The item itself if it is the only one."""
     return items[0] if len(items) == 1 else items
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as recipes need it, and all JSON: texts, numbers, lists, maps whose keys are texts.
-
-    So `3:` and `no:` are names. There are no dates, tags or merge keys; and no references, by
-    which a few lines can stand for more than fits in memory, or hold themselves.
-    """
-
-    yaml_implicit_resolvers: ClassVar = {}
-    depth = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        event = self.peek_event()
-        if isinstance(event, yaml.AliasEvent):
-            raise _refused("references such as *name are not for recipes", event)
-        if getattr(event, "tag", None) is not None:
-            raise _refused("tags such as !name are not for recipes", event)
-        if self.depth == MAX_DEPTH:
-            raise _refused(f"lists and maps lie more than {MAX_DEPTH} deep in each other", event)
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        mapping = super().compose_mapping_node(anchor)
-        seen = set()
-        for key, _ in mapping.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise _refused("a key is a list or a map", key)
-            key.tag = TEXT
-            if key.value in seen:
-                raise _refused(f"{key.value} is listed twice", key)
-            seen.add(key.value)
-        return mapping
-
-    def construct_scalar(self, node: Any) -> str:
-        # JSON escapes characters beyond 16 bits as two, which YAML leaves apart
-        text = super().construct_scalar(node)
-        return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
-
-
-def _refused(problem: str, where: Any) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=where.start_mark)
-
-
-for _tag, _pattern, _first in PLAIN:
-    _Loader.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern})\Z"), list(_first) or [""])

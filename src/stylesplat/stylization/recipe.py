@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
-from stylesplat.io.recipe_files import MAX_YAML, Intensity, listed, parse_yaml
+from stylesplat.io.plain_yaml import MAX_YAML, parse_yaml
+from stylesplat.io.recipe_files import Intensity, listed
 from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
