@@ -4,23 +4,22 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-# Control characters, line ends, halves of characters: names in files can have them
-UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+HEAD, TAIL = 1200, 600  # characters that are kept of a line that nobody would read
+UNPRINTABLE = re.compile(r"[^\S ]+|[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 class StyleSplatError(Exception):
     """Something the user can fix.
 
     The message is one line: the call, the fact, the remedy. The command line prints it
-    without a traceback and exits with status 1.
-
-    Example:
-        >>> print(StyleSplatError("There is no picture a\\nb.png. Check the name."))
-        There is no picture a\\nb.png. Check the name.
+    without a traceback and exits with status 1. What names and values of files bring into it,
+    line ends, control characters or pages of text, is taken out.
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], message))
+        line = UNPRINTABLE.sub(" ", message).strip()
+        cut = f"{line[:HEAD]} ... {line[-TAIL:]}" if len(line) > HEAD + TAIL else line
+        super().__init__(cut)
 
 
 def check_choice(value: object, what: str, choices: Iterable[object]) -> None:

@@ -15,6 +15,7 @@ from stylesplat.scene.splats import Splats
 
 POSITION = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
+SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
 FLIP = torch.tensor([1.0, -1.0, -1.0])  # PLY's x right, y down to SPZ's x right, y up, and back
 FLIP_SH = torch.tensor([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])  # per band
 MAGIC = b"NGSP"
@@ -63,7 +64,7 @@ def write_spz(splats: Splats, path: Path | str) -> None:
         means=flipped.means.numpy(),
         scales=flipped.scales.numpy(),
         quats=flipped.quats.numpy(),
-        opacities=flipped.opacities.numpy(),
+        opacities=flipped.opacities.clamp(-SURE, SURE).numpy(),
         sh0=flipped.sh0[:, 0].numpy(),
         shN=flipped.shN.numpy(),
     )
