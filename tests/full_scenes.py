@@ -27,9 +27,16 @@ def plain_scene(dtype: torch.dtype = torch.float32) -> Scene:
         sh0=random(COUNT, 1, 3),
         shN=random(COUNT, 15, 3),
     )
+    viewmats = torch.eye(4, dtype=dtype).repeat(2, 1, 1)
+    viewmats[:, :3, :3] = torch.linalg.qr(random(2, 3, 3).to(dtype))[0]
+    viewmats[:, :3] *= torch.linalg.det(viewmats[:, :3, :3])[:, None, None]  # no reflections
+    viewmats[:, :3, 3] = random(2, 3).to(dtype) / 3
+    Ks = torch.eye(3, dtype=dtype).repeat(2, 1, 1)
+    Ks[:, 0, 0], Ks[:, 1, 1] = 700 / 3, 2000 / 3
+    Ks[:, :2, 2] = random(2, 2).to(dtype) + 1000 / 3
     cameras = Cameras(
-        viewmats=random(2, 4, 4).to(dtype) / 3,
-        Ks=random(2, 3, 3).to(dtype) / 3,
+        viewmats=viewmats,
+        Ks=Ks,
         sizes=torch.tensor([[640, 480], [500, 400]]),
         names=("a.jpg", "sub/b.png"),
     )

@@ -208,7 +208,7 @@ def test_a_reader_never_mixes_two_states(
     folder = tmp_path / "scene"
     scene_folder.save(full_scene(), folder)
     monkeypatch.setattr(folders, "_has_room_beside", lambda path: swap)
-    read, times = scene_folder._read_cameras, 0
+    read, times = scene_folder.read_cameras, 0
 
     def meanwhile(path: Path):
         nonlocal times

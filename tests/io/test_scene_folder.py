@@ -89,14 +89,26 @@ def test_no_scene(tmp_path: Path):
         ("scene.json", b"{", "not valid JSON"),
         ("scene.json", b"{}", "not of version 1"),
         ("scene.json", b'{"version": 2}', "not of version 1"),
-        ("scene.json", b'{"version": 1, "settings": 3}', "settings must be"),
-        ("scene.json", b'{"version": 1, "settings": {"downscale": "x"}}', "downscale is 'x'"),
+        (
+            "scene.json",
+            b'{"version": 1, "settings": 3}',
+            r"Expected `object`, got `int` - at `\$.settings`",
+        ),
+        (
+            "scene.json",
+            b'{"version": 1, "settings": {"downscale": "x"}}',
+            r"Expected `float`, got `str` - at `\$.settings.downscale`",
+        ),
         ("splats.ply", b"", "not a PLY file"),
         ("splats.ply", None, "No such file"),
         ("cameras.json", None, "No such file"),
-        ("cameras.json", b"{}", "no 'dtype'"),
-        ("cameras.json", b'{"dtype": "float32", "cameras": [{"name": "a"}]}', "no 'viewmat'"),
-        ("cameras.json", b'{"dtype": "float32", "cameras": 1}', "not iterable"),
+        ("cameras.json", b"{}", "required field `dtype`"),
+        (
+            "cameras.json",
+            b'{"dtype": "float32", "cameras": [{"name": "a"}]}',
+            "required field `size`",
+        ),
+        ("cameras.json", b'{"dtype": "float32", "cameras": 1}', "Expected `array`, got `int`"),
         ("objects.json", b"[]", "expected a JSON object"),
         ("picks.safetensors", b"1234", "Make the scene again"),
         ("picks.safetensors", None, "No such file"),
@@ -107,9 +119,9 @@ def test_no_scene(tmp_path: Path):
         ("metrics.json", b"", "not valid JSON"),
         ("recipe.json", b"", "not valid JSON"),
         ("recipe.json", None, "No such file"),
-        ("recipe.json", b"{}", "does not say what was painted: 'objects'"),
-        ("recipe.json", b'{"objects": [], "settings": {}}', "does not say what was painted"),
-        ("recipe.json", b'{"objects": [1, 2], "settings": {}}', "does not say what was painted"),
+        ("recipe.json", b"{}", "required field `objects`"),
+        ("recipe.json", b'{"objects": [], "settings": {}}', "Expected `array` of length >= 1"),
+        ("recipe.json", b'{"objects": [1, 2], "settings": {}}', "Expected `object`, got `int`"),
     ],
 )
 def test_damaged_files(tmp_path: Path, name: str, content: bytes | None, match: str):
@@ -152,7 +164,7 @@ def test_identities_without_a_classifier(tmp_path: Path):
     scene_folder.save(full_scene(), tmp_path / "scene")
     picks = tmp_path / "scene/picks.safetensors"
     (tmp_path / "scene/identities.safetensors").write_bytes(picks.read_bytes())
-    with pytest.raises(StyleSplatError, match="it has no bias"):
+    with pytest.raises(StyleSplatError, match="it has no identities"):
         scene_folder.open(tmp_path / "scene")
 
 

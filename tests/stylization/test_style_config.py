@@ -21,6 +21,9 @@ from stylesplat.stylization.style_config import PRESETS, StyleConfig
         ({"rotate": float("nan")}, "with rotate nan"),
         ({"content": -0.1}, r"content -0\.1: use 0 or more"),
         ({"smoothness": float("nan")}, "smoothness nan"),
+        ({"object_size": 10**400}, "object_size 10+: use 10000 at most"),
+        ({"steps": 10**7}, "steps 10000000 and seed 0: use 1e.06"),
+        ({"seed": -(10**400)}, "seed -10+: use .* 1e.18 at most"),
         ({"max_growth": 0.5}, r"grow to 0\.5 times"),
     ],
 )

@@ -1,6 +1,9 @@
+import os
 import signal
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import pytest
 import torch
@@ -10,6 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.fingerprint import fingerprint
+from stylesplat.scene.splats import Classifier
 from stylesplat.training.checkpoint import (
     Checkpoint,
     load_checkpoint,
@@ -31,10 +35,11 @@ def place(tmp_path: Path) -> Checkpoint:
 
 
 def state() -> State:
-    begun = first_state(random_splats(20))
+    classifier = Classifier(torch.ones(2, 16), torch.zeros(2), (0, 3))
+    begun = first_state(replace(random_splats(20), classifier=classifier))
     for name, tensor in begun.moments.first.items():
         tensor += torch.randn(tensor.shape, generator=torch.Generator().manual_seed(len(name)))
-    return replace(begun, step=4, seconds=1.5, ids=(0, 3))
+    return replace(begun, step=4, seconds=1.5)
 
 
 def stopped_at(step: int):
@@ -144,6 +149,87 @@ def test_what_is_no_checkpoint_is_refused(place: Checkpoint, content):
     else:
         place.path.write_bytes(content)
     with pytest.raises(StyleSplatError, match=r"Cannot continue from .*--restart"):
+        load_checkpoint(place, CPU)
+
+
+def put(*keys: str | int, value: object) -> Callable[[dict], None]:
+    """Change one thing deep in the content of a checkpoint."""
+
+    def change(content: dict) -> None:
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = value
+
+    return change
+
+
+def lacking(*keys: str) -> Callable[[dict], None]:
+    def change(content: dict) -> None:
+        for key in keys[:-1]:
+            content = content[key]
+        del content[keys[-1]]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *(lacking(key) for key in ("params", "first", "second", "ids", "counts", "seconds")),
+        *(lacking(key, "means") for key in ("params", "first", "second")),
+        lacking("params", "weight"),
+        put("params", value={}),
+        put("params", "means", value=torch.zeros(20, 4)),
+        put("params", "means", value=torch.zeros(19, 3)),
+        put("params", "means", value=torch.zeros(20, 3).double()),
+        put("params", "means", value=torch.full((20, 3), torch.nan)),
+        put("params", "means", value=[[0.0] * 3] * 20),
+        put("params", "means", value=torch.zeros(1, 1).expand(2**40, 3)),
+        put("params", "shN", value=torch.zeros(20, 8, 3)),
+        put("params", "more", value=torch.zeros(20, 3)),
+        put("first", "quats", value=torch.zeros(20, 3)),
+        put("first", "quats", value=torch.full((20, 4), torch.inf)),
+        put("second", "sh0", value=torch.full((20, 1, 3), -1.0)),
+        put("second", value=3),
+        put("ids", value=[0]),
+        put("ids", value=[0, 0]),
+        put("ids", value=[]),
+        put("ids", value=[0, 2**24]),
+        put("ids", value=["a", "b"]),
+        put("counts", value=[20]),
+        put("counts", value=[20, -1]),
+        put("counts", value=[20, 2.5]),
+        put("seconds", value=float("nan")),
+        put("seconds", value=-1.0),
+    ],
+)
+def test_checkpoints_that_cannot_be_continued_are_refused(
+    place: Checkpoint, change: Callable[[dict], None]
+):
+    save_checkpoint(place, state())
+    content = torch.load(place.path, weights_only=True)
+    change(content)
+    torch.save(content, place.path)
+    with pytest.raises(StyleSplatError, match=r"Cannot continue from .*checkpoint\.pt: it is not"):
+        load_checkpoint(place, CPU)
+
+
+def test_checkpoints_that_unpack_to_more_are_refused(place: Checkpoint, tmp_path: Path):
+    save_checkpoint(place, state())
+    with ZipFile(place.path) as packed:
+        parts = {name: packed.read(name) for name in packed.namelist()}
+    largest = max(parts, key=lambda name: len(parts[name]))
+    with ZipFile(place.path, "w", ZIP_DEFLATED) as packed:
+        for name, part in parts.items():
+            packed.writestr(name, part if name != largest else b"\0" * 10**6)
+    with pytest.raises(StyleSplatError, match="it is not a checkpoint, or damaged") as caught:
+        load_checkpoint(place, CPU)
+    assert "more than it does" in str(caught.value.__cause__)
+
+
+def test_a_pipe_in_the_place_of_a_checkpoint_is_refused(place: Checkpoint):
+    os.mkfifo(place.path)
+    with pytest.raises(StyleSplatError, match="it is not a checkpoint, or damaged"):
         load_checkpoint(place, CPU)
 
 

@@ -190,7 +190,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ("", "it must hold `objects:` and settings, as KEY: VALUE."),
         ("- vase", "it must hold `objects:` and settings, as KEY: VALUE."),
         ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
-        ("steps: 3\nobjects: {\n? [a]: 2}", "line 3 is no valid YAML: found unhashable key."),
+        ("steps: 3\nobjects: {\n? [a]: 2}", "line 3 is no valid YAML: a key is a list or a map."),
         ("steps: 3\nsteps: 4", "line 2 is no valid YAML: steps is listed twice."),
         ("steps: \0", "it is no YAML text: "),
         (
@@ -221,9 +221,9 @@ def test_faults_are_named_in_one_line(text: str, message: str, read: Read, folde
 
 
 def test_files_that_are_no_recipe(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"No such file or directory: .*lost\.yaml"):
+    with pytest.raises(StyleSplatError, match=r"lost\.yaml: No such file or directory"):
         read_recipe(folder / "lost.yaml", defaults=DEFAULTS)
-    with pytest.raises(StyleSplatError, match="directory"):
+    with pytest.raises(StyleSplatError, match="no plain file"):
         read_recipe(folder, defaults=DEFAULTS)
     (folder / "night.jpg").write_bytes(b"\xff\xd8\xff\xe0")
     with pytest.raises(StyleSplatError, match=r"night\.jpg: it is no YAML text: unacceptable"):

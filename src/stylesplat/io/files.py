@@ -63,8 +63,37 @@ def require_regular(path: Path | str) -> None:
         other = Path(path).exists() and not Path(path).is_file()
     except OSError as error:
         raise StyleSplatError(f"Cannot read {brief(str(path))}: {error.strerror}.") from error
+    except ValueError as error:  # of a name with NUL or half a character
+        raise StyleSplatError(f"Cannot read {str(path)!r}: it is no name of a file.") from error
     if other:
-        raise StyleSplatError(f"Cannot read {path}: it is no regular file. Put a file there.")
+        raise StyleSplatError(f"Cannot read {path}: it is no plain file. Check the name.")
+
+
+def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) -> bytes:
+    """Read a plain file; pipes and devices may have no end.
+
+    Args:
+        path: The file.
+        most: Bytes that such a file can have; None sets no bound.
+        first: How many bytes are wanted; -1 is all.
+
+    Raises:
+        StyleSplatError: If there is none, or it is larger or cannot be read.
+    """
+    path = Path(path)
+    require_regular(path)
+    try:
+        size = path.stat().st_size
+        if most is not None and size > most:
+            raise StyleSplatError(
+                f"Cannot read {path}: it has {size} bytes, such files {most} at most."
+            )
+        with path.open("rb") as file:
+            return file.read(first)
+    except OSError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+    except MemoryError as error:
+        raise StyleSplatError(f"Cannot read {path}: it is larger than the free memory.") from error
 
 
 def file_stem(name: str) -> str:

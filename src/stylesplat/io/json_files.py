@@ -5,40 +5,52 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, read_bytes
 
 T = TypeVar("T")
 
+FilePath = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00\ud800-\udc7f\udd00-\udfff]*\Z")]
+"""A path that a system can take; Python reads names that are not UTF-8 as \\udc80 to \\udcff."""
+PhotoName = Annotated[
+    str, Meta(min_length=1, max_length=1024, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
+]
+"""In one line, sub-folders included."""
 
-def read_json(path: Path | str) -> dict[str, Any]:
-    """Read a JSON file that holds an object.
+MAX_DEPTH = 100  # of lists and objects in each other: ours have 6; writing recurses
+MAX_JSON = 2**26  # bytes of a file of a scene: 100,000 cameras
+MAX_BYTES = 2**30  # COCO's annotations of 118,000 photos have half of it
+
+
+def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
+    """Read a JSON file that holds an object and has so many bytes at most.
 
     Raises:
         StyleSplatError: If the file is missing, unreadable or holds anything else.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+        content = json.loads(read_bytes(path, most=most).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise StyleSplatError(f"Cannot read {path}: it is not valid JSON ({error}).") from error
     if not isinstance(content, dict):
         raise StyleSplatError(f"Cannot read {path}: expected a JSON object.")
+    if _is_deep(content):
+        raise StyleSplatError(f"Cannot read {path}: it is nested more than {MAX_DEPTH} deep.")
     return content
 
 
 def read_json_as(path: Path | str, kind: type[T], remedy: str) -> T:
-    """Read a JSON file that holds what a type declares (see msgspec).
+    """Read a JSON file of a scene that holds what a type declares (see msgspec).
 
     Raises:
         StyleSplatError: If the file is missing, unreadable or holds anything else.
     """
-    return fitting(read_json(path), kind, f"Cannot read {path}", remedy)
+    return fitting(read_json(path, most=MAX_JSON), kind, f"Cannot read {path}", remedy)
 
 
 def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
@@ -78,6 +90,19 @@ def strict_json(content: Any, *, indent: int | None = None) -> str:
         '{"psnr": null, "file": "a.ply"}'
     """
     return json.dumps(_strict(content), indent=indent, allow_nan=False, default=os.fspath)
+
+
+def _is_deep(content: dict[str, Any]) -> bool:
+    """Whether lists and objects lie deeper in each other than `MAX_DEPTH`."""
+    level: list[Any] = [content]
+    for _ in range(MAX_DEPTH):
+        level = [
+            item
+            for each in level
+            for item in (each.values() if isinstance(each, dict) else each)
+            if isinstance(item, dict | list)
+        ]
+    return bool(level)
 
 
 def _strict(value: Any) -> Any:

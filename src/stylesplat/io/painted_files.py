@@ -1,18 +1,23 @@
 """What was painted on a scene, in the scene's folder."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, within
-from stylesplat.io.json_files import fitting, read_json, write_json
-from stylesplat.io.recipe_files import paintings_in, recipe_of
-from stylesplat.io.splats.splat_ply import pad_bands
-from stylesplat.io.tensors import load_tensors, read_rows, write_tensors
+from stylesplat.io.declared import GAUSSIANS, PICKED, Declared
+from stylesplat.io.json_files import write_json
+from stylesplat.io.recipe_files import paintings_in, read_recipe_json, recipe_of
+from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
+from stylesplat.io.tensors import read_named, read_tensors, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit
+from stylesplat.scene.scene import check_name_or_id
 
+AGAIN = "Style the scene again."
+COLORS = {"sh0": GAUSSIANS["sh0"], "shN": replace(GAUSSIANS["shN"], shape=("N", FULL_BANDS, 3))}
 BASE_COLORS = "base_colors.safetensors"
 STYLE_COLORS = "style_colors.safetensors"
 UNSPLIT = "unsplit.safetensors"
@@ -24,12 +29,14 @@ def write_painted(painted: Painted | None, folder: Path) -> None:
     """Write what was painted into a scene's folder; remove what it said of that before.
 
     Raises:
-        StyleSplatError: If it cannot be written.
+        StyleSplatError: If it cannot be written, or an object has a name that files cannot have.
     """
     for name in (BASE_COLORS, STYLE_COLORS, UNSPLIT, PAINTINGS, RECIPE):
         (folder / name).unlink(missing_ok=True)  # an earlier state's
     if painted is None:
         return
+    for name in painted.names:
+        check_name_or_id(name)
     for colors, name in ((painted.before, BASE_COLORS), (painted.full, STYLE_COLORS)):
         write_tensors({"sh0": colors.sh0, "shN": pad_bands(colors.shN)}, folder / name)
     if painted.unsplit is not None:
@@ -53,38 +60,42 @@ def read_painted(folder: Path, picks: Mapping[str, Tensor], count: int) -> Paint
     """
     if not (folder / BASE_COLORS).exists():
         return None
-    content = read_json(folder / RECIPE)
+    recipe = read_recipe_json(folder / RECIPE)
     if (folder / PAINTINGS).exists():
-        found = read_rows(folder / PAINTINGS, count)
-        rows = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
+        found = read_named(folder / PAINTINGS, PICKED, N=count)
+        if found.keys() != {str(number) for number in range(len(found))}:
+            raise StyleSplatError(
+                f"Cannot read {folder / PAINTINGS}: its paintings are not numbered from 0. {AGAIN}"
+            )
+        rows = [found[str(number)] for number in range(len(found))]
     else:  # as scenes were before they remembered what was painted
-        names = [str(each.get("name")) for each in content.get("objects", [])]
-        rows = [picks[name] for name in names if name in picks]
+        rows = [picks[each.name] for each in recipe.objects if each.name in picks]
     with within(f"Cannot read {folder / RECIPE}"):
-        paintings = paintings_in(content, rows)
-        origin = fitting(content.get("scene"), str | None, "scene is wrong", "Style again.")
+        paintings = paintings_in(recipe, rows)
     return Painted(
         paintings=paintings,
-        before=_read_colors(folder / BASE_COLORS, count),
-        full=_read_colors(folder / STYLE_COLORS, count),
-        unsplit=_read_unsplit(folder / UNSPLIT),
-        origin=Path(origin) if origin else None,
+        before=Colors(**read_tensors(folder / BASE_COLORS, COLORS, N=count)),
+        full=Colors(**read_tensors(folder / STYLE_COLORS, COLORS, N=count)),
+        unsplit=_read_unsplit(folder / UNSPLIT, count),
+        origin=Path(recipe.scene) if recipe.scene else None,
     )
 
 
-def _read_colors(path: Path, count: int) -> Colors:
-    tensors = read_rows(path, count)
-    try:
-        return Colors(tensors["sh0"], tensors["shN"])
-    except KeyError as error:
-        raise StyleSplatError(f"Cannot read {path}: it has no {error}. Style again.") from error
-
-
-def _read_unsplit(path: Path) -> Unsplit | None:
+def _read_unsplit(path: Path, count: int) -> Unsplit | None:
     if not path.exists():
         return None
-    tensors = load_tensors(path)
-    try:
-        return Unsplit(count=int(tensors.pop("count")), **tensors)
-    except (KeyError, TypeError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. Style the scene again.") from error
+    tensors = read_tensors(path, _unsplit_of(count))
+    before = int(tensors.pop("count"))
+    if (tensors["rows"] >= before).any():
+        raise StyleSplatError(f"Cannot read {path}: rows are not among the {before} first. {AGAIN}")
+    return Unsplit(count=before, **tensors)
+
+
+def _unsplit_of(count: int) -> dict[str, Declared]:
+    """What undoes the splits of a scene of so many Gaussians."""
+    return {
+        "count": Declared((), torch.int64, low=1, high=count),
+        "rows": Declared(("R",), torch.int64, low=0, high=count - 1, unique=True),
+        "scales": replace(GAUSSIANS["scales"], shape=("R", 3)),
+        "opacities": replace(GAUSSIANS["opacities"], shape=("R",)),
+    }

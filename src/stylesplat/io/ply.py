@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, reason, require_regular
-from stylesplat.scene.scene import brief
+from stylesplat.io.files import atomic_path, read_bytes
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -30,13 +29,7 @@ def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
         StyleSplatError: If the file is missing, no PLY, truncated, too long, or holds lists or
             elements other than vertices.
     """
-    require_regular(path)
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
-    except (ValueError, MemoryError) as error:  # NUL in the name, more than there is room for
-        raise StyleSplatError(f"Cannot read {brief(str(path))}: {reason(error)}.") from error
+    content = read_bytes(path)
     try:
         header, body = _split(content)
         encoding, count, dtype = _parse(header)

@@ -1,34 +1,46 @@
-"""Recipes on disk: YAML that a user writes, and the `recipe.json` of a styled scene."""
+"""What was painted on a scene, as its `recipe.json`."""
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import yaml
+import msgspec
 from jaxtyping import Bool
+from msgspec import UNSET, Meta, UnsetType
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import reason
-from stylesplat.scene.paintings import Painted, Painting, Source
+from stylesplat.errors import StyleSplatError, within
+from stylesplat.io.json_files import FilePath, fitting, read_json_as
+from stylesplat.scene.paintings import MAX_INTENSITY, Painted, Painting, Source
+from stylesplat.scene.scene import check_name_or_id
 
-TEXT, MERGE, FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("str", "merge", "float"))
+AGAIN = "Style the scene again."
+Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
+Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
 
 
-def parse_yaml(text: str | bytes) -> Any:
-    """Read YAML or JSON, whose keys become texts.
+class RecipeEntry(msgspec.Struct):
+    """One object of a `recipe.json`; those of old lack what has a default."""
 
-    Raises:
-        StyleSplatError: If it is neither.
-    """
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else "?"
-        raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}.") from error
-    except yaml.YAMLError as error:
-        raise StyleSplatError(f"it is no YAML text: {reason(error)}.") from error
+    name: str
+    style: FilePath | tuple[FilePath | None, ...] | None
+    sha256: Word | tuple[Word | None, ...] | None
+    settings: dict[str, Any]
+    intensity: Intensity | None = None
+    features: Word | None = None
+    weights: FilePath | UnsetType | None = UNSET
+    weights_sha256: Word | None = None
+    upon: dict[str, Intensity] = {}
+
+
+class RecipeJson(msgspec.Struct):
+    """A `recipe.json`; see `recipe_of`."""
+
+    objects: Annotated[tuple[RecipeEntry, ...], Meta(min_length=1)]
+    settings: dict[str, Any]
+    features: Word | None = None
+    weights: FilePath | None = None
+    scene: FilePath | None = None
 
 
 def recipe_of(painted: Painted) -> dict[str, Any]:
@@ -46,23 +58,36 @@ def recipe_of(painted: Painted) -> dict[str, Any]:
     }
 
 
-def paintings_in(
-    content: Mapping[str, Any], rows: Sequence[Bool[Tensor, " N"]]
-) -> tuple[Painting, ...]:
+def read_recipe_json(path: Path) -> RecipeJson:
+    """Read the `recipe.json` of a styled scene.
+
+    Raises:
+        StyleSplatError: If it is missing, or no such file.
+    """
+    recipe = read_json_as(path, RecipeJson, AGAIN)
+    with within(f"Cannot read {path}"):
+        for each in recipe.objects:
+            check_name_or_id(each.name)
+    return recipe
+
+
+def paintings_in(recipe: RecipeJson, rows: Sequence[Bool[Tensor, " N"]]) -> tuple[Painting, ...]:
     """What a `recipe.json` says was painted.
 
     Args:
-        content: Of the file.
+        recipe: The file.
         rows: The Gaussians of each object, in its order.
 
     Raises:
-        StyleSplatError: If the file does not say it.
+        StyleSplatError: If these are of other objects, or an object lacks something.
     """
-    try:
-        entries = zip(content["objects"], rows, strict=True)
-        return tuple(_painting(entry, content, picked) for entry, picked in entries)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StyleSplatError(f"it does not say what was painted: {reason(error)}.") from error
+    if len(rows) != len(recipe.objects):
+        raise StyleSplatError(
+            f"it does not say what was painted: it names {len(recipe.objects)} objects, but "
+            f"{len(rows)} are known. {AGAIN}"
+        )
+    pairs = zip(recipe.objects, rows, strict=True)
+    return tuple(_painting(entry, recipe, picked) for entry, picked in pairs)
 
 
 def listed(values: Any) -> tuple[Any, ...]:
@@ -88,60 +113,40 @@ def _entry(painting: Painting, shared: Mapping[str, Any]) -> dict[str, Any]:
     return entry | ({"upon": dict(painting.upon)} if painting.upon else {})
 
 
-def _painting(
-    entry: Mapping[str, Any], content: Mapping[str, Any], picked: Bool[Tensor, " N"]
-) -> Painting:
-    settings = {**content["settings"], **entry["settings"]}
-    paths, digests = _several(entry["style"]), _several(entry["sha256"])
-    weights = entry["weights"] if "weights" in entry else content.get("weights")
+def _painting(entry: RecipeEntry, recipe: RecipeJson, picked: Bool[Tensor, " N"]) -> Painting:
+    settings = {**recipe.settings, **entry.settings}
+    paths, digests = _several(entry.style), _several(entry.sha256)
+    weights = recipe.weights if entry.weights is UNSET else entry.weights
+    features = entry.features or recipe.features
+    if len(paths) != len(digests) or not features:
+        raise StyleSplatError(
+            f"{entry.name} has {len(paths)} styles, {len(digests)} digests and the features "
+            f"{features}. {AGAIN}"
+        )
+    intensity = entry.intensity
+    if intensity is None:
+        said = settings.get("intensity", 1.0)
+        intensity = fitting(said, Intensity, f"{entry.name}: intensity is wrong", AGAIN)
     return Painting(
-        name=str(entry["name"]),
+        name=entry.name,
         picked=picked,
         styles=tuple(
-            Source(path and Path(path), digest) for path, digest in zip(paths, digests, strict=True)
+            Source(Path(path) if path else None, digest)
+            for path, digest in zip(paths, digests, strict=True)
         ),
         settings=settings,
-        intensity=float(entry.get("intensity", settings.get("intensity", 1.0))),
-        features=entry.get("features") or content["features"],
-        weights=Source(Path(weights), entry.get("weights_sha256")) if weights else None,
-        upon={str(name): float(value) for name, value in entry.get("upon", {}).items()},
+        intensity=intensity,
+        features=features,
+        weights=Source(Path(weights), entry.weights_sha256) if weights else None,
+        upon=entry.upon,
     )
 
 
-def _several(items: Any) -> list[Any]:
+def _several(items: str | tuple[str | None, ...] | None) -> tuple[str | None, ...]:
     """What `_single` was given."""
-    return items if isinstance(items, list) else [items]
+    return items if isinstance(items, tuple) else (items,)
 
 
 def _single(items: list[Any]) -> Any:
     """The item itself if it is the only one."""
     return items[0] if len(items) == 1 else items
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML whose keys are unique texts, so that `3:` and `no:` are names, and all JSON."""
-
-    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        mapping = super().compose_mapping_node(anchor)
-        seen = set()
-        for key, _ in mapping.value:
-            if not isinstance(key, yaml.ScalarNode) or key.tag == MERGE:
-                continue
-            key.tag = TEXT
-            if key.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"{key.value} is listed twice", problem_mark=key.start_mark
-                )
-            seen.add(key.value)
-        return mapping
-
-    def construct_scalar(self, node: Any) -> str:
-        # JSON escapes characters beyond 16 bits as two, which YAML leaves apart
-        text = super().construct_scalar(node)
-        return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
-
-
-# JSON's 1e-05, which YAML 1.1 takes for text as it has no point
-_Loader.add_implicit_resolver(
-    FLOAT, re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)

@@ -3,21 +3,32 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import torch
+import msgspec
+from msgspec import Meta
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, within
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.cameras_file import read_cameras, write_cameras
+from stylesplat.io.declared import PICKED
 from stylesplat.io.folders import claim_directory, revised_directory
-from stylesplat.io.json_files import fitting, read_json, write_json
+from stylesplat.io.identities_file import with_identities, write_identities
+from stylesplat.io.json_files import (
+    MAX_JSON,
+    FilePath,
+    PhotoName,
+    fitting,
+    read_json,
+    write_json,
+)
 from stylesplat.io.painted_files import read_painted, write_painted
 from stylesplat.io.recovery import settled
-from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
-from stylesplat.io.tensors import check_rows, load_tensors, read_rows, write_tensors
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import Classifier, Splats
+from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, write_splat_ply
+from stylesplat.io.tensors import read_named, write_tensors
+from stylesplat.scene.labels import MAX_ID
+from stylesplat.scene.scene import Scene, SceneObject, brief, check_name, name_fault
+from stylesplat.scene.splats import Splats
 
 SCENE = "scene.json"
 SPLATS = "splats.ply"
@@ -28,6 +39,32 @@ PICKS = "picks.safetensors"
 METRICS = "metrics.json"
 AGAIN = "Train again."
 VERSION = 1  # of the folder's layout
+
+
+class _Settings(msgspec.Struct):
+    """Those that are used again; it may have others."""
+
+    downscale: Annotated[float, Meta(ge=1, le=0xFFFF)] = 1.0
+
+
+class _Info(msgspec.Struct):
+    """What `scene.json` has besides the version; it may say more."""
+
+    capture: FilePath | None = None
+    test_views: tuple[PhotoName, ...] = ()
+    settings: _Settings = msgspec.field(default_factory=_Settings)
+
+
+class _How(msgspec.Struct):
+    """Of an object, what is used again of how it was chosen."""
+
+    ids: list[Annotated[int, Meta(ge=0, le=MAX_ID)]] = []
+
+
+class _Metrics(msgspec.Struct):
+    """What is used again of what was measured: that of the scene before it was styled."""
+
+    train: dict[str, Any] = {}
 
 
 def save(scene: Scene, path: Path | str, *, overwrite: bool = False) -> None:
@@ -73,33 +110,35 @@ def open(path: Path | str) -> Scene:
 
 def _read(path: Path) -> Scene:
     folder = _scene_folder(path)
-    info = read_json(folder / SCENE)
-    if info.pop("version", None) != VERSION:
-        raise StyleSplatError(
-            f"{folder / SCENE} is not of version {VERSION}. Read it with the StyleSplat that made "
-            "it, or train again."
-        )
-    splats = _read_identities(read_splat_ply(folder / SPLATS), folder)
-    with within(f"Cannot read {folder / SCENE}"):
-        capture = fitting(info.pop("capture", None), str | None, "capture is wrong", AGAIN)
-        held_out = fitting(
-            info.pop("test_views", []), tuple[str, ...], "test_views is wrong", AGAIN
-        )
-        downscale = _taken_downscale(info)
-    picks = read_rows(folder / PICKS, len(splats))
-    painted = read_painted(folder, picks, len(splats))
+    declared, info = _read_info(folder / SCENE)
+    splats = with_identities(_read_gaussians(folder / SPLATS), folder / IDENTITIES)
+    picks = read_named(folder / PICKS, PICKED, N=len(splats))
     return Scene(
         splats=splats,
-        cameras=_read_cameras(folder / CAMERAS),
-        held_out=held_out,
-        downscale=downscale,
+        cameras=read_cameras(folder / CAMERAS),
+        held_out=declared.test_views,
+        downscale=declared.settings.downscale,
         objects=_read_objects(folder / OBJECTS, picks),
-        painted=painted,
+        painted=read_painted(folder, picks, len(splats)),
         path=folder,
-        capture=Path(capture) if capture else None,
+        capture=Path(declared.capture) if declared.capture else None,
         info=info,
-        metrics=read_json(folder / METRICS),
+        metrics=_read_metrics(folder / METRICS),
     )
+
+
+def _read_gaussians(path: Path) -> Splats:
+    """Of degree 3, as they were written."""
+    splats = read_splat_ply(path)
+    if not len(splats):
+        raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {AGAIN}")
+    return replace(splats, shN=pad_bands(splats.shN))
+
+
+def _read_metrics(path: Path) -> dict[str, Any]:
+    metrics = read_json(path, most=MAX_JSON)
+    fitting(metrics, _Metrics, f"Cannot read {path}", AGAIN)
+    return metrics
 
 
 def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
@@ -110,10 +149,12 @@ def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
 
     if differs("splats"):
         write_splat_ply(scene.splats, folder / SPLATS)
-        _write_identities(scene.splats, folder)
+        write_identities(scene.splats, folder / IDENTITIES)
     if differs("cameras"):
-        _write_cameras(scene.cameras, folder)
+        write_cameras(scene.cameras, folder / CAMERAS)
     if differs("objects"):
+        for name in scene.objects:
+            check_name(name)
         picks = {name: each.picked for name, each in scene.objects.items()}
         write_tensors(picks, folder / PICKS)
         write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
@@ -136,24 +177,31 @@ def _info(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _taken_downscale(info: dict[str, Any]) -> float:
-    """The downscale, which a file keeps among the settings, taken from there."""
-    settings = info.pop("settings", {})
-    if not isinstance(settings, dict):
-        raise StyleSplatError("settings must be KEY: VALUE. Train again.")
-    value = settings.pop("downscale", 1.0)
-    if settings:
-        info["settings"] = settings
-    if not isinstance(value, int | float) or not value > 0:
-        raise StyleSplatError(f"downscale is {value!r}, not a number above 0. Train again.")
-    return float(value)
+def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
+    """What scene.json declares, and what else it says."""
+    content = read_json(path, most=MAX_JSON)
+    if content.pop("version", None) != VERSION:
+        raise StyleSplatError(
+            f"{path} is not of version {VERSION}. Read it with the StyleSplat that made it, or "
+            "train again."
+        )
+    declared = fitting(content, _Info, f"Cannot read {path}", AGAIN)
+    settings = content.pop("settings", {})
+    settings.pop("downscale", None)
+    others = {key: value for key, value in content.items() if key not in ("capture", "test_views")}
+    return declared, others | ({"settings": settings} if settings else {})
 
 
 def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObject]:
-    hows = read_json(path)
-    for name, how in hows.items():
-        if not isinstance(how, dict):
-            raise StyleSplatError(f"Cannot read {path}: expected an object per name. Select again.")
+    hows = read_json(path, most=MAX_JSON)
+    fitting(hows, dict[str, _How], f"Cannot read {path}", "Select again.")
+    for name in hows:
+        fault = name_fault(name)
+        if fault:
+            raise StyleSplatError(
+                f"Cannot read {path}: no object is called {brief(name)!r}, for {fault}. "
+                "Select it again."
+            )
         if name not in picks:
             raise StyleSplatError(f"{path} names {name!r}, but {PICKS} does not. Select it again.")
     return {name: SceneObject(picks[name], how) for name, how in hows.items()}
@@ -167,64 +215,3 @@ def _scene_folder(path: Path | str) -> Path:
             f"Make one with `stylesplat train CAPTURE -o {folder}`."
         )
     return folder
-
-
-def _write_identities(splats: Splats, folder: Path) -> None:
-    if splats.identities is None or splats.classifier is None:
-        (folder / IDENTITIES).unlink(missing_ok=True)  # an earlier state's
-        return
-    tensors = {
-        "identities": splats.identities,
-        "weight": splats.classifier.weight,
-        "bias": splats.classifier.bias,
-        "ids": torch.tensor(splats.classifier.ids),
-    }
-    if splats.confidence is not None:
-        tensors["confidence"] = splats.confidence
-    write_tensors(tensors, folder / IDENTITIES)
-
-
-def _read_identities(splats: Splats, folder: Path) -> Splats:
-    path = folder / IDENTITIES
-    if not path.exists():
-        return splats
-    tensors = load_tensors(path)
-    missing = {"identities", "weight", "bias", "ids"} - tensors.keys()
-    if missing:
-        raise StyleSplatError(f"Cannot read {path}: it has no {min(missing)}. Train again.")
-    classifier = Classifier(tensors["weight"], tensors["bias"], tuple(tensors["ids"].tolist()))
-    rows = {name: tensors[name] for name in ("identities", "confidence") if name in tensors}
-    check_rows(rows, path, len(splats))
-    return replace(splats, **rows, classifier=classifier)
-
-
-def _write_cameras(cameras: Cameras, folder: Path) -> None:
-    """As numbers of 64 bits, which hold those of 32 exactly."""
-    dtype = torch.promote_types(cameras.viewmats.dtype, cameras.Ks.dtype)
-    rows = [
-        {
-            "name": name,
-            "size": cameras.sizes[row].tolist(),
-            "viewmat": cameras.viewmats[row].tolist(),
-            "K": cameras.Ks[row].tolist(),
-        }
-        for row, name in enumerate(cameras.names)
-    ]
-    content = {"dtype": str(dtype).removeprefix("torch."), "cameras": rows}
-    write_json(content, folder / CAMERAS)
-
-
-def _read_cameras(path: Path) -> Cameras:
-    content = read_json(path)
-    try:
-        dtype = {"float32": torch.float32, "float64": torch.float64}[content["dtype"]]
-        rows = content["cameras"]
-        return Cameras(
-            viewmats=torch.tensor([row["viewmat"] for row in rows], dtype=dtype).reshape(-1, 4, 4),
-            Ks=torch.tensor([row["K"] for row in rows], dtype=dtype).reshape(-1, 3, 3),
-            sizes=torch.tensor([row["size"] for row in rows]).reshape(-1, 2),
-            names=tuple(row["name"] for row in rows),
-        )
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise StyleSplatError(f"Cannot read {path}: {reason}. Train again.") from error

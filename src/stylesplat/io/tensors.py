@@ -8,7 +8,12 @@ import safetensors.torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.declared import Declared, check_tensors
+from stylesplat.io.files import atomic_path, read_bytes, reason
+
+REMEDY = "Make the scene again."
+# What safetensors raises on headers that lie; types that torch lacks are a KeyError
+DAMAGED = (safetensors.SafetensorError, KeyError, TypeError, ValueError, RuntimeError)
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
@@ -22,34 +27,48 @@ def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
         temporary.write_bytes(safetensors.torch.save(whole))
 
 
-def load_tensors(path: Path) -> dict[str, Tensor]:
-    """Read tensors by name.
+def read_tensors(path: Path, declared: Mapping[str, Declared], **sizes: int) -> dict[str, Tensor]:
+    """Read the tensors that a file of its kind has.
+
+    Args:
+        path: The file.
+        declared: What they have to be.
+        sizes: Of letters in their shapes, such as `N`.
 
     Raises:
-        StyleSplatError: If the file is missing or damaged.
+        StyleSplatError: If the file is missing or damaged, or holds anything else.
     """
-    try:
-        return safetensors.torch.load(path.read_bytes())
-    except (OSError, safetensors.SafetensorError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. Make the scene again.") from error
-
-
-def read_rows(path: Path, count: int) -> dict[str, Tensor]:
-    """Read tensors that have a row for each of `count` Gaussians.
-
-    Raises:
-        StyleSplatError: If the file is missing or damaged, or a tensor has other rows.
-    """
-    tensors = load_tensors(path)
-    check_rows(tensors, path, count)
+    tensors = _load(path)
+    _check(tensors, path, declared, sizes)
     return tensors
 
 
-def check_rows(tensors: Mapping[str, Tensor], path: Path, count: int) -> None:
-    """Raise a StyleSplatError if tensors of a file do not have a row per Gaussian."""
-    for name, tensor in tensors.items():
-        if tensor.shape[:1] != (count,):
-            raise StyleSplatError(
-                f"Cannot read {path}: {name} has the shape {list(tensor.shape)}, but there are "
-                f"{count} Gaussians. The files belong to different scenes."
-            )
+def read_named(path: Path, each: Declared, **sizes: int) -> dict[str, Tensor]:
+    """Read any number of tensors of one kind, whatever their names.
+
+    Raises:
+        StyleSplatError: If the file is missing or damaged, or a tensor is of another kind.
+    """
+    tensors = _load(path)
+    _check(tensors, path, dict.fromkeys(tensors, each), sizes)
+    return tensors
+
+
+def _check(
+    tensors: Mapping[str, Tensor],
+    path: Path,
+    declared: Mapping[str, Declared],
+    sizes: Mapping[str, int],
+) -> None:
+    try:
+        check_tensors(tensors, declared, sizes)
+    except ValueError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error}. {REMEDY}") from error
+
+
+def _load(path: Path) -> dict[str, Tensor]:
+    content = read_bytes(path)
+    try:
+        return safetensors.torch.load(content)
+    except DAMAGED as error:
+        raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error

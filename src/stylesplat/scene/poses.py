@@ -1,7 +1,7 @@
 """Where cameras stand and look, and what they look at."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -9,7 +9,18 @@ from stylesplat.scene.cameras import Cameras
 
 UP_RIDGE = 0.05  # weight of the cameras' mean up against 'no camera is rolled'
 PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
+ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
 REMEDY = "To render, choose --views all; to train, give sparse points."
+
+
+def are_rigid(
+    viewmats: Float[Tensor, "C 4 4"], tolerance: float = ROTATION_TOLERANCE
+) -> Bool[Tensor, " C"]:
+    """Which poses are finite, and a rotation and a shift only."""
+    rotations = viewmats[:, :3, :3]
+    error = rotations @ rotations.mT - torch.eye(3).to(viewmats)
+    turned = (error.abs() < tolerance).flatten(1).all(dim=1)
+    return turned & (torch.linalg.det(rotations) > 0) & viewmats.isfinite().flatten(1).all(dim=1)
 
 
 def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:

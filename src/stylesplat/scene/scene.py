@@ -106,6 +106,17 @@ def check_name(name: str) -> None:
         )
 
 
+def check_name_or_id(name: str) -> None:
+    """Raise a StyleSplatError if nothing that is painted can be called that."""
+    if not is_id(name):
+        check_name(name)
+
+
+def is_id(name: str) -> bool:
+    """Whether it stands for a label id; Python makes no numbers of thousands of digits."""
+    return name.isdecimal() and len(name) <= MAX_NAME
+
+
 def name_fault(name: str) -> str | None:
     """Why an object cannot be called that; None if it can."""
     if not name.strip():

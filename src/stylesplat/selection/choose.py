@@ -10,7 +10,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.selection.detector import Detector
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.margins import grow, shrink
@@ -126,7 +126,7 @@ def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
     for painting in scene.painted.paintings if scene.painted else ():
         if painting.name == name:
             return painting.picked
-    if name.isdecimal() and scene.splats.classifier is not None:
+    if is_id(name) and scene.splats.classifier is not None:
         return pick(scene.splats, object_id=int(name))
     ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"

@@ -21,6 +21,7 @@ WORDS = {
     dict: "KEY: VALUE",
     list: "a list",
 }
+SHOWN = 80  # characters of a value in a message
 SETTINGS = {field.name: get_type_hints(StyleConfig)[field.name] for field in fields(StyleConfig)}
 
 
@@ -54,6 +55,8 @@ def fitted(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]
                 raise msgspec.ValidationError
         except msgspec.ValidationError as error:
             shown = json.dumps(value, ensure_ascii=False, default=str)
+            if len(shown) > SHOWN:
+                shown = f"{shown[:SHOWN]}..."
             expected = _described(hints[key])
             raise StyleSplatError(f"{key} must be {expected}, not {shown}.") from error
     return fit

@@ -5,8 +5,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError, within
-from stylesplat.io.recipe_files import listed, parse_yaml
+from stylesplat.io.files import read_bytes
+from stylesplat.io.plain_yaml import MAX_YAML, parse_yaml
+from stylesplat.io.recipe_files import Intensity, listed
 from stylesplat.scene.paintings import Source
+from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
 from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
@@ -28,7 +31,7 @@ OWN = {  # and of one
     "features": Network | None,
     "weights": str | None,
     "weights_sha256": str | None,
-    "upon": dict[str, float],
+    "upon": dict[str, Intensity],
 }
 
 
@@ -48,7 +51,7 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Rec
     """
     path = Path(path)
     with within(f"Cannot use the recipe {path}"):
-        content = parse_yaml(path.read_bytes())
+        content = parse_yaml(read_bytes(path, most=MAX_YAML))
         if not isinstance(content, dict):
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")
         settings, others = _sorted_out(content, SHARED)
@@ -100,6 +103,7 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
         pairs = [_named_entry(entry) for entry in objects]
     names = set()
     for name, entry in pairs:
+        check_name_or_id(name)
         if not isinstance(entry, dict):
             raise StyleSplatError(f"{name} must be KEY: VALUE. Write {name}: {{style: IMAGE}}.")
         if name in names:

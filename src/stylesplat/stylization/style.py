@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import read_bytes
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
@@ -130,10 +131,7 @@ def digest(path: Path) -> str:
     Raises:
         StyleSplatError: If it cannot be read.
     """
-    try:
-        return sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}. Check the name.") from error
+    return sha256(read_bytes(path)).hexdigest()
 
 
 def _source(picture: Picture) -> Source:

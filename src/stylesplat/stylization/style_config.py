@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.paintings import MAX_INTENSITY
 
 LAYERS = range(1, 5)  # groups that the networks share
+MOST_STEPS = 10**6  # a day on a CPU
+MAX_SEED = 10**18  # that of torch is somewhat larger
 LARGEST = 1e4  # of any setting: more is a slip, or no number
-MAX_INTENSITY = 1.5  # beyond it colours leave their range
 
 Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
@@ -73,11 +75,16 @@ class StyleConfig:
             value = getattr(self, name)
             if not value >= 0:
                 raise StyleSplatError(f"Cannot stylise with {name} {value}: use 0 or more.")
-        for name in ("scale", "lr", "content", "smoothness", "rotate", "max_growth"):
-            if not abs(getattr(self, name)) <= LARGEST:
+        for name in ("scale", "lr", "content", "smoothness", "rotate", "max_growth", "object_size"):
+            if not abs(getattr(self, name) or 0) <= LARGEST:
                 raise StyleSplatError(
                     f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
                 )
+        if self.steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
+            raise StyleSplatError(
+                f"Cannot stylise with steps {self.steps} and seed {self.seed}: use {MOST_STEPS:g} "
+                f"and {MAX_SEED:.0e} at most."
+            )
         if not self.layers or not set(self.layers) <= set(LAYERS):
             raise StyleSplatError(
                 f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."

@@ -1,22 +1,44 @@
 """A run on disk, to be continued with the same settings and the same capture only."""
 
+import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+from zipfile import ZipFile
 
+import msgspec
 import torch
+from msgspec import Meta
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, check_tensors
 from stylesplat.io.files import atomic_path, reason
+from stylesplat.io.json_files import fitting
 from stylesplat.scene.fingerprint import differences
+from stylesplat.scene.labels import MAX_ID
 from stylesplat.training.adam import Moments
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
 REMEDY = "The same settings and photos continue it; `--restart` begins anew."
+
+
+ANY = {"low": -math.inf, "high": math.inf}  # of moments: squares of gradients
+
+
+class _Parts(msgspec.Struct):
+    """What `save_checkpoint` writes of a state."""
+
+    params: dict[str, Tensor]
+    first: dict[str, Tensor]
+    second: dict[str, Tensor]
+    ids: tuple[Annotated[int, Meta(ge=0, le=MAX_ID)], ...]
+    counts: tuple[Annotated[int, Meta(ge=1, le=2**53)], Annotated[int, Meta(ge=0, le=2**53)]]
+    seconds: Annotated[float, Meta(ge=0, le=1e12)]
 
 
 @dataclass(frozen=True)
@@ -59,9 +81,10 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device) -> State:
     """
     path = checkpoint.path
     try:
+        _check_sizes(path)
         content = torch.load(path, map_location=device, weights_only=True)
         changed = _changed(content, checkpoint)
-        state = None if changed else _state(content)
+        state = None if changed else _state(content, checkpoint.config)
     except Exception as error:  # torch.load raises half a dozen kinds
         raise StyleSplatError(
             f"Cannot continue from {path}: it is not a checkpoint, or damaged. "
@@ -109,8 +132,36 @@ def _changed(content: Mapping[str, Any], checkpoint: Checkpoint) -> str:
     return ", ".join(changed + differences(content["capture"], checkpoint.capture))
 
 
-def _state(content: Mapping[str, Any]) -> State:
-    params = {name: t.requires_grad_() for name, t in content["params"].items()}
-    moments = Moments(content["first"], content["second"])
-    first_count, step = content["counts"]
-    return State(params, moments, tuple(content["ids"]), first_count, step, content["seconds"])
+def _check_sizes(path: Path) -> None:
+    """Raise a ValueError unless a file is what `torch.save` writes, and no larger inside.
+
+    It never compresses; what claims to be larger would fill the memory as it is read.
+    """
+    if not path.is_file():
+        raise ValueError("no plain file")
+    with ZipFile(path) as packed:
+        if sum(each.file_size for each in packed.infolist()) > path.stat().st_size:
+            raise ValueError("it claims to hold more than it does")
+
+
+def _state(content: Mapping[str, Any], config: TrainConfig) -> State:
+    """The state in a checkpoint of such a run.
+
+    Raises:
+        ValueError: If it cannot be one.
+    """
+    parts = fitting({key: content[key] for key in _Parts.__struct_fields__}, _Parts, "parts", "")
+    bands = (config.sh_degree + 1) ** 2 - 1
+    declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if parts.ids else {})
+    sizes = {"N": len(parts.params["means"]), "K": len(parts.ids), "bands": bands}
+    if len(set(parts.ids)) < len(parts.ids):
+        raise ValueError("ids are not all different")
+    check_tensors(parts.params, declared, sizes)
+    for moments in (parts.first, parts.second):
+        check_tensors(moments, {n: replace(each, **ANY) for n, each in declared.items()}, sizes)
+    if any((values < 0).any() for values in parts.second.values()):
+        raise ValueError("means of squares are negative")
+    first_count, step = parts.counts
+    params = {name: t.requires_grad_() for name, t in parts.params.items()}
+    moments = Moments(parts.first, parts.second)
+    return State(params, moments, parts.ids, first_count, step, parts.seconds)

@@ -22,9 +22,9 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.lazy import Lazy
+from stylesplat.scene.poses import are_rigid
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
-ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ def _read_poses(folder: Path) -> PosedFiles:
 
 
 def _check_poses(posed: PosedFiles, folder: Path) -> None:
-    viewmats = posed.viewmats.float()
-    bad = [name for name, m in zip(posed.names, viewmats, strict=True) if not _is_rigid(m)]
+    rigid = are_rigid(posed.viewmats).tolist()
+    bad = [name for name, fits in zip(posed.names, rigid, strict=True) if not fits]
     if bad:
         raise StyleSplatError(
             f"{len(bad)} of the {len(posed.names)} poses in {folder} are NaN or no rotation and "
@@ -154,10 +154,3 @@ def _announce_reduced(photos: Sequence[Photo], posed: PosedFiles) -> None:
             f"{reduced[0]}: they are read at half their width and height, which boxes and points "
             "go by."
         )
-
-
-def _is_rigid(viewmat: Float[Tensor, "4 4"]) -> bool:
-    rotation = viewmat[:3, :3]
-    error = (rotation @ rotation.T - torch.eye(3, dtype=rotation.dtype)).abs().max()
-    finite = bool(viewmat.isfinite().all())
-    return finite and bool(error < ROTATION_TOLERANCE) and bool(torch.det(rotation) > 0)

@@ -6,11 +6,12 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, read_bytes
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.splats import SH_C0, Splats
 
 ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
 HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 
@@ -20,10 +21,7 @@ def read_dot_splat(path: Path | str) -> Splats:
     Raises:
         StyleSplatError: If the file is missing, truncated, or holds numbers that are not finite.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+    content = read_bytes(path)
     if len(content) % ROW.itemsize:
         raise StyleSplatError(
             f"Cannot read {path}: {len(content)} bytes are no whole number of Gaussians of "
@@ -49,7 +47,7 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     colors = 0.5 + SH_C0 * splats.sh0[:, 0]
     rows = np.empty(len(splats), ROW)
     rows["mean"] = splats.means[order].numpy()
-    rows["scale"] = splats.scales[order].exp().numpy()
+    rows["scale"] = splats.scales[order].exp().clamp(min=SMALLEST).numpy()
     rows["rgba"] = _bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
     quats = torch.nn.functional.normalize(splats.quats, dim=1)
     rows["quat"] = _bytes(128 + 128 * quats)[order]

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.compressed_ply import MAX_HEADER, is_compressed, read_compressed_ply
 from stylesplat.io.splats.dot_splat import read_dot_splat, write_dot_splat
 from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
@@ -66,11 +67,6 @@ def write_splats(splats: Splats, path: Path | str, *, overwrite: bool = True) ->
 
 
 def _read_ply(path: Path) -> Splats:
-    try:
-        with path.open("rb") as file:
-            head = file.read(MAX_HEADER)
-    except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
-    if is_compressed(head):
-        return read_compressed_ply(path, path.read_bytes())
+    if is_compressed(read_bytes(path, first=MAX_HEADER)):
+        return read_compressed_ply(path, read_bytes(path))
     return read_splat_ply(path)

@@ -8,6 +8,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.declared import GAUSSIANS, check_range
 from stylesplat.io.ply import read_ply_table, write_ply_table
 from stylesplat.scene.splats import Splats
 
@@ -18,6 +19,7 @@ SH0 = tuple(f"f_dc_{i}" for i in range(3))
 OPACITY = ("opacity",)
 SCALES = tuple(f"scale_{i}" for i in range(3))
 QUATS = tuple(f"rot_{i}" for i in range(4))
+SMALLEST_TURN = 1e-10  # of a part of a rotation: squares of less vanish in float32
 NORMALS = ("nx", "ny", "nz")  # always 0; some viewers count on them
 
 
@@ -44,19 +46,19 @@ def read_splat_ply(path: Path | str) -> Splats:
 
 
 def check_splats(splats: Splats, path: Path | str) -> Splats:
-    """The splats of a file, if all numbers are finite and all Gaussians have a rotation.
+    """The splats of a file, if all numbers can be of splats and all Gaussians have a rotation.
 
     Raises:
         StyleSplatError: If not.
     """
-    for name, values in splats.tensors().items():
-        bad = int((~values.isfinite()).sum())
-        if bad:
-            raise StyleSplatError(
-                f"Cannot read {path} as splats: {bad} values of {name} are not finite. "
-                "Remove those Gaussians or train again."
-            )
-    unturned = int((splats.quats == 0).all(dim=1).sum())
+    try:
+        for name, values in splats.tensors().items():
+            check_range(name, values, GAUSSIANS[name])
+    except ValueError as error:
+        raise StyleSplatError(
+            f"Cannot read {path} as splats: {error}. Remove those Gaussians or train again."
+        ) from error
+    unturned = int((splats.quats.abs() < SMALLEST_TURN).all(dim=1).sum())
     if unturned:
         raise StyleSplatError(
             f"Cannot read {path} as splats: the rotations of {unturned} Gaussians are 0. "
@@ -94,7 +96,8 @@ def write_splat_ply(splats: Splats, path: Path | str) -> None:
 
 def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
     """Higher colour bands of degree 3, those beyond the splats' own degree being 0."""
-    return torch.nn.functional.pad(shN, (0, 0, 0, FULL_BANDS - shN.shape[1]))
+    missing = FULL_BANDS - shN.shape[1]
+    return torch.nn.functional.pad(shN, (0, 0, 0, missing)) if missing else shN
 
 
 def _rest(count: int) -> tuple[str, ...]:

@@ -9,12 +9,13 @@ import torch
 import zstandard
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, read_bytes
 from stylesplat.io.splats.gsply_data import from_gsply
 from stylesplat.scene.splats import Splats
 
 POSITION = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
+SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
 FLIP = torch.tensor([1.0, -1.0, -1.0])  # PLY's x right, y down to SPZ's x right, y up, and back
 FLIP_SH = torch.tensor([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])  # per band
 MAGIC = b"NGSP"
@@ -35,8 +36,9 @@ def read_spz(path: Path | str) -> Splats:
         StyleSplatError: If the file is missing, damaged, or claims more Gaussians than it can hold.
     """
     path = Path(path)
+    content = read_bytes(path)
     try:
-        _check(path.read_bytes())
+        _check(content)
         data = gsply.read_spz(path)
     except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
         raise StyleSplatError(f"Cannot read {path} as SPZ: {error}. Export it again.") from error
@@ -62,7 +64,7 @@ def write_spz(splats: Splats, path: Path | str) -> None:
         means=flipped.means.numpy(),
         scales=flipped.scales.numpy(),
         quats=flipped.quats.numpy(),
-        opacities=flipped.opacities.numpy(),
+        opacities=flipped.opacities.clamp(-SURE, SURE).numpy(),
         sh0=flipped.sh0[:, 0].numpy(),
         shN=flipped.shN.numpy(),
     )

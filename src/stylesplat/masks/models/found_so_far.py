@@ -7,23 +7,40 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
+from typing import Annotated, Any
+from zipfile import ZipFile
 
+import msgspec
 import numpy as np
 import torch
+from msgspec import Meta
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_files import read_json, read_json_as, write_json
 from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.masks.models.track import State
 from stylesplat.progress import say
-from stylesplat.scene.labels import Labels, Mask
+from stylesplat.scene.labels import MAX_ID, Labels, Mask
 
 SETTINGS = "settings.json"
 STATE = "state.json"
 OURS = re.compile(r"\.?(settings|state|proposals|known|labels)[_\d]*(\.\w{12})?\.(json|npz|png)")
+
+
+MAX_PACKED = 2**27  # bytes of a photo's masks: a thousand of 1024x1024
+
+_Id = Annotated[int, Meta(ge=1, le=MAX_ID)]
+_IdText = Annotated[str, Meta(pattern=r"\A[0-9]{1,8}\Z")]
+
+
+class _Stands(msgspec.Struct):
+    """Where tracking stands."""
+
+    stretches: Annotated[int, Meta(ge=1, le=10**6)]
+    missed: dict[_IdText, Annotated[int, Meta(ge=0, le=10**6)]]
+    next_id: _Id
 
 
 @dataclass(frozen=True)
@@ -31,14 +48,16 @@ class Progress:
     """A folder beside the label maps to be."""
 
     folder: Path
+    sizes: Sequence[Sequence[int]] = ()
+    """Width and height of each photo; empty if nobody knows them."""
 
     def proposals(self, row: int, propose: Callable[[], Sequence[Mask]]) -> list[Mask]:
         """The masks of a photo, from disk if they were found before."""
         path = self.folder / f"proposals_{row}.npz"
-        with suppress(OSError, EOFError, ValueError, KeyError, BadZipFile):  # absent or damaged
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                masks = np.unpackbits(stored["bits"], axis=-1, count=int(stored["width"]))
-            return [*torch.from_numpy(masks.astype(bool))]
+        with suppress(Exception):  # absent or damaged: NumPy and zipfile raise a dozen kinds
+            masks = _unpacked(path)
+            if self._fits(row, masks):
+                return masks
         found = [mask.cpu() for mask in propose()]
         stacked = torch.stack(found).numpy() if found else np.zeros((0, 0, 0), bool)
         with atomic_path(path) as temporary:
@@ -61,17 +80,34 @@ class Progress:
         if not (self.folder / STATE).exists():
             return 0, State()
         try:
-            stands = read_json(self.folder / STATE)
-            missed = {int(id): int(count) for id, count in stands["missed"].items()}
-            known = read_label_map(self._known(stands["stretches"])).long()
-            return int(stands["stretches"]), State(known, missed, int(stands["next_id"]))
-        except (StyleSplatError, KeyError, ValueError, TypeError, AttributeError):
+            stands = read_json_as(self.folder / STATE, _Stands, "")
+            known = read_label_map(self._known(stands.stretches)).long()
+            missed = {int(id): count for id, count in stands.missed.items()}
+            return stands.stretches, State(known, missed, stands.next_id)
+        except StyleSplatError:
             say("What an earlier run left is damaged; tracking begins anew.")
             return 0, State()
 
     def labels(self, row: int) -> Labels:
-        """The label map of a photo whose stretch is done."""
-        return read_label_map(self._labels(row)).long()
+        """The label map of a photo whose stretch is done.
+
+        Raises:
+            StyleSplatError: If it is damaged.
+        """
+        labels = read_label_map(self._labels(row)).long()
+        if not self._fits(row, [labels]):
+            raise StyleSplatError(
+                f"{self._labels(row)} is of another size than its photo. Delete {self.folder}, and "
+                "run again."
+            )
+        return labels
+
+    def _fits(self, row: int, pictures: Sequence[Tensor]) -> bool:
+        """Whether pictures have the size of a photo, as far as that is known."""
+        if not self.sizes:
+            return True
+        width, height = self.sizes[row]
+        return all(picture.shape == (height, width) for picture in pictures)
 
     def _known(self, stretches: int) -> Path:
         """What was followed into the next key photo, a file for each: a new one may come late."""
@@ -95,7 +131,21 @@ def open_progress(folder: Path, settings: dict[str, Any]) -> Progress:
     elif folder.exists():
         say(f"Continuing from {folder}.")
     write_json(settings, folder / SETTINGS)
-    return Progress(folder)
+    return Progress(folder, settings.get("sizes", ()))
+
+
+def _unpacked(path: Path) -> list[Mask]:
+    """The masks in a file; raises anything if they are none, or more than a photo can have."""
+    if not path.is_file():
+        raise ValueError("no plain file")
+    with ZipFile(path) as packed:
+        if sum(each.file_size for each in packed.infolist()) > MAX_PACKED:
+            raise ValueError("more than a photo can have")
+    with np.load(path, allow_pickle=False) as stored:
+        bits, width = stored["bits"], int(stored["width"])
+    if bits.ndim != 3 or bits.dtype != np.uint8 or -(-width // 8) != bits.shape[2]:
+        raise ValueError("no masks")
+    return [*torch.from_numpy(np.unpackbits(bits, axis=-1, count=width).astype(bool))]
 
 
 def _is_ours(folder: Path) -> bool:

@@ -1,0 +1,87 @@
+"""All cameras of a scene, as JSON with numbers of 64 bits, which hold those of 32 exactly."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import torch
+from msgspec import Meta
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.json_files import PhotoName, read_json_as, write_json
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.poses import ROTATION_TOLERANCE, are_rigid
+
+MAX_PIXELS = 2**28  # of a view: renders of more fill the memory
+REMEDY = "Train again."
+
+_Side = Annotated[int, Meta(ge=1, le=0xFFFF)]
+_Focal = Annotated[float, Meta(ge=1e-2, le=1e7)]
+_Pixel = Annotated[float, Meta(ge=-1e7, le=1e7)]
+_Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
+_Zero = Annotated[float, Meta(ge=0, le=0)]
+_One = Annotated[float, Meta(ge=1, le=1)]
+_Row = tuple[_Place, _Place, _Place, _Place]
+
+
+class _Camera(msgspec.Struct):
+    name: PhotoName
+    size: tuple[_Side, _Side]
+    viewmat: tuple[_Row, _Row, _Row, tuple[_Zero, _Zero, _Zero, _One]]
+    K: tuple[tuple[_Focal, _Pixel, _Pixel], tuple[_Zero, _Focal, _Pixel], tuple[_Zero, _Zero, _One]]
+
+
+class _File(msgspec.Struct):
+    dtype: Literal["float32", "float64"]
+    cameras: Annotated[tuple[_Camera, ...], Meta(min_length=1)]
+
+
+def write_cameras(cameras: Cameras, path: Path) -> None:
+    """Write cameras.
+
+    Raises:
+        StyleSplatError: If the file cannot be written.
+    """
+    dtype = torch.promote_types(cameras.viewmats.dtype, cameras.Ks.dtype)
+    rows = [
+        {
+            "name": name,
+            "size": cameras.sizes[row].tolist(),
+            "viewmat": cameras.viewmats[row].tolist(),
+            "K": cameras.Ks[row].tolist(),
+        }
+        for row, name in enumerate(cameras.names)
+    ]
+    write_json({"dtype": str(dtype).removeprefix("torch."), "cameras": rows}, path)
+
+
+def read_cameras(path: Path) -> Cameras:
+    """Read what `write_cameras` wrote.
+
+    Raises:
+        StyleSplatError: If the file is missing or damaged, or a camera can be none.
+    """
+    content = read_json_as(path, _File, REMEDY)
+    dtype = torch.float32 if content.dtype == "float32" else torch.float64
+    cameras = Cameras(
+        viewmats=torch.tensor([each.viewmat for each in content.cameras], dtype=dtype),
+        Ks=torch.tensor([each.K for each in content.cameras], dtype=dtype),
+        sizes=torch.tensor([each.size for each in content.cameras]),
+        names=tuple(each.name for each in content.cameras),
+    )
+    fault = _fault(cameras)
+    if fault:
+        raise StyleSplatError(f"Cannot read {path}: {fault}. {REMEDY}")
+    return cameras
+
+
+def _fault(cameras: Cameras) -> str | None:
+    """What no single number tells."""
+    if len(set(cameras.names)) < len(cameras):
+        return "two cameras have the same name"
+    if int(cameras.sizes.prod(dim=1).max()) > MAX_PIXELS:
+        return f"a camera has more than {MAX_PIXELS} pixels"
+    rigid = are_rigid(cameras.viewmats, 2 * ROTATION_TOLERANCE)  # rounded since a capture had it
+    if not rigid.all():
+        return f"the pose of {cameras.names[int(rigid.int().argmin())]} is no rotation and shift"
+    return None

@@ -1,0 +1,63 @@
+"""Numbers that no splat has are refused as they are read; what is at the bounds can be used."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from full_scenes import COUNT, plain_scene
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.declared import GAUSSIANS
+from stylesplat.io.splats.splat_files import read_splats, write_splats
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.outliers import inliers
+from stylesplat.verbs.select import select
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "suffix"),
+    [
+        ("means", 1e38, "ply"),
+        ("scales", 80.0, "ply"),
+        ("opacities", 1e30, "ply"),
+        ("sh0", 1e38, "ply"),
+        ("shN", 1e20, "ply"),
+        ("quats", 1e30, "ply"),
+        ("means", 1e38, "splat"),
+        ("scales", 80.0, "splat"),
+    ],
+)
+def test_numbers_of_no_splat_are_refused(field: str, value: float, suffix: str, tmp_path: Path):
+    splats = plain_scene().splats
+    values = getattr(splats, field).clone()
+    values[0] = value
+    path = tmp_path / f"a.{suffix}"
+    write_splats(replace(splats, **{field: values}), path)
+    with pytest.raises(StyleSplatError, match=f"of {field} are out of range"):
+        read_splats(path)
+
+
+@pytest.mark.parametrize("field", ["means", "quats", "scales", "opacities", "sh0", "shN"])
+def test_splats_that_are_at_the_bounds_are_read(field: str, tmp_path: Path):
+    splats = plain_scene().splats
+    values = getattr(splats, field).clone()
+    values[0], values[1] = GAUSSIANS[field].low, GAUSSIANS[field].high
+    for suffix in ("ply", "splat"):
+        write_splats(replace(splats, **{field: values}), tmp_path / f"a.{suffix}")
+        assert len(read_splats(tmp_path / f"a.{suffix}")) == COUNT
+
+
+@pytest.mark.parametrize("field", ["means", "quats", "scales", "opacities", "sh0"])
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_splats_that_are_at_the_bounds_can_be_used(field: str, end: str):
+    values = getattr(SPLATS, field).clone()
+    values[::2] = getattr(GAUSSIANS[field], end)
+    splats = replace(SPLATS, **{field: values})
+    image, alphas, _ = rasterize(splats, CAMERAS[0])
+    assert image.isfinite().all() and alphas.isfinite().all()
+    assert inliers(splats.means).any()
+    found = select(Scene(splats, CAMERAS), "vase", id=3)
+    assert torch.equal(found.splats.means, splats.means) and found.objects["vase"].picked.any()

@@ -1,0 +1,279 @@
+"""A scene whose files hold anything but what they declare is refused, in one line."""
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load, save
+
+from full_scenes import COUNT, full_scene, painted, random
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.scene.paintings import Unsplit
+from stylesplat.scene.scene import SceneObject
+
+BAD_NAMES = ["__metadata__", "a/b", "../a", "a\nb", "a\x00b", "x" * 101, " ", "42", "a=b"]
+ONES = torch.ones
+Change = Callable[[Any], Any]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    split = Unsplit(4, torch.tensor([0, 3]), random(2, 3), random(2))
+    scene = replace(full_scene(), painted=replace(painted(), unsplit=split))
+    scene_folder.save(scene, tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def refused(folder: Path, name: str) -> None:
+    """Opening it is, in one line that names the file."""
+    with pytest.raises(StyleSplatError) as caught:
+        scene_folder.open(folder)
+    assert name in str(caught.value) and str(caught.value).isprintable()
+
+
+def put(*keys: str | int, value: object) -> Change:
+    """Change one thing deep in plain values."""
+
+    def change(content: Any) -> Any:
+        inside = content
+        for key in keys[:-1]:
+            inside = inside[key]
+        inside[keys[-1]] = value
+        return content
+
+    return change
+
+
+def camera(*keys: str | int, value: object) -> Change:
+    return put("cameras", 0, *keys, value=value)
+
+
+def painting(key: str, value: object) -> Change:
+    return put("objects", 0, key, value=value)
+
+
+JSON_MUTANTS: list[tuple[str, Change]] = [
+    *(("scene.json", put("capture", value=value)) for value in (3, [], "a\0b", "\ud800")),
+    *(("scene.json", put("test_views", value=value)) for value in (3, "a", [3], ["a\nb"], None)),
+    *(("scene.json", put("settings", value=value)) for value in (3, [], None, "x")),
+    *(
+        ("scene.json", put("settings", value={"downscale": value}))
+        for value in (0, -1, 1e9, 10**400, float("nan"), float("inf"), "2", True, None)
+    ),
+    *(("cameras.json", put("dtype", value=value)) for value in ("float16", 3, None, ["float32"])),
+    *(("cameras.json", put("cameras", value=value)) for value in ([], {}, None, [[]], [None])),
+    *(
+        ("cameras.json", camera("size", value=value))
+        for value in ([-4, 3], [0, 3], [200_000, 2], [60_000, 60_000], [1.5, 3], [3], 3, [2, 2, 2])
+    ),
+    *(
+        ("cameras.json", camera("name", value=value))
+        for value in ("", 3, None, "a\nb", "sub/b.png")
+    ),
+    *(
+        ("cameras.json", camera("viewmat", 0, 0, value=value))
+        for value in (float("nan"), float("inf"), 1e300, 10**400, "1", None, [], 7.0)
+    ),
+    ("cameras.json", camera("viewmat", value=[[0.0] * 4] * 4)),
+    ("cameras.json", camera("viewmat", value=[[1.0] * 4] * 3)),
+    *(("cameras.json", camera("K", 0, 0, value=value)) for value in (0, -5, 1e30, float("nan"))),
+    ("cameras.json", camera("K", value=[[0.0] * 3] * 3)),
+    *(("objects.json", put(name, value={})) for name in BAD_NAMES),
+    *(("objects.json", put("fox", value=value)) for value in (None, 3, [], "x")),
+    *(
+        ("objects.json", put("fox", value={"ids": value}))
+        for value in (3, None, [-1], [2**24], ["7"], [[7]], [10**30], {"a": 1})
+    ),
+    ("metrics.json", put("train", value=3)),
+    *(("recipe.json", put("objects", value=value)) for value in ([], {}, None, [3], [{}])),
+    *(("recipe.json", put("settings", value=value)) for value in ([], None, 3)),
+    *(("recipe.json", put("scene", value=value)) for value in ([], 3, "a\0b")),
+    *(("recipe.json", painting("name", name)) for name in (*BAD_NAMES[:-3], 3, None, "9" * 5000)),
+    *(("recipe.json", painting("style", value)) for value in (3, [3], {}, [], ["a", "b"], "a\0")),
+    *(("recipe.json", painting("sha256", value)) for value in (3, [3], {}, "x" * 200, "a\nb")),
+    *(("recipe.json", painting("settings", value)) for value in (None, 3, [["a", 1]])),
+    *(("recipe.json", painting("intensity", value)) for value in ("x", -1, 9, float("nan"), [])),
+    *(("recipe.json", painting("features", value)) for value in (3, [], "a\nb")),
+    *(("recipe.json", painting("weights", value)) for value in (3, [], "\0")),
+    *(("recipe.json", painting("upon", value)) for value in (None, [], {"a": "x"}, {"a": -1})),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), JSON_MUTANTS, ids=lambda each: str(each)[:12])
+def test_json_that_does_not_fit(folder: Path, name: str, change: Change):
+    path = folder / name
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+    refused(folder, name)
+
+
+@pytest.mark.parametrize("name", ["scene", "cameras", "objects", "metrics", "recipe"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[" * 3000,
+        b'{"a":' * 3000,
+        b'{"version": 1, "a": ' + b"[" * 500 + b"]" * 500 + b"}",
+        b'{"version": ' + b"9" * 6000 + b"}",
+        b"null",
+        b"\xff\xfe",
+        b"\0",
+    ],
+    ids=range(7),
+)
+def test_json_that_is_none_or_deep(folder: Path, name: str, content: bytes):
+    (folder / f"{name}.json").write_bytes(content)
+    refused(folder, f"{name}.json")
+
+
+def with_tensor(name: str, value: torch.Tensor) -> Change:
+    return lambda tensors: {**tensors, name: value}
+
+
+def without(name: str) -> Change:
+    return lambda tensors: {key: value for key, value in tensors.items() if key != name}
+
+
+def changed(name: str, change: Change) -> Change:
+    return lambda tensors: {**tensors, name: change(tensors[name])}
+
+
+def filled(value: float) -> Change:
+    return lambda tensor: torch.full_like(tensor, value)
+
+
+TENSOR_MUTANTS: list[tuple[str, Change]] = [
+    *(
+        (file, changed(name, change))
+        for file, name in (
+            ("identities", "identities"),
+            ("identities", "weight"),
+            ("identities", "bias"),
+            ("identities", "confidence"),
+            ("base_colors", "sh0"),
+            ("style_colors", "shN"),
+            ("unsplit", "scales"),
+            ("unsplit", "opacities"),
+        )
+        for change in (
+            torch.Tensor.half,
+            torch.Tensor.double,
+            torch.Tensor.int,
+            filled(torch.nan),
+            filled(torch.inf),
+            filled(1e30),
+            lambda tensor: tensor[None].clone(),
+            lambda tensor: tensor[:1].clone(),
+        )
+    ),
+    *(
+        (file, without(name))
+        for file, name in (
+            *(("identities", name) for name in ("identities", "weight", "bias", "ids")),
+            ("base_colors", "shN"),
+            ("style_colors", "sh0"),
+            *(("unsplit", name) for name in ("count", "rows", "scales", "opacities")),
+            ("picks", "fox"),
+            ("paintings", "0"),
+        )
+    ),
+    *(
+        (file, with_tensor("extra", ONES(COUNT)))
+        for file in ("base_colors", "unsplit", "paintings")
+    ),
+    ("identities", with_tensor("extra", ONES(COUNT))),
+    ("base_colors", with_tensor("shN", ONES(COUNT, 8, 3))),
+    ("identities", with_tensor("ids", torch.tensor([0, 0, 7]))),
+    ("identities", with_tensor("ids", torch.tensor([0, 7, -1]))),
+    ("identities", with_tensor("ids", torch.tensor([0, 7, 2**24]))),
+    ("identities", with_tensor("ids", torch.tensor([0, 7]))),
+    ("identities", with_tensor("ids", torch.tensor([0.0, 7.0, 9.0]))),
+    ("identities", lambda t: {**t, "ids": t["ids"][:0], "weight": ONES(0, 16), "bias": ONES(0)}),
+    ("identities", changed("identities", lambda tensor: tensor.reshape(16, COUNT).clone())),
+    ("unsplit", with_tensor("rows", torch.tensor([0, 4]))),
+    ("unsplit", with_tensor("rows", torch.tensor([0, -1]))),
+    ("unsplit", with_tensor("rows", torch.tensor([0, 0]))),
+    ("unsplit", with_tensor("count", torch.tensor(COUNT + 1))),
+    ("unsplit", with_tensor("count", torch.tensor([4]))),
+    ("unsplit", with_tensor("count", torch.tensor(-1))),
+    *((file, lambda t: dict.fromkeys(t, ONES(COUNT))) for file in ("picks", "paintings")),
+    *((file, lambda t: dict.fromkeys(t, ONES(COUNT, 1) > 0)) for file in ("picks", "paintings")),
+    *((file, lambda t: dict.fromkeys(t, ONES(3, 2) > 0)) for file in ("picks", "paintings")),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), TENSOR_MUTANTS, ids=lambda each: str(each)[:12])
+def test_tensors_that_do_not_fit(folder: Path, name: str, change: Change):
+    path = folder / f"{name}.safetensors"
+    tensors = change(load(path.read_bytes()))
+    path.write_bytes(save({key: value.clone() for key, value in tensors.items()}))
+    refused(folder, f"{name}.safetensors")
+
+
+def stored(dtype: str, shape: list[int], data: bytes, name: str = "fox") -> bytes:
+    header = json.dumps({name: {"dtype": dtype, "shape": shape, "data_offsets": [0, len(data)]}})
+    return len(header).to_bytes(8, "little") + header.encode() + data
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        (2**63).to_bytes(8, "little") + b"{}",
+        (10**8).to_bytes(8, "little") + b"{}",
+        stored("F4", [2], b"\0"),
+        stored("F8_E8M0", [2], b"\0\0"),
+        stored("C64", [1], b"\0" * 8),
+        stored("BOOL", [COUNT], b"\0\1\2\3\4\5"),
+        stored("BOOL", [2**62, 4], b""),
+        stored("BOOL", [0, 2**62], b""),
+        stored("BOOL", [], b"\0"),
+    ],
+    ids=range(9),
+)
+def test_headers_that_lie(folder: Path, content: bytes):
+    (folder / "picks.safetensors").write_bytes(content)
+    refused(folder, "picks.safetensors")
+
+
+@pytest.mark.parametrize(
+    "name", ["cameras.json", "splats.ply", "picks.safetensors", "identities.safetensors"]
+)
+def test_pipes_devices_and_folders_are_no_files(folder: Path, name: str):
+    path = folder / name
+    for make in (os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/zero")):
+        path.rmdir() if path.is_dir() else path.unlink()
+        make(path)
+        refused(folder, name)
+
+
+def test_a_painting_too_few_is_refused(folder: Path):
+    path = folder / "paintings.safetensors"
+    path.write_bytes(save(without("1")(load(path.read_bytes()))))
+    refused(folder, "recipe.json")
+
+
+def test_a_scene_without_gaussians_is_refused(folder: Path):
+    path = folder / "splats.ply"
+    head, _, _ = path.read_bytes().partition(b"end_header\n")
+    path.write_bytes(head.replace(b"vertex 6", b"vertex 0") + b"end_header\n")
+    refused(folder, "splats.ply")
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+def test_names_that_files_cannot_have_are_not_written(name: str, tmp_path: Path):
+    scene = full_scene()
+    named = replace(scene, objects={name: SceneObject(torch.zeros(COUNT, dtype=torch.bool))})
+    with pytest.raises(StyleSplatError, match="Cannot call an object"):
+        scene_folder.save(named, tmp_path / "scene")
+    assert scene.painted is not None
+    first, second = scene.painted.paintings
+    drawn = replace(scene.painted, paintings=(replace(first, name=name), second))
+    if name != "42":  # the id of a label
+        with pytest.raises(StyleSplatError, match="Cannot call an object"):
+            scene_folder.save(replace(scene, painted=drawn), tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()

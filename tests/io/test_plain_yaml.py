@@ -1,0 +1,86 @@
+"""What a recipe's YAML can be, and what never harms."""
+
+import time
+
+import pytest
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.plain_yaml import MAX_YAML, parse_yaml
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("a: 1", 1),
+        ("a: -3", -3),
+        ("a: 1_000", 1000),
+        ("a: 1e-05", 1e-5),
+        ("a: .5", 0.5),
+        ("a: 5.", 5.0),
+        ("a: no", False),
+        ("a: ", None),
+        ("a: ~", None),
+        ("a: x", "x"),
+        ("a: '3'", "3"),
+        ("a: 2001-99-99", "2001-99-99"),
+        ("a: 1:30", "1:30"),
+        ("a: 007", "007"),
+        ("a: 0x10", "0x10"),
+        ("a: =", "="),
+        ("a: [1, {b: c}]", [1, {"b": "c"}]),
+        ("b: &b {c: 1}\na: {<<: *b, d: 2}", {"c": 1, "d": 2}),
+        ('{"a": "\\ud83c\\udf0a"}', "🌊"),
+    ],
+)
+def test_plain_values(text: str, value: object):
+    for form in (text, *map(text.encode, ("utf-8", "utf-8-sig", "utf-16"))):
+        found = parse_yaml(form)
+        assert found["a"] == value and type(found["a"]) is type(value)
+
+
+def doubling(first: str, next_: str, count: int) -> str:
+    """Each line stands for twice what the one before does."""
+    lines = [next_.format(here=n, last=n - 1) for n in range(1, count)]
+    return "\n".join([f"a0: &a0 {first}", *lines])
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a: !!int x", "tags"),
+        ("a: !!bool x", "tags"),
+        ("a: !!timestamp 2001-99-99", "tags"),
+        ("a: !!binary x", "tags"),
+        ("a: !!python/object/apply:os.system [ls]", "tags"),
+        ("[" * 5000, "deep"),
+        ("{" * 5000, "deep"),
+        ("- " * 5000 + "a", "deep"),
+        ("a: &a [*a]", "holds itself"),
+        ("&a {x: *a}", "holds itself"),
+        ("a: &a {<<: *a}", "holds itself"),
+        (doubling("[x, x]", "a{here}: &a{here} [*a{last}, *a{last}]", 60), "too many|deep"),
+        (doubling("{x: 1}", "a{here}: &a{here} {{<<: [*a{last}, *a{last}]}}", 60), "too many|deep"),
+        ("<<: 3", "mapping"),
+        ("a: {<<: [1]}", "mapping"),
+        ("? [1]\n: 2", "a key is a list"),
+        ("a: 1\na: 2", "a is listed twice"),
+        ("a: 1\n---\nb: 2", "another document"),
+        ('a: "\\U99999999"', "no YAML text"),
+        ("a: *b", "undefined alias"),
+        (b"\x00", "no YAML text"),
+        (b"a: \xff", "no YAML text"),
+        (b"\xff\xfe\x00", "no YAML text"),
+        ("a" * (MAX_YAML + 1), "longer than recipes"),
+    ],
+)
+def test_what_is_refused(text: str | bytes, told: str):
+    start = time.perf_counter()
+    with pytest.raises(StyleSplatError, match=told) as caught:
+        parse_yaml(text)
+    assert str(caught.value).isprintable()
+    assert time.perf_counter() - start < 5, "a laugh takes years"
+
+
+@pytest.mark.parametrize("text", ["a: " + "9" * 6000, "a: 1e999", "a: .inf"])
+def test_numbers_without_bounds_are_infinite(text: str):
+    assert parse_yaml(text)["a"] == float("inf")
