@@ -163,6 +163,75 @@ def test_masks_that_would_fill_the_memory(size: list, counts: list):
         decode_rle({"size": size, "counts": counts}, Path("a.json"))
 
 
+HUGE = 2**62
+
+
+@pytest.mark.parametrize(
+    "rle",
+    [
+        {"size": [2, 2], "counts": [HUGE, HUGE, HUGE, HUGE, 4]},  # 4 in 64 bits
+        {"size": [2, 2], "counts": packed([HUGE, HUGE, HUGE, HUGE, 4])},
+        {"size": [2, 2], "counts": packed([5, 0, 0]) + "O"},  # ends with -1
+        {"size": [2, 2], "counts": [5, -1]},
+        {"size": [2, 2], "counts": [[4]]},
+        {"size": [2, 2], "counts": [4.0]},
+        {"size": [2, 2], "counts": [True, True, True, True]},
+        {"size": [2, 2], "counts": ["4"]},
+        {"size": [2, 2], "counts": 4},
+        {"size": [2, 2], "counts": ""},
+        {"size": [2, 2], "counts": "o" * 10**6},  # one run of millions of bits
+        {"size": [2, 2], "counts": "\ud800\xff~"},
+        {"size": [-2, -2], "counts": [4]},
+        {"size": [0, 5], "counts": []},
+        {"size": ["2", 2], "counts": [4]},
+        {"size": [2], "counts": [2]},
+        {"size": [2**14, 2**14], "counts": [2**28]},
+        {"size": [2, 2]},
+        None,
+    ],
+    ids=range(19),
+)
+def test_run_lengths_that_are_none(rle: object):
+    """The first wrote out of bounds: its runs were added up, and wrapped, in 64 bits."""
+    with pytest.raises(StyleSplatError, match=r"Cannot read a mask in a\.json") as caught:
+        decode_rle(rle, Path("a.json"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"images": 5},
+        {"images": [{"id": None, "file_name": "002.jpg"}]},
+        {"images": [{"id": 5, "file_name": 2}]},
+        {"images": [{"id": 5, "file_name": "\ud800"}]},
+        {"images": [{"id": [5], "file_name": "002.jpg"}]},
+        {"annotations": [[]]},
+        {"annotations": [{"image_id": {}, "category_id": 1, "segmentation": {}}]},
+        {"annotations": [{"image_id": 5, "segmentation": {}}]},
+        {"annotations": [{"image_id": 5, "category_id": 1.5, "segmentation": {}}]},
+        {"annotations": [{"image_id": 5, "category_id": 10**400, "segmentation": {}}]},
+        {"categories": {"id": 9}},
+    ],
+    ids=range(11),
+)
+def test_annotations_of_wrong_types(tmp_path: Path, content: dict):
+    path = coco(tmp_path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **content}))
+    with pytest.raises(StyleSplatError, match=r"a\.json"):
+        foreign_label_maps(path, NAMES)
+
+
+def test_masks_of_one_photo_that_differ_in_size(tmp_path: Path):
+    path = coco(tmp_path)
+    content = json.loads(path.read_text())
+    other = {**content["annotations"][0], "segmentation": {"size": [2, 2], "counts": [4]}}
+    content["annotations"].append(other)
+    path.write_text(json.dumps(content))
+    with pytest.raises(StyleSplatError, match="differ in size: 2x2 and 8x6"):
+        foreign_label_maps(path, NAMES)
+
+
 def test_tracks_without_categories(tmp_path: Path):
     path = coco(tmp_path, track_id=5)
     content = json.loads(path.read_text())

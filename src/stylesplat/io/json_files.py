@@ -67,7 +67,7 @@ def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
     """
     try:
         return msgspec.convert(value, kind)
-    except (msgspec.ValidationError, RecursionError, OverflowError) as error:
+    except (msgspec.ValidationError, RecursionError, OverflowError, UnicodeError) as error:
         raise StyleSplatError(f"{what}: {error}. {remedy}") from error
 
 

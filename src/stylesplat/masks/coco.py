@@ -101,7 +101,8 @@ def rle_size(rle: Any, source: Path) -> tuple[int, int]:
     Raises:
         StyleSplatError: If it is none.
     """
-    return _checked(rle, source).size[::-1]
+    height, width = _checked(rle, source).size
+    return width, height
 
 
 def decode_rle(rle: Any, source: Path) -> Mask:

@@ -126,7 +126,7 @@ def overlaid(masks: Iterable[tuple[int, Mask]]) -> Labels:
             labels = torch.zeros(mask.shape, dtype=torch.int32)
             areas = torch.full_like(labels, mask.numel())  # of what shows there
         if mask.shape != labels.shape:
-            raise _differ("of a photo", (mask.shape[1], mask.shape[0]), tuple(labels.shape[::-1]))
+            raise _differ("of a photo", *(each.shape[::-1] for each in (mask, labels)))
         area = int(mask.sum())
         shown = mask & (areas >= area)
         labels.masked_fill_(shown, number)
@@ -160,7 +160,7 @@ def _decoded(layers: Sequence[tuple[int, Any]], source: Path) -> Labels:
     return overlaid((number, decode_rle(rle, source)) for number, rle in layers)
 
 
-def _differ(what: str, *sizes: tuple[int, int]) -> StyleSplatError:
+def _differ(what: str, *sizes: Sequence[int]) -> StyleSplatError:
     shown = " and ".join(f"{width}x{height}" for width, height in sizes)
     return StyleSplatError(
         f"The masks {what} differ in size: {shown}. Export them at the photo's size."

@@ -93,6 +93,26 @@ def test_an_absurd_count_takes_no_memory(make_capture: Callable[..., Path], name
         check_complete(path.parent)
 
 
+@pytest.mark.parametrize("count", [2**61, 2**63, 2**64 - 1])
+def test_a_track_of_any_length_takes_no_memory(make_capture: Callable[..., Path], count: int):
+    path = make_capture() / "sparse/0/points3D.bin"
+    content = bytearray(path.read_bytes())
+    content[8 + 43 : 8 + 51] = count.to_bytes(8, "little")  # after the number of points and a head
+    path.write_bytes(content)
+    with pytest.raises(StyleSplatError, match=r"points3D\.bin is truncated or damaged"):
+        check_complete(path.parent)
+
+
+@pytest.mark.parametrize("side", [0, 2**21, 2**63])
+def test_cameras_of_impossible_size(make_capture: Callable[..., Path], side: int):
+    path = make_capture() / "sparse/0/cameras.bin"
+    content = bytearray(path.read_bytes())
+    content[16:24] = side.to_bytes(8, "little")  # after the number of cameras, an id and a model
+    path.write_bytes(content)
+    with pytest.raises(StyleSplatError, match="impossible numbers"):
+        read(path.parents[2])
+
+
 def test_rigs_of_several_cameras_are_complete(tmp_path: Path):
     model = reconstruction(*PINHOLE, count=0)
     rig = pycolmap.Rig(rig_id=7)

@@ -156,6 +156,49 @@ def test_malformed_content(tmp_path: Path, frames: Any, shared: dict[str, Any], 
         read_transforms(write(tmp_path, frames, **{**LENS, **shared}))
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("transform_matrix", 0),
+        ("transform_matrix", [[1.0] * 4] * 2),
+        ("transform_matrix", [[1.0] * 4] * 5),
+        ("transform_matrix", [[1.0] * 3] * 4),
+        ("transform_matrix", [["1"] * 4] * 4),
+        ("transform_matrix", [[10**400] * 4] * 4),
+        ("transform_matrix", None),
+        ("file_path", 7),
+        ("file_path", ["a"]),
+        ("w", 0),
+        ("w", -64),
+        ("w", 1e400),
+        ("w", 2**40),
+        ("w", "64"),
+        ("h", True),
+        ("h", [48]),
+        ("fl_x", 1e300),
+        ("fl_x", math.nan),
+        ("fl_x", 1e-300),
+        ("cx", 10**400),
+        ("cy", {}),
+        ("k1", 1e30),
+        ("k2", "0"),
+        ("camera_model", 3),
+        ("is_fisheye", "yes"),
+        ("ply_file_path", 5),
+        ("frames", {"a": 1}),
+        ("frames", [[]]),
+        ("frames", 7),
+    ],
+)
+def test_fields_of_wrong_type_or_range(tmp_path: Path, key: str, value: Any):
+    frame = {"file_path": "images/a.png", "transform_matrix": POSE}
+    content = {**LENS, "frames": [{**frame, key: value}], key: value}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(StyleSplatError) as caught:
+        read_transforms(tmp_path)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
 def test_a_field_of_view_of_nothing(tmp_path: Path):
     with pytest.raises(StyleSplatError, match="malformed"):
         read_transforms(write(tmp_path, w=64, h=48, camera_angle_x=0.0))

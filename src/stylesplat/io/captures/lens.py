@@ -1,6 +1,5 @@
 """Camera models with distortion, and the way from their photos to pinhole photos."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,6 +18,11 @@ MAX_SIDE = 2**20  # pixels; COLMAP walks along the rim of what it undistorts
 # and 8 after that: less than half a GiB and, for all that are kept, one
 BAND = 2**22
 BANDS_KEPT = 32
+LENSES_KEPT = 1024  # some captures have one a photo
+MAX_PARAM = 1e9  # of any parameter, be it a focal length in pixels
+MIN_FOCAL = 1e-3  # pixels
+LOOKED_AT = 16  # pixels a side of the undistorted photo
+LEAST_SEEN = 0.1  # of them must show something; COLMAP crops so that all do
 
 
 @dataclass(frozen=True)
@@ -43,14 +47,14 @@ class Lens:
                 be, or if the camera is a panorama's.
         """
         name, size = camera.model_name, (camera.width, camera.height)
-        finite = camera.verify_params() and all(map(math.isfinite, camera.params))
-        if not finite or not 1 <= min(size) <= max(size) <= MAX_SIDE:
+        sane = camera.verify_params() and all(abs(x) <= MAX_PARAM for x in camera.params)
+        if not sane or not 1 <= min(size) <= max(size) <= MAX_SIDE:
             raise StyleSplatError(f"A {name} camera has impossible numbers. Pose the photos again.")
         if not camera.is_perspective():
             raise StyleSplatError(
                 f"Cameras of the model {name} cannot be undistorted. Use photos of a lens."
             )
-        if min(camera.focal_length_x, camera.focal_length_y) <= 0:
+        if min(camera.focal_length_x, camera.focal_length_y) < MIN_FOCAL:
             raise StyleSplatError(f"A {name} camera has no focal length. Pose the photos again.")
         return cls(name, camera.width, camera.height, tuple(map(float, camera.params)))
 
@@ -83,11 +87,12 @@ class Lens:
         return Lens.from_colmap(camera)
 
     def pinhole(self) -> "Lens":
-        """The lens that the undistorted photo seems to be taken with (COLMAP's choice of crop)."""
-        if self.is_pinhole:
-            return self
-        options = pycolmap.UndistortCameraOptions()
-        return Lens.from_colmap(pycolmap.undistort_camera(options, self.camera))
+        """The lens that the undistorted photo seems to be taken with (COLMAP's choice of crop).
+
+        Raises:
+            StyleSplatError: If it would see next to nothing of the photo.
+        """
+        return self if self.is_pinhole else _pinhole(self)
 
     def undistort(
         self, pixels: Shaped[np.ndarray, "h w *D"], *, nearest: bool = False
@@ -110,6 +115,29 @@ def bands(width: int, height: int) -> Iterator[slice]:
     return (slice(start, min(start + rows, height)) for start in range(0, height, rows))
 
 
+@lru_cache(maxsize=LENSES_KEPT)
+def _pinhole(lens: Lens) -> Lens:
+    options = pycolmap.UndistortCameraOptions()
+    pinhole = Lens.from_colmap(pycolmap.undistort_camera(options, lens.camera))
+    x, y = np.meshgrid(*(np.linspace(0.5, side - 0.5, LOOKED_AT) for side in pinhole.size))
+    places = _places(np.stack([x.ravel(), y.ravel()], axis=1), pinhole, lens)
+    if ((places > 0) & (places < lens.size)).all(axis=1).mean() < LEAST_SEEN:
+        raise StyleSplatError(
+            f"A {lens.model} camera has an impossible distortion: undistorted, its photos are "
+            "black. Pose the photos again."
+        )
+    return pinhole
+
+
+def _places(
+    pixels: Float[np.ndarray, "P 2"], pinhole: Lens, lens: Lens
+) -> Float[np.ndarray, "P 2"]:
+    """Where the distorted photo has what a pinhole photo has at some places."""
+    rays = np.asarray(pinhole.camera.cam_from_img(pixels))
+    rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [P, 3]
+    return np.asarray(lens.camera.img_from_cam(rays))
+
+
 @lru_cache(maxsize=BANDS_KEPT)
 def _sampling_map(
     lens: Lens, start: int, stop: int
@@ -118,8 +146,6 @@ def _sampling_map(
     pinhole = lens.pinhole()
     rows, columns = np.mgrid[start:stop, : pinhole.width] + 0.5
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
-    rays = np.asarray(pinhole.camera.cam_from_img(pixels))
-    rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [HW, 3]
-    places = np.asarray(lens.camera.img_from_cam(rays)).reshape(*rows.shape, 2) - 0.5
+    places = _places(pixels, pinhole, lens).reshape(*rows.shape, 2) - 0.5
     with np.errstate(over="ignore", invalid="ignore"):  # far outside
         return places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)

@@ -67,12 +67,12 @@ def check_path(text: str) -> None:
 
 def _fault(text: str) -> str | None:
     try:
-        parts = [part.encode() for part in text.split("/")]
+        encoded = text.encode()
     except UnicodeEncodeError:
         return "its name is not UTF-8"
     if CONTROL.search(text):
         return "its name has control characters"
-    if sum(map(len, parts)) > MAX_NAME or max(map(len, parts)) > MAX_PART:
+    if len(encoded) > MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART:
         return "its name is too long"
     return None
 

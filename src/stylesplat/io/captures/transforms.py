@@ -84,19 +84,24 @@ def read_transforms(folder: Path) -> PosedFiles:
     if not whole.frames:
         raise StyleSplatError(f"{path} has no frames, so no cameras. Pose the photos again.")
     try:
-        posed = sorted((_read_frame(path, content | f) for f in whole.frames), key=lambda f: f[0])
+        posed = [_read_frame(path, content | frame) for frame in whole.frames]
         points, point_colors = _read_points(folder, whole.ply_file_path)
     except (ValueError, RuntimeError, ArithmeticError) as error:
         raise StyleSplatError(f"{path} is malformed: {reason(error)}. {AGAIN}") from error
+    posed.sort(key=lambda frame: _plain(frame[0]))
     paths, lenses, viewmats = zip(*posed, strict=True)
     return PosedFiles(_names(paths), paths, lenses, torch.stack(viewmats), points, point_colors)
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
     """What photos are called within their common folder, without a '..' on the way."""
-    plain = [Path(os.path.normpath(path.absolute())) for path in paths]
+    plain = [_plain(path) for path in paths]
     common = Path(os.path.commonpath([photo.parent for photo in plain]))
     return tuple(photo.relative_to(common).as_posix() for photo in plain)
+
+
+def _plain(path: Path) -> Path:
+    return Path(os.path.normpath(path.absolute()))
 
 
 def write_transforms(

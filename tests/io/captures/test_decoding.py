@@ -1,0 +1,175 @@
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import ExifTags, Image, ImageOps
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures import decoding
+from stylesplat.io.captures.capture_folder import open_capture
+from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.photos import fit_photo, photo_sizes, read_image
+from stylesplat.io.label_maps import read_label_map, write_label_map
+from stylesplat.progress import observed
+from stylesplat.stylization.style_images import read_style
+from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
+
+SUFFIXES = ("png", "jpg", "webp", "tiff", "bmp", "gif", "ppm", "tga", "avif")
+PIXELS = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+
+
+def header_of_png(width: int, height: int) -> bytes:
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        check = struct.pack(">I", zlib.crc32(kind + content))
+        return struct.pack(">I", len(content)) + kind + content + check
+
+    size = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    data = chunk(b"IDAT", zlib.compress(bytes(100)))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", size) + data + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_format_is_read(tmp_path: Path, suffix: str):
+    Image.fromarray(PIXELS).save(tmp_path / f"a.{suffix}")
+    assert read_image(tmp_path / f"a.{suffix}").shape == PIXELS.shape
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_damaged_files_give_pixels_or_one_line(tmp_path: Path, suffix: str):
+    """Pillow raises what it likes, so whatever it raises is caught."""
+    path = tmp_path / f"a.{suffix}"
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.fromarray(PIXELS).save(path, exif=exif)
+    whole, generator = path.read_bytes(), np.random.default_rng(1)
+    refused = 0
+    for _ in range(40):
+        content = bytearray(whole)
+        for place in generator.integers(0, min(len(whole), 300), 3):
+            content[place] = generator.integers(256)
+        path.write_bytes(content[: generator.choice([len(content), len(content) // 2, 9, 0])])
+        for read in (read_image, read_label_map, photo_sizes):
+            try:
+                read(path)
+            except StyleSplatError as error:
+                refused += 1
+                assert f"a.{suffix}" in str(error) and "\n" not in str(error)
+    assert refused
+
+
+def test_other_formats_are_refused_by_name(tmp_path: Path):
+    Image.fromarray(PIXELS).save(tmp_path / "a.png", format="PCX")
+    with pytest.raises(StyleSplatError, match=r"a\.png: it is no picture, or none of JPEG, PNG"):
+        read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("size", [(13_000, 13_000), (60_000, 60_000), (2**16, 2**12)])
+def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path, size):
+    (tmp_path / "a.png").write_bytes(header_of_png(*size))
+    for read in (read_image, read_label_map, read_style, photo_sizes):
+        with pytest.raises(StyleSplatError, match=r"a\.png has more than 134 megapixels"):
+            read(tmp_path / "a.png")
+
+
+def test_large_pictures_give_no_warnings(tmp_path: Path):
+    """Pillow warns from 90 megapixels on; warnings are errors here."""
+    (tmp_path / "a.png").write_bytes(header_of_png(10_000, 10_000))
+    assert photo_sizes(tmp_path / "a.png")[0] == (10_000, 10_000)
+
+
+@pytest.mark.parametrize("orientation", range(9))
+def test_turned_as_pillow_turns(tmp_path: Path, orientation: int):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    Image.fromarray(PIXELS).save(tmp_path / "a.png", exif=exif)
+    with Image.open(tmp_path / "a.png") as image:
+        expected = np.asarray(ImageOps.exif_transpose(image))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png").numpy(), expected)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P", "L", "LA", "1", "I;16"])
+def test_bands_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str):
+    grey = PIXELS[..., 0].astype(np.uint16) * 200
+    image = Image.fromarray(grey) if mode == "I;16" else Image.fromarray(PIXELS).convert(mode)
+    image.save(tmp_path / "a.png")
+    lens = Lens("OPENCV", WIDTH, HEIGHT, (60.0, 62.0, 31.0, 25.0, 0.2, 0.01, 0.0, 0.0))
+
+    def read() -> list[torch.Tensor]:
+        photo = fit_photo(tmp_path / "a.png", lens)
+        images = [read_image(tmp_path / "a.png"), photo.read()]
+        return images if mode == "LA" else [*images, read_label_map(tmp_path / "a.png")]
+
+    whole = read()
+    monkeypatch.setattr("stylesplat.io.captures.lens.BAND", 5 * WIDTH)
+    assert all(map(torch.equal, whole, read()))
+
+
+@pytest.fixture
+def small_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two and eight thousand pixels; photos of these tests have three thousand."""
+    monkeypatch.setattr(decoding, "MAX_PIXELS", 2_000)
+    monkeypatch.setattr(decoding, "MAX_JPEG_PIXELS", 8_000)
+
+
+class Lines:
+    """An observer that keeps what is said."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def task(self, what, total, unit, done):
+        raise NotImplementedError
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+
+def test_the_largest_jpegs_are_read_at_half_their_size(tmp_path: Path, small_bounds: None):
+    folder = write_capture(tmp_path / "capture", count=2)
+    for path in (folder / "images").iterdir():  # Pillow goes by the content
+        Image.fromarray(PIXELS).save(path, format="JPEG")
+    with observed(lines := Lines()):
+        files = open_capture(folder)
+    assert [line for line in lines.said if "are read at half" in line] == lines.said != []
+    assert files.cameras.sizes.tolist() == [[WIDTH // 2, HEIGHT // 2]] * 2
+    assert files.cameras.Ks[0, 0, 0] == PINHOLE[1][0] / 2
+    assert files.at(1).photos[0].shape == (HEIGHT // 2, WIDTH // 2, 3)
+
+
+def test_jpegs_beyond_that_are_refused(tmp_path: Path, small_bounds: None):
+    save_noise(tmp_path / "a.jpg", (100, 90))
+    with pytest.raises(StyleSplatError, match="Scale it to half"):
+        read_image(tmp_path / "a.jpg")
+
+
+def test_a_region_counts_in_the_pixels_of_the_file(tmp_path: Path, monkeypatch):
+    pixels = np.zeros((200, 300, 3), np.uint8)
+    pixels[100:180, 200:280] = 255
+    Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=95)
+    monkeypatch.setattr(decoding, "MAX_PIXELS", 50_000)
+    seen = read_style(tmp_path / "a.jpg", region=(200, 100, 280, 180))
+    assert seen.shape == (40, 40, 3) and seen.min() > 0.9  # JPEG at the rim
+    with pytest.raises(StyleSplatError, match="Stay within 0,0,300,200"):
+        read_style(tmp_path / "a.jpg", region=(200, 100, 301, 180))
+
+
+def test_no_memory_for_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    save_noise(tmp_path / "a.png")
+
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Image.Image, "crop", full)
+    with pytest.raises(StyleSplatError, match=r"not enough memory to read the image .*a\.png"):
+        read_image(tmp_path / "a.png")
+
+
+def test_damaged_label_maps(tmp_path: Path):
+    write_label_map(torch.ones(6, 8, dtype=torch.int64), tmp_path / "a.png")
+    content = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(content.replace(b"IDAT", b"IDAX"))
+    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*a\.png"):
+        read_label_map(tmp_path / "a.png")

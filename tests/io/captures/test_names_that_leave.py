@@ -1,0 +1,177 @@
+"""Names of photos come from files of strangers, and files are written under them."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+import torch
+from PIL import Image
+
+from command_line import complaint, run
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import OBJECT_MASK
+from stylesplat.io.captures.transforms import read_transforms
+from stylesplat.io.files import inside, require_regular
+from stylesplat.io.label_maps import write_label_map
+from stylesplat.verbs.load import load
+from tiny_captures import HEIGHT, WIDTH, save_noise, write_capture
+
+POSE = np.eye(4).tolist()
+LENS = {"w": WIDTH, "h": HEIGHT, "fl_x": 60.0}
+BAD_NAMES = [
+    "../../victim/holiday.png",
+    "a/../../b.png",
+    "/tmp/a.png",
+    "..\\..\\victim\\holiday.png",
+    "C:\\a.png",
+    "\\\\server\\a.png",
+    "..",
+    ".",
+    "a\nb.png",
+    "a\x1bb.png",
+    "n" * 300 + ".png",
+    "d/" * 600 + "a.png",
+]
+
+
+def rename(folder: Path, name: str, *, text: bool) -> None:
+    """Call the first image of a reconstruction something else."""
+    sparse = folder / "sparse/0"
+    model = pycolmap.Reconstruction(sparse)
+    model.images[min(model.images)].name = name
+    for path in sparse.iterdir():
+        path.unlink()
+    (model.write_text if text else model.write)(sparse)
+
+
+def masks_for(folder: Path, stem: str) -> Path:
+    write_label_map(torch.ones(HEIGHT, WIDTH, dtype=torch.int64), folder / f"{stem}.png")
+    return folder
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    save_noise(tmp_path / "victim" / "holiday.png")
+    return tmp_path / "victim" / "holiday.png"
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_masks_overwrite_nothing_elsewhere(
+    make_capture: Callable[..., Path], victim: Path, tmp_path: Path, capsys, text: bool
+):
+    folder, before = make_capture(), victim.read_bytes()
+    rename(folder, "../../victim/holiday.png", text=text)
+    masks = masks_for(tmp_path / "masks", "holiday")
+    line = complaint(capsys, "mask", folder, "--from", masks)
+    assert "leaves the folder of the photos" in line
+    assert victim.read_bytes() == before
+
+
+def write_transforms(folder: Path, *files: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    frames = [{"file_path": file, "transform_matrix": POSE} for file in files]
+    (folder / "transforms.json").write_text(json.dumps({**LENS, "frames": frames}))
+    return folder
+
+
+def test_photos_beside_a_capture_are_read_and_never_written(victim: Path, tmp_path: Path, capsys):
+    folder, before = tmp_path / "capture", victim.read_bytes()
+    save_noise(folder / "images" / "a.png")
+    write_transforms(folder, "images/a.png", "../victim/holiday.png")
+    assert load(folder).cameras.names == ("capture/images/a.png", "victim/holiday.png")
+    assert run("mask", folder, "--from", masks_for(tmp_path / "masks", "holiday")) == 0
+    assert victim.read_bytes() == before
+    assert (folder / OBJECT_MASK / "victim" / "holiday.png").is_file()
+
+
+def test_absolute_and_relative_paths_mix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in ("a", "b"):
+        save_noise(tmp_path / "capture" / "images" / f"{name}.png")
+    absolute = str(tmp_path / "capture" / "images" / "b.png")
+    write_transforms(tmp_path / "capture", "images/../images/a.png", absolute)
+    monkeypatch.chdir(tmp_path)
+    assert read_transforms(Path("capture")).names == ("a.png", "b.png")
+
+
+@pytest.mark.parametrize("name", BAD_NAMES, ids=range(len(BAD_NAMES)))
+def test_names_in_a_reconstruction_that_no_photo_may_have(
+    make_capture: Callable[..., Path], name: str
+):
+    folder = make_capture()
+    rename(folder, name, text=False)
+    with pytest.raises(StyleSplatError, match="The photo") as caught:
+        load(folder)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 250
+
+
+def test_a_name_that_is_not_utf8(make_capture: Callable[..., Path]):
+    folder = make_capture()
+    for path in (folder / "sparse/0").iterdir():
+        path.write_bytes(path.read_bytes().replace(b"001.png", b"\xff01.png"))
+    with pytest.raises(StyleSplatError, match=r"Cannot read the reconstruction .*utf-8"):
+        load(folder)
+
+
+@pytest.mark.parametrize("file", ["n" * 300, "a\0b", "a\nb", "\ud800", ""])
+def test_paths_in_transforms_that_no_photo_may_have(tmp_path: Path, file: str):
+    with pytest.raises(StyleSplatError) as caught:
+        load(write_transforms(tmp_path, file))
+    assert "\n" not in str(caught.value)
+
+
+def test_two_frames_of_one_photo(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"'a\.png' is posed 2 times"):
+        read_transforms(write_transforms(tmp_path, "images/a.png", "./images/b/../a.png"))
+
+
+def test_a_link_in_the_folder_of_masks_is_not_followed(tmp_path: Path, capsys):
+    folder = write_capture(tmp_path / "capture", count=1)
+    (folder / "images/cam0").mkdir()
+    (folder / "images/001.png").rename(folder / "images/cam0/001.png")
+    rename(folder, "cam0/001.png", text=False)
+    elsewhere = tmp_path / "elsewhere"
+    save_noise(elsewhere / "001.png")
+    before = (elsewhere / "001.png").read_bytes()
+    (folder / OBJECT_MASK).mkdir()
+    (folder / OBJECT_MASK / "cam0").symlink_to(elsewhere)
+    masks = masks_for(tmp_path / "masks", "001")
+    line = complaint(capsys, "mask", folder, "--from", masks, "--overwrite")
+    assert "leads out of the folder" in line
+    assert (elsewhere / "001.png").read_bytes() == before
+
+
+def test_inside(tmp_path: Path):
+    assert inside(tmp_path, "a/b.png") == tmp_path / "a/b.png"
+    (tmp_path / "link").symlink_to("/")
+    for name in ("", "..", "../a", "/a", "link/a", "a/../../b"):
+        with pytest.raises(StyleSplatError, match="leads out of the folder"):
+            inside(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    "file", ["transforms.json", "images/a.png", "points.ply", f"{OBJECT_MASK}/names.json"]
+)
+def test_pipes_are_not_waited_for(tmp_path: Path, file: str):
+    save_noise(tmp_path / "images" / "a.png")
+    masks_for(tmp_path / OBJECT_MASK, "a")
+    write_transforms(tmp_path, "images/a.png")
+    if file == "points.ply":
+        path = tmp_path / "transforms.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), "ply_file_path": file}))
+    (tmp_path / file).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / file)
+    with pytest.raises(StyleSplatError, match=r"no regular file|is not a capture"):
+        load(tmp_path)
+    with pytest.raises(StyleSplatError, match="no regular file"):
+        require_regular("/dev/zero")
+
+
+def test_a_photo_that_is_a_folder(tmp_path: Path):
+    (tmp_path / "images/a.png").mkdir(parents=True)
+    with pytest.raises(StyleSplatError, match="no regular file"):
+        load(write_transforms(tmp_path, "images/a.png"))
+    assert Image.MAX_IMAGE_PIXELS, "Pillow's own bound stays"
