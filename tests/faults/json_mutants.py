@@ -86,6 +86,9 @@ def coco_mutant(content: bytes, random_: random.Random) -> bytes:
     whole = json.loads(content)
     for annotation in random_.choices(whole["annotations"], k=2):
         mask = annotation["segmentation"]
+        if isinstance(mask["counts"], list) and random_.random() < 0.2:  # the sum wraps around
+            mask["counts"] = [2**62] * 4 + mask["counts"]
+            continue
         if random_.random() < 0.6:
             mask["counts"] = nasty(random_, COUNTS)
         if random_.random() < 0.6:
