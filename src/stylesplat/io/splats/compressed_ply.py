@@ -43,6 +43,8 @@ def _fault(content: bytes) -> str | None:
     """What is wrong with the counts and sizes, if anything; the reader trusts them."""
     header = _header(content)
     starts = [*ELEMENT.finditer(header)]
+    if not starts:
+        return "its header names no elements"
     counts = {match[1]: int(match[2]) for match in starts}
     ends = [*(match.start() for match in starts[1:]), len(header)]
     expected, columns = 0, {}
