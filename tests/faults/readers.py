@@ -157,7 +157,9 @@ READERS = {
         ("transforms.json", "points.ply", "images/*", "object_mask/*"),
         use_capture,
     ),
-    "foreign": Reader(seeds.foreign, ("coco.json", "by_*/**/*.png"), use_foreign),
+    "foreign": Reader(
+        seeds.foreign, ("coco.json", "by_photo/001.png", "by_object/vase/001.png"), use_foreign
+    ),
     "recipe": Reader(seeds.recipe, ("recipe.*", "wave.png"), use_recipe),
     "checkpoint": Reader(seeds.checkpoint, ("checkpoint.pt",), use_checkpoint),
     "styles": Reader(seeds.styles, ("*",), use_styles),
