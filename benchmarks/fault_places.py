@@ -95,7 +95,7 @@ def _without_room(command: Command, here: Path, number: int) -> Trial:
         if fault:
             return trial("traceback" if "exit" not in fault else "exit", fault)
         last = done.stderr.strip().splitlines()[-1]
-        if "disk full" not in last:
+        if "disk full" not in last.lower():
             return trial("exit", last)
         filler.unlink()
         lost = fault_of(command, here, (before,))
