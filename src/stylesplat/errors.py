@@ -1,25 +1,15 @@
 """The one exception that users are meant to read."""
 
-import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-
-HEAD, TAIL = 1200, 600  # characters that are kept of a line that nobody would read
-UNPRINTABLE = re.compile(r"[^\S ]+|[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 class StyleSplatError(Exception):
     """Something the user can fix.
 
     The message is one line: the call, the fact, the remedy. The command line prints it
-    without a traceback and exits with status 1. What names and values of files bring into it,
-    line ends, control characters or pages of text, is taken out.
+    without a traceback and exits with status 1.
     """
-
-    def __init__(self, message: str) -> None:
-        line = UNPRINTABLE.sub(" ", message).strip()
-        cut = f"{line[:HEAD]} ... {line[-TAIL:]}" if len(line) > HEAD + TAIL else line
-        super().__init__(cut)
 
 
 def check_choice(value: object, what: str, choices: Iterable[object]) -> None:

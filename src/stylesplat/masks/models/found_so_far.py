@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,16 +22,6 @@ from stylesplat.scene.labels import Labels, Mask
 
 SETTINGS = "settings.json"
 STATE = "state.json"
-# What NumPy raises of a file of masks
-ABSENT_OR_DAMAGED = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    NotImplementedError,
-    BadZipFile,
-    zlib.error,
-)
 
 
 @dataclass(frozen=True)
@@ -44,7 +33,7 @@ class Progress:
     def proposals(self, row: int, propose: Callable[[], Sequence[Mask]]) -> list[Mask]:
         """The masks of a photo, from disk if they were found before."""
         path = self.folder / f"proposals_{row}.npz"
-        with suppress(*ABSENT_OR_DAMAGED):
+        with suppress(OSError, EOFError, ValueError, KeyError, BadZipFile):  # absent or damaged
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 masks = np.unpackbits(stored["bits"], axis=-1, count=int(stored["width"]))
             return [*torch.from_numpy(masks.astype(bool))]
@@ -74,7 +63,7 @@ class Progress:
             missed = {int(id): int(count) for id, count in stands["missed"].items()}
             known = read_label_map(self._known(stands["stretches"])).long()
             return int(stands["stretches"]), State(known, missed, int(stands["next_id"]))
-        except (StyleSplatError, LookupError, ValueError, TypeError, AttributeError, OverflowError):
+        except (StyleSplatError, KeyError, ValueError, TypeError, AttributeError):
             say("What an earlier run left is damaged; tracking begins anew.")
             return 0, State()
 
