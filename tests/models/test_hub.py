@@ -3,6 +3,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from logging import INFO
 from pathlib import Path
 from typing import Any
@@ -289,3 +290,19 @@ def refuse(folder: Path, match: str) -> None:
     with pytest.raises(StyleSplatError, match=match) as refused:
         load(folder)
     assert "\n" not in str(refused.value)
+
+
+def test_code_beside_a_model_is_not_run(folder: Path, tmp_path: Path):
+    from transformers import AutoImageProcessor, AutoModelForMaskGeneration
+
+    (folder / "theirs.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nclass Theirs: pass\n")
+    theirs = {"AutoModelForMaskGeneration": "theirs.Theirs", "AutoImageProcessor": "theirs.Theirs"}
+    change_config(folder, auto_map=theirs)
+    for name in hub.PROCESSORS:
+        (folder / name).write_text(json.dumps({"auto_map": theirs}))
+    source = hub.ModelFolder(folder, "sam2_video")
+    with suppress(StyleSplatError):  # or the library's own class is taken
+        load_processor(source, AutoImageProcessor)
+    with suppress(StyleSplatError):
+        load_model(source, AutoModelForMaskGeneration, device="cpu", dtype=torch.float32)
+    assert not (tmp_path / "ran").exists()

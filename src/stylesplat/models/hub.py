@@ -96,6 +96,7 @@ def load_model(
             source.path,
             dtype=dtype,
             local_files_only=True,
+            trust_remote_code=False,  # nor ask for it
             use_safetensors=True,
             ignore_mismatched_sizes=True,  # they are in the report, and refused below
             output_loading_info=True,
@@ -120,7 +121,7 @@ def load_processor(source: ModelFolder, kind: Any) -> Any:
             f"{PROCESSORS[1]} in it. Copy it from where the weights come from."
         )
     with _reading(source), _quiet():
-        return kind.from_pretrained(source.path, local_files_only=True)
+        return kind.from_pretrained(source.path, local_files_only=True, trust_remote_code=False)
 
 
 def _check_type(config: Path, name: str, types: Collection[str], job: str) -> str:

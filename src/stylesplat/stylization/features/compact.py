@@ -104,7 +104,13 @@ def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> Compact:
 
     def convolution(name: str, inputs: int, side: int) -> Convolution:
         weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
-        if weight is None or bias is None or weight.shape != (len(bias), inputs, side, side):
+        fits = (
+            weight is not None
+            and bias is not None
+            and weight.shape[:1] == bias.shape
+            and weight.shape[1:] == (inputs, side, side)
+        )
+        if weight is None or bias is None or not fits:
             raise StyleSplatError(
                 f"{source} holds no compact network: {name} is missing or does not fit. Leave out "
                 "--weights, or choose the network of the file: --features vgg16 or vgg19."

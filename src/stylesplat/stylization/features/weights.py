@@ -163,6 +163,15 @@ def _names(widths: tuple[tuple[int, ...], ...], block: int, layer: int) -> tuple
 
 def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The tensors of convolutions in a file, and its metadata."""
+    tensors, metadata = _stored(path)
+    for name, tensor in tensors.items():
+        if not tensor.isfinite().all():
+            raise StyleSplatError(f"{name} in {path} is not finite. Copy the weights again.")
+    return tensors, metadata
+
+
+def _stored(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """The same, unchecked."""
     try:
         if path.suffix == ".safetensors":
             with safe_open(path, "pt") as file:

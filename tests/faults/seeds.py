@@ -1,0 +1,175 @@
+"""Valid files of every kind that is read, small, to make mutants of."""
+
+import json
+import shutil
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import gsply
+import numpy as np
+import torch
+from PIL import Image
+
+import stylesplat as ss
+from ball_photos import write_ball_capture
+from balls import CAMERAS, CLASSIFIER
+from scenes import random_splats, two_cameras
+from stylesplat.io.label_maps import write_label_map
+from stylesplat.masks.models.found_so_far import open_progress
+from stylesplat.masks.models.track import State
+from stylesplat.scene.paintings import Colors, Painted, Painting, Source, Unsplit
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.stylization.features.weights import PACKAGED
+from stylesplat.training.loop import fit
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.verbs.export import export
+from tiny_captures import HEIGHT, WIDTH, save_noise, write_capture
+
+COUNT = 6
+RUNS = TrainConfig(steps=2, max_gaussians=100, coarse_to_fine=False, test_every=0)
+PROGRESS_SETTINGS = {"method": "sam", "photos": ["001.png"], "poses": [1.0]}
+NAMES = ("001.png", "002.png", "003.png")  # of the photos of COLMAP's capture
+
+
+def scene(folder: Path) -> None:
+    """A styled scene that has everything, of six Gaussians that two cameras see."""
+    splats = random_splats(COUNT)
+    picked = torch.arange(COUNT) < 3
+    ss.save(
+        Scene(
+            splats=replace(splats, classifier=CLASSIFIER, confidence=torch.rand(COUNT)),
+            cameras=two_cameras(),
+            held_out=("first.png",),
+            objects={"fox": SceneObject(picked, {"ids": [3]}), "pot": SceneObject(~picked, {})},
+            capture=folder / "capture",
+            info={"settings": {"steps": 5}, "libraries": {"torch": "2"}},
+            metrics={"psnr": 30.5},
+            painted=_painted(picked),
+        ),
+        folder / "scene",
+    )
+
+
+def _painted(picked: torch.Tensor) -> Painted:
+    settings = {"steps": 5, "scale": 2.0, "layers": [3], "intensity": 1.0}
+    wave = Source(Path("wave.png"), "12ab")
+    fox = Painting("fox", picked & (torch.arange(COUNT) < 2), (wave,), settings, 0.7, "compact")
+    pot = Painting("pot", ~picked, (wave, Source(None)), settings, 1.0, "vgg19", upon={"fox": 0.5})
+    before, full = random_splats(COUNT, seed=1), random_splats(COUNT, seed=2)
+    unsplit = Unsplit(COUNT - 1, torch.tensor([1]), torch.full((1, 3), -2.0), torch.tensor([0.5]))
+    return Painted((fox, pot), Colors.of(before), Colors.of(full), unsplit, Path("trained"))
+
+
+def splats(folder: Path) -> None:
+    """A file of each format."""
+    folder.mkdir(parents=True)
+    whole = random_splats(COUNT)
+    for name in ("a.ply", "a.spz", "a.splat"):
+        export(whole, folder / name)
+    data = gsply.GSData(
+        means=whole.means.numpy(),
+        scales=whole.scales.numpy(),
+        quats=torch.nn.functional.normalize(whole.quats, dim=1).numpy(),
+        opacities=whole.opacities.numpy(),
+        sh0=whole.sh0[:, 0].numpy(),
+        shN=whole.shN.numpy(),
+    )
+    gsply.plywrite(folder / "b.ply", data, compressed=True)
+    (folder / "b.compressed.ply").replace(folder / "b.ply")
+
+
+def colmap(folder: Path) -> None:
+    """COLMAP's binary files, with photos and label maps."""
+    write_capture(folder)
+    _labelled(folder)
+
+
+def colmap_text(folder: Path) -> None:
+    """The same as texts."""
+    write_capture(folder, "OPENCV", (60.0, 62.0, 31.0, 25.0, 0.1, 0.0, 0.0, 0.0), text=True)
+
+
+def transforms(folder: Path) -> None:
+    """Nerfstudio's layout, with JPEG photos, points, label maps and names."""
+    write_ball_capture(folder, CAMERAS[:3])
+    (folder / "object_mask/names.json").write_text('{"3": "red", "7": "green", "300": "blue"}')
+
+
+def _labelled(folder: Path) -> None:
+    for row, name in enumerate(NAMES):
+        ids = torch.arange(HEIGHT)[:, None] // 16 * (1, 300, 70_000)[row]
+        write_label_map(ids.expand(HEIGHT, WIDTH), folder / "object_mask" / name)
+
+
+def foreign(folder: Path) -> None:
+    """Masks of a capture's photos as other programs write them, beside it."""
+    write_capture(folder / "capture")
+    half = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) < HEIGHT * WIDTH // 2
+    for name in NAMES:
+        for place in (folder / "by_object" / "vase", folder / "by_object" / "pot"):
+            place.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(half).save(place / name)
+        ids = torch.from_numpy(300 * half.astype(np.int64))
+        write_label_map(ids, folder / "by_photo" / name)
+    (folder / "coco.json").write_text(json.dumps(_coco()))
+
+
+def _coco() -> dict[str, object]:
+    pixels = HEIGHT * WIDTH
+    plain = {"size": [HEIGHT, WIDTH], "counts": [pixels // 2, pixels // 2]}
+    packed = {"size": [HEIGHT, WIDTH], "counts": "P`1P`1"}  # 1536 twice, 5 bits a letter
+    masks = [(row, mask) for row in range(3) for mask in (plain, packed)]
+    return {
+        "images": [{"id": row, "file_name": name} for row, name in enumerate(NAMES)],
+        "categories": [{"id": 1, "name": "vase"}, {"id": 2, "name": "pot"}],
+        "annotations": [
+            {"image_id": row, "category_id": 1 + (mask is packed), "segmentation": mask}
+            for row, mask in masks
+        ],
+    }
+
+
+def recipe(folder: Path) -> None:
+    """Recipes as a user writes them, and as we do."""
+    scene(folder)
+    save_noise(folder / "wave.png")
+    shutil.copy(folder / "scene/recipe.json", folder / "recipe.json")
+    shutil.rmtree(folder / "scene")
+    content = json.loads((folder / "recipe.json").read_text())
+    for entry in content["objects"]:
+        entry |= {"style": "wave.png", "sha256": None}
+    (folder / "recipe.json").write_text(json.dumps(content))
+    (folder / "recipe.yaml").write_text(
+        "steps: 300\npreset: default\nobjects:\n  vase:\n    style: wave.png\n    scale: 1.5\n"
+        "  pot: {style: [wave.png], color: keep, region: [0, 0, 40, 40]}\n"
+    )
+
+
+def checkpoint(folder: Path) -> None:
+    """A training that stopped after its first step, and what it trains on."""
+    transforms(folder / "capture")
+    capture = ss.load(folder / "capture")
+    path = folder / "checkpoint.pt"
+    fit(capture, replace(RUNS, steps=1), checkpoint=path)
+    content = torch.load(path, weights_only=True)
+    torch.save(content | {"config": asdict(RUNS)}, path)
+
+
+def styles(folder: Path) -> None:
+    """Pictures of each format."""
+    for name in ("wave.png", "wave.jpg", "wave.tif", "wave.webp"):
+        save_noise(folder / name)
+
+
+def progress(folder: Path) -> None:
+    """What `mask` has found so far."""
+    found = open_progress(folder / "progress", PROGRESS_SETTINGS)
+    half = torch.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 2
+    found.proposals(0, lambda: [half.bool()])
+    found.save(1, {0: half}, State(half, {1: 2}, 2))
+
+
+def weights(folder: Path) -> None:
+    """A feature network's."""
+    folder.mkdir(parents=True)
+    shutil.copy(PACKAGED, folder / "compact.safetensors")
