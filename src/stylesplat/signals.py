@@ -129,7 +129,7 @@ def _try_again() -> None:
 
     def come() -> None:
         time.sleep(AGAIN)
-        _thread.interrupt_main(_Last.number or signal.SIGINT)
+        _thread.interrupt_main(signal.Signals(_Last.number or signal.SIGINT))
 
     _Last.waits = True
     _thread.start_new_thread(come, ())  # takes no lock that what is interrupted may hold

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any
 
 import tyro
@@ -70,7 +71,7 @@ def _run(command: Any) -> None:
     from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
     announce_compilation()
-    with observed(Bars()):
+    with closing(Bars()) as bars, observed(bars):
         result = command.run()
     if command.json:
         print(strict_json(result), flush=True)

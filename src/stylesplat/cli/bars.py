@@ -30,6 +30,14 @@ class _Bar:
 class Bars:
     """The observer of the command line; tqdm, which `--help` can do without, is loaded late."""
 
+    def __init__(self) -> None:
+        self._drawn: list[tqdm] = []
+
+    def close(self) -> None:
+        """Draw no more: also of generators that are left in the middle, which close theirs late."""
+        for bar in self._drawn:
+            bar.close()
+
     @contextmanager
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
@@ -47,7 +55,11 @@ class Bars:
             bar_format=SECONDS if unit == "s" else None,
             file=sys.stderr,
         ) as bar:
-            yield _Bar(bar)
+            self._drawn.append(bar)
+            try:
+                yield _Bar(bar)
+            finally:
+                self._drawn.remove(bar)
 
     def say(self, line: str) -> None:
         """Write a line, above the bars that there are."""
