@@ -148,5 +148,5 @@ def test_damaged_scenes(file: str, changes: dict, tmp_path: Path):
     ss.save(inverted(), tmp_path / "scene")
     path = tmp_path / "scene" / file
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-    with pytest.raises(StyleSplatError, match=rf"Cannot read .*{file}: {min(changes)} is wrong"):
+    with pytest.raises(StyleSplatError, match=rf"Cannot read .*{file}: .* at `\$.{min(changes)}`"):
         ss.open(tmp_path / "scene")

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.json_files import FilePath, fitting, read_json_as
-from stylesplat.scene.paintings import MAX_INTENSITY, Painted, Painting, Source
+from stylesplat.scene.intensity import MAX_INTENSITY
+from stylesplat.scene.paintings import Painted, Painting, Source
 from stylesplat.scene.scene import check_name_or_id
 
 AGAIN = "Style the scene again."

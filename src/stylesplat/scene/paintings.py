@@ -11,8 +11,6 @@ from torch import Tensor
 
 from stylesplat.scene.splats import Splats
 
-MAX_INTENSITY = 1.5  # beyond it colours leave their range
-
 
 @dataclass(frozen=True)
 class Source:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.paintings import MAX_INTENSITY
+from stylesplat.scene.intensity import check_intensity
 
 LAYERS = range(1, 5)  # groups that the networks share
 MOST_STEPS = 10**6  # a day on a CPU
@@ -112,12 +112,6 @@ class StyleConfig:
         coarse = round(COARSE_SHARE * self.steps)
         stages = [(COARSE * size, coarse), (float(size), self.steps - coarse)]
         return [stage for stage in stages if stage[1] > 0]
-
-
-def check_intensity(intensity: float) -> None:
-    """Raise a StyleSplatError if colours cannot be blended so."""
-    if not 0 <= intensity <= MAX_INTENSITY:
-        raise StyleSplatError(f"Cannot blend with intensity {intensity}: use 0 to {MAX_INTENSITY}.")
 
 
 PRESETS = {

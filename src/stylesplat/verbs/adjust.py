@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.intensity import check_intensity
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.bookkeeping import at_intensities, require_painted, unpainted
-from stylesplat.stylization.style_config import check_intensity
 
 
 def adjust(
