@@ -27,7 +27,7 @@ from tiny_captures import HEIGHT, WIDTH, save_noise, write_capture
 
 COUNT = 6
 RUNS = TrainConfig(steps=2, max_gaussians=100, coarse_to_fine=False, test_every=0)
-PROGRESS_SETTINGS = {"method": "sam", "photos": ["001.png"], "poses": [1.0]}
+PROGRESS_SETTINGS = {"method": "sam", "sizes": [[WIDTH, HEIGHT]]}
 NAMES = ("001.png", "002.png", "003.png")  # of the photos of COLMAP's capture
 
 

@@ -1,7 +1,6 @@
 """Whatever a file holds, its reader gives something usable or says in one line what is wrong.
 
-A mutant that fails is printed with its seed; `trials_of` below, or a debugger on `readers.py` with
-the file that `mutants.mutant` makes of that seed, shows it again.
+A mutant that fails is printed with its seed and file: `mutants.mutant` makes it again.
 """
 
 from collections.abc import Iterator
