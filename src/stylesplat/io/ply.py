@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, read_bytes
+from stylesplat.io.files import atomic_path, read_bytes, reason
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
