@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 HEAD, TAIL = 1200, 600  # characters that are kept of a line that nobody would read
+LONGEST_NAME = 100  # characters of a name that a message holds
 UNPRINTABLE = re.compile(r"[^\S ]+|[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
@@ -27,6 +28,11 @@ def check_choice(value: object, what: str, choices: Iterable[object]) -> None:
     known = [*choices]
     if value not in known:
         raise StyleSplatError(f"There is no {what} {value!r}. Use {', '.join(map(str, known))}.")
+
+
+def brief(name: str) -> str:
+    """A name as a message can hold it."""
+    return name if len(name) <= LONGEST_NAME else f"{name[:20]}..."
 
 
 @contextmanager

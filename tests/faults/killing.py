@@ -27,7 +27,7 @@ from stylesplat.io.label_maps import match_label_maps
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.training import checkpoint, loop
+from stylesplat.training import checkpoint, keeper, loop
 from stylesplat.training.state import first_state
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export
@@ -210,7 +210,8 @@ def run_checkpoint(folder: Path) -> checkpoint.Checkpoint:
 def write_checkpoint(folder: Path, *, step: int) -> None:
     place = run_checkpoint(folder)
     checkpoint.remove_leftovers(place.path)
-    checkpoint.save_checkpoint(place, replace(first_state(random_splats(5)), step=step))
+    begun = first_state(replace(random_splats(5), identities=None))
+    checkpoint.save_checkpoint(place, replace(begun, step=step))
 
 
 def read_checkpoint(folder: Path) -> object:
@@ -228,7 +229,7 @@ def train(folder: Path) -> None:
     with (
         mock.patch.object(loop, "train_step", step),
         mock.patch.object(loop, "_warm_up", lambda *_: None),
-        mock.patch.object(loop, "CHECKPOINT_SECONDS", -1.0),
+        mock.patch.object(keeper, "CHECKPOINT_SECONDS", -1.0),
     ):
         replace(run, overwrite=True).run()
 

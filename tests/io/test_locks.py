@@ -1,7 +1,6 @@
 """One process at a time."""
 
 import errno
-import multiprocessing
 import os
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
+import stylesplat
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import locks
 from stylesplat.io.locks import locked
@@ -106,23 +106,26 @@ def test_threads_exclude_one_another(tmp_path: Path):
     assert most == 1 and names(tmp_path) == []
 
 
-def count(folder: Path, times: int) -> None:
-    total = folder / "total"
-    for _ in range(times):
-        with locked(folder / "scene"):
-            total.write_text(str(int(total.read_text()) + 1))
+COUNTER = """
+import sys
+from pathlib import Path
+from stylesplat.io.locks import locked
+folder = Path(sys.argv[1])
+total = folder / "total"
+for _ in range(40):
+    with locked(folder / "scene"):
+        total.write_text(str(int(total.read_text()) + 1))
+"""
 
 
 def test_processes_exclude_one_another_though_the_file_goes(tmp_path: Path):
     (tmp_path / "total").write_text("0")
-    context = multiprocessing.get_context("spawn")
-    others = [context.Process(target=count, args=(tmp_path, 40)) for _ in range(2)]
-    for other in others:
-        other.start()
-    count(tmp_path, 40)
-    for other in others:
-        other.join()
+    environment = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
+    command = [sys.executable, "-c", COUNTER, tmp_path]
+    counting = [subprocess.Popen(command, env=environment) for _ in range(3)]
+    assert [process.wait() for process in counting] == [0, 0, 0]
     assert (tmp_path / "total").read_text() == "120"
+    assert names(tmp_path) == ["total"]
 
 
 def test_where_nothing_can_be_made_beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -217,7 +217,7 @@ def test_a_reader_never_mixes_two_states(
             scene_folder.save(plain_scene(), folder, overwrite=True)
         return read(path)
 
-    monkeypatch.setattr(scene_folder, "_read_cameras", meanwhile)
+    monkeypatch.setattr(scene_folder, "read_cameras", meanwhile)
     assert_same(scene_folder.open(folder), plain_scene())
     assert times == 2
 

@@ -9,8 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.scene import brief
+from stylesplat.errors import StyleSplatError, brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 MAX_STEM = 48  # characters of a file name that are taken from a text

@@ -24,8 +24,8 @@ class RecipeEntry(msgspec.Struct):
     """One object of a `recipe.json`; those of old lack what has a default."""
 
     name: str
-    style: FilePath | tuple[FilePath | None, ...] | None
-    sha256: Word | tuple[Word | None, ...] | None
+    style: Any  # one or a list, each declared where they are listed: msgspec 0.22 frees what is
+    sha256: Any  # not its own if a text that has bounds or a list may stand in one place
     settings: dict[str, Any]
     intensity: Intensity | None = None
     features: Word | None = None
@@ -116,7 +116,8 @@ def _entry(painting: Painting, shared: Mapping[str, Any]) -> dict[str, Any]:
 
 def _painting(entry: RecipeEntry, recipe: RecipeJson, picked: Bool[Tensor, " N"]) -> Painting:
     settings = {**recipe.settings, **entry.settings}
-    paths, digests = _several(entry.style), _several(entry.sha256)
+    paths = _several(entry.style, FilePath, f"{entry.name}: style is wrong")
+    digests = _several(entry.sha256, Word, f"{entry.name}: sha256 is wrong")
     weights = recipe.weights if entry.weights is UNSET else entry.weights
     features = entry.features or recipe.features
     if len(paths) != len(digests) or not features:
@@ -143,9 +144,10 @@ def _painting(entry: RecipeEntry, recipe: RecipeJson, picked: Bool[Tensor, " N"]
     )
 
 
-def _several(items: str | tuple[str | None, ...] | None) -> tuple[str | None, ...]:
-    """What `_single` was given."""
-    return items if isinstance(items, tuple) else (items,)
+def _several(items: Any, kind: Any, what: str) -> tuple[str | None, ...]:
+    """What `_single` was given, each null or of a kind."""
+    each = items if isinstance(items, list) else [items]
+    return fitting(each, tuple[kind | None, ...], what, AGAIN)
 
 
 def _single(items: list[Any]) -> Any:

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.cameras_file import read_cameras, write_cameras
 from stylesplat.io.declared import PICKED
 from stylesplat.io.folders import claim_directory, revised_directory
@@ -27,7 +27,7 @@ from stylesplat.io.recovery import settled
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, write_splat_ply
 from stylesplat.io.tensors import read_named, write_tensors
 from stylesplat.scene.labels import MAX_ID
-from stylesplat.scene.scene import Scene, SceneObject, brief, check_name, name_fault
+from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
 from stylesplat.scene.splats import Splats
 
 SCENE = "scene.json"

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.errors import StyleSplatError, brief, check_choice
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.paintings import Painted
 from stylesplat.scene.splats import Splats
@@ -128,8 +128,3 @@ def name_fault(name: str) -> str | None:
     if name == RESERVED:
         return "files of objects use that name for themselves"
     return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
-
-
-def brief(name: str) -> str:
-    """A name as a message can hold it."""
-    return name if len(name) <= MAX_NAME else f"{name[:20]}..."

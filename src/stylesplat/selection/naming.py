@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.errors import brief
 from stylesplat.progress import say
-from stylesplat.scene.scene import Scene, SceneObject, brief, name_fault
+from stylesplat.scene.scene import Scene, SceneObject, name_fault
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD, pick_objects
 

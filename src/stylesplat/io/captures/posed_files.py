@@ -8,9 +8,8 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.lens import Lens
-from stylesplat.scene.scene import brief
 
 # Of a file's or folder's name: systems take 255, and to be written a name gets 14 more
 MAX_PART = 240

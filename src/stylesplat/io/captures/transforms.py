@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import MAX_SIDE, Lens
 from stylesplat.io.captures.photos import photo_sizes
@@ -21,7 +21,6 @@ from stylesplat.io.files import reason
 from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.io.ply import read_ply_table, write_ply_table
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.scene import brief
 
 TRANSFORMS = "transforms.json"
 POINTS = "points.ply"
