@@ -103,6 +103,14 @@ def test_pictures_that_are_drawn(scene: Path, tmp_path: Path):
     assert {p.name for p in tmp_path.iterdir()} == {"scene", "stderr", "stdout"}
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_viewer(number: signal.Signals, scene: Path, tmp_path: Path):
+    pytest.importorskip("viser")
+    begun = Begun(tmp_path, "view", scene)
+    begun.wait_for(lambda begun: begun.says("http"))
+    assert begun.ended_by(number) == "The viewer is closed."
+
+
 def test_the_console_script_is_the_module_that_takes_signals():
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     assert project["project"]["scripts"] == {"stylesplat": "stylesplat.__main__:main"}

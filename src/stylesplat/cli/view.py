@@ -1,8 +1,9 @@
 """`stylesplat view`."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar, NoReturn
 
 from tyro.conf import Positional
 
@@ -22,10 +23,13 @@ class View:
     """Port on 127.0.0.1, or the next free one."""
     json: Json = False
 
-    def run(self) -> dict[str, Any]:
+    after_interruption: ClassVar[str] = "The viewer is closed."
+
+    def run(self) -> NoReturn:
         """Do it."""
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.view import view
 
+        sys.stdout = sys.stderr  # viser says where it serves, from threads that outlive this
         view(open(self.scene), port=self.port)
-        return {}
+        raise KeyboardInterrupt  # which alone ends it

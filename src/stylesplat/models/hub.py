@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
+from os.path import expanduser
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,8 @@ def find_model(name: str, types: Collection[str], *, job: str) -> ModelFolder:
         raise StyleSplatError(
             f"Cannot {job} with `transformers` {installed}: it takes {OLDEST} or newer. {INSTALL}"
         )
-    folder = Path(name).expanduser()
+    # As it is where nobody knows whose home it means: pathlib raises RuntimeError then
+    folder = Path(expanduser(name))  # noqa: PTH111
     if not folder.exists() and HUB_NAME.fullmatch(name):
         folder = _from_hub(name, lambda config: _check_type(config, name, types, job))
     elif not folder.is_dir():

@@ -7,7 +7,7 @@ from safetensors.torch import save_file
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.vgg import layer_widths
-from stylesplat.stylization.features.weights import load_vgg
+from stylesplat.stylization.features.weights import cache_folder, load_vgg
 from stylesplat.stylization.nnfm import nnfm_loss
 
 SHARED = Path(__file__).parents[4] / "shared" / "weights" / "vgg19_conv1_1-conv3_4.safetensors"
@@ -127,6 +127,16 @@ def test_torchvisions_cache_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     torch.save(tensors, tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth")
     network = load_vgg("vgg16", depth=1)
     assert torch.equal(network.blocks[0][0].weight, tensors["features.0.weight"])
+
+
+def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch):
+    def home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", home)
+    with pytest.raises(StyleSplatError, match=r"no home folder .* Set XDG_CACHE_HOME"):
+        cache_folder()
 
 
 @pytest.mark.skipif(not SHARED.is_file(), reason="the developers' weights are not here")

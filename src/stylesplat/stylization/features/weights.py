@@ -119,8 +119,17 @@ def _load_compact(path: Path, depth: int) -> FeatureNetwork:
 
 
 def cache_folder() -> Path:
-    """Where downloads are kept: `$XDG_CACHE_HOME/stylesplat`, by default in `~/.cache`."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
+    """Where downloads are kept: `$XDG_CACHE_HOME/stylesplat`, by default in `~/.cache`.
+
+    Raises:
+        StyleSplatError: If the user has no home.
+    """
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
+    except RuntimeError as error:
+        raise StyleSplatError(
+            "There is no home folder to keep weights in. Set XDG_CACHE_HOME, or pass --weights."
+        ) from error
 
 
 def _cached(network: VggNetwork, depth: int, download: bool) -> Path:
