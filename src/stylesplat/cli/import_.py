@@ -7,6 +7,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 from stylesplat.cli.options import Device, Json, Output, Overwrite
+from stylesplat.cli.results import save_or_rescue
 from stylesplat.errors import StyleSplatError
 
 
@@ -46,7 +47,7 @@ class Import:
 
     def _import(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, save
+        from stylesplat.io.scene_folder import SCENE
         from stylesplat.verbs.import_ import import_
         from stylesplat.verbs.load import load
 
@@ -55,5 +56,5 @@ class Import:
         if self.capture is not None:
             capture = load(self.capture, masks=self.masks)
         scene = import_(self.splat, capture, frame=self.frame, up=self.up, device=self.device)
-        save(scene, self.output, overwrite=self.overwrite)
+        save_or_rescue(scene, self.output, overwrite=self.overwrite)
         return dict(scene.metrics)

@@ -8,6 +8,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.options import Device, Json, Output, Overwrite, given
 from stylesplat.cli.parse import parse_style
+from stylesplat.cli.results import save_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
@@ -97,7 +98,7 @@ class Stylize:
 
     def _stylize(self, recipe: "Recipe") -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, open, save
+        from stylesplat.io.scene_folder import SCENE, open
         from stylesplat.verbs.stylize import stylize
 
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
@@ -109,7 +110,7 @@ class Stylize:
             max_memory=self.max_memory,
             device=self.device,
         )
-        save(styled, self.output, overwrite=self.overwrite)
+        save_or_rescue(styled, self.output, overwrite=self.overwrite)
         return {name: value for name, value in styled.metrics.items() if name != "train"}
 
     def _recipe(self) -> "Recipe":

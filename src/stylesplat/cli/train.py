@@ -9,6 +9,7 @@ from typing import Any, Literal
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, given
+from stylesplat.cli.results import save_or_rescue
 from stylesplat.signals import WHOLE
 
 PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
@@ -75,7 +76,7 @@ class Train:
 
     def _train(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, save
+        from stylesplat.io.scene_folder import SCENE
         from stylesplat.training.train_config import PRESETS
         from stylesplat.verbs.load import load
         from stylesplat.verbs.train import train
@@ -90,7 +91,7 @@ class Train:
         scene = train(
             capture, config, segment=self.segment, device=self.device, checkpoint=checkpoint
         )
-        save(scene, self.output, overwrite=self.overwrite)
+        save_or_rescue(scene, self.output, overwrite=self.overwrite)
         _forget(partial)
         return dict(scene.metrics)
 
