@@ -85,7 +85,8 @@ def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) ->
         size = path.stat().st_size
         if most is not None and size > most:
             raise StyleSplatError(
-                f"Cannot read {path}: it has {size} bytes, such files {most} at most."
+                f"Cannot read {path}: it has {size} bytes, such files have {most} at most. "
+                "Check the name."
             )
         with path.open("rb") as file:
             return file.read(first)

@@ -44,13 +44,19 @@ def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
     return content
 
 
-def read_json_as(path: Path | str, kind: type[T], remedy: str) -> T:
-    """Read a JSON file of a scene that holds what a type declares (see msgspec).
+def read_json_as(path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON) -> T:
+    """Read a JSON file that holds what a type declares (see msgspec).
+
+    Args:
+        path: The file, of a scene if `most` says nothing else.
+        kind: The type.
+        remedy: Ends the message if it does not fit.
+        most: Bytes that such a file can have.
 
     Raises:
         StyleSplatError: If the file is missing, unreadable or holds anything else.
     """
-    return fitting(read_json(path, most=MAX_JSON), kind, f"Cannot read {path}", remedy)
+    return fitting(read_json(path, most=most), kind, f"Cannot read {path}", remedy)
 
 
 def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
