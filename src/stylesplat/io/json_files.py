@@ -17,8 +17,9 @@ T = TypeVar("T")
 
 FilePath = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00\ud800-\udc7f\udd00-\udfff]*\Z")]
 """A path that a system can take; Python reads names that are not UTF-8 as \\udc80 to \\udcff."""
+MAX_NAME = 1024  # bytes of a photo's name, sub-folders included; systems take 4096 or less
 PhotoName = Annotated[
-    str, Meta(min_length=1, max_length=1024, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
+    str, Meta(min_length=1, max_length=MAX_NAME, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
 ]
 """In one line, sub-folders included."""
 
