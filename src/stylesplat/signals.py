@@ -13,7 +13,7 @@ from types import FrameType
 TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others only repeat it: clean-up goes on
 LOADING = 10.0  # seconds for which a signal waits for a module: some crash if they are interrupted
-FIRST = "torch"  # what is loaded, for seconds, before a verb begins to work
+FIRST = "stylesplat.io.locks"  # what is loaded before a verb takes a lock or writes anything
 AGAIN = 0.05  # seconds until it is tried again
 CRASHES = ("SIGSEGV", "SIGILL", "SIGFPE", "SIGABRT", "SIGBUS", "SIGTERM")  # that glog takes
 ACTION_BYTES = 256  # room for a `struct sigaction`: 152 bytes on Linux, 16 on macOS

@@ -49,3 +49,11 @@ def test_short_work_shows_no_bar(capsys: pytest.CaptureFixture[str], monkeypatch
     with observed(Bars()):
         list(track(range(3), "a moment"))
     assert capsys.readouterr().err == ""
+
+
+def test_a_bar_that_a_line_has_drawn_is_ended(capsys: pytest.CaptureFixture[str], monkeypatch):
+    monkeypatch.setattr(bars, "DELAY", 60)
+    with observed(Bars()), task("outer", 9), task("inner", 7):
+        say("A line.")
+    last = capsys.readouterr().err.rpartition("\n")[2]
+    assert not last.strip("\r"), "what is written next begins a line"

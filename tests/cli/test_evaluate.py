@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from command_line import result, run
 from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.scene_folder import revise
 from stylesplat.stylization.features import weights
 
 PER_RUN = ("seconds", "seconds_by_object", "steps", "precision", "train")
@@ -77,6 +79,19 @@ def test_evaluate_compares_with_the_capture(capture: Path, scene: Path, capsys):
     assert ss.open(scene).metrics == {"psnr": 30.0, "evaluate": metrics}
     other = capture / "object_mask"
     assert result(capsys, "evaluate", scene, "--capture", capture, "--masks", other) == metrics
+
+
+def test_what_others_measured_meanwhile_is_kept(
+    capture: Path, scene: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def meanwhile(before: ss.Scene, *_: object, **__: object) -> dict[str, float]:
+        revise(before, replace(before, metrics={"psnr": 31.0, "other": 2.0}), scene)
+        return {"psnr": 29.0}
+
+    monkeypatch.setattr("stylesplat.verbs.evaluate.evaluate", meanwhile)
+    assert run("evaluate", scene, "--capture", capture) == 0
+    metrics = read_json(scene / "metrics.json")
+    assert metrics == {"psnr": 31.0, "other": 2.0, "evaluate": {"psnr": 29.0}}
 
 
 def test_a_styled_scene_gets_the_numbers_of_stylize(styled: Path, evaluate):

@@ -1,8 +1,12 @@
 """The verb `objects`."""
 
+import threading
 from pathlib import Path
 
-from command_line import result
+import pytest
+
+from command_line import complaint, result
+from stylesplat.io import locks
 from stylesplat.io.captures.photos import read_image
 
 
@@ -14,3 +18,26 @@ def test_objects_lists_ids_and_draws_them(scene: Path, capsys):
     assert "confidence" not in listed["objects"][0], "these labels were not lifted"
     height, width, _ = read_image(listed["sheet"]).shape
     assert width > 3 * 200 and height > 200
+
+
+def test_nothing_is_drawn_into_a_scene_that_is_changed(
+    scene: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    """Who changes it takes unfinished files for those of a process that was killed."""
+    monkeypatch.setattr(locks, "PATIENCE", 0.1)
+    holding, done = threading.Event(), threading.Event()
+
+    def change() -> None:
+        with locks.locked(scene):
+            holding.set()
+            done.wait(60)
+
+    thread = threading.Thread(target=change)
+    thread.start()
+    holding.wait(60)
+    try:
+        assert "is at work on it" in complaint(capsys, "objects", scene)
+    finally:
+        done.set()
+        thread.join()
+    assert not (scene / "objects.png").exists()

@@ -9,6 +9,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.cli.select import Select
+from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.captures.photos import read_image
 from stylesplat.scene.scene import Scene
@@ -54,3 +55,12 @@ def test_what_shows_in_no_view_has_no_picture(scene: Path, said: list[str]):
     assert found["picture"] is None and found["gaussians"] == 80
     assert not old.exists(), "the picture of an earlier choice would be wrong"
     assert "red shows in none of the views" in "\n".join(said)
+
+
+def test_no_picture_is_drawn_through_a_link_that_leads_outside(scene: Path, tmp_path: Path):
+    (tmp_path / "elsewhere").mkdir()
+    (scene / "selections").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(StyleSplatError, match="leads out of the folder"):
+        selected(scene, "red", 3)
+    assert not [*(tmp_path / "elsewhere").iterdir()]
+    assert not scene_folder.open(scene).objects, "it is refused before it is done"

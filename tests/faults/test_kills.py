@@ -51,7 +51,7 @@ def late(*arguments, revise=scene_folder.revise):
     revise(*arguments)
 
 scene_folder.revise = late
-Select._draw = lambda self, scene: None  # which takes long
+Select._draw = lambda self, scene, target: None  # which takes long
 Select(Path(sys.argv[1]), "one", sphere="0,0,0,9").run()
 """
 

@@ -81,7 +81,7 @@ def test_another_process_is_told_of_and_refused(
 
 
 def test_who_waits_gets_it(tmp_path: Path, said: list[str]):
-    other = hold(tmp_path / ".scene.lock", 0.3)
+    other = hold(tmp_path / ".scene.lock", 1.0)
     with locked(tmp_path / "scene"):
         assert len(said) == 1
     other.communicate()

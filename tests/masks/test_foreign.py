@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.masks.coco import decode_rle
 from stylesplat.masks.foreign import foreign_label_maps, overlaid
 
 NAMES = ("001.png", "002.png", "003.png")
@@ -57,82 +55,6 @@ def test_the_smaller_mask_lies_on_top_in_either_order():
     assert (one == 2).sum() == SMALL.sum()
 
 
-def runs(mask: torch.Tensor) -> list[int]:
-    """COCO's run lengths: down the columns, zeros first."""
-    flat = mask.T.flatten().int()
-    edges = (torch.diff(flat, prepend=torch.zeros(1, dtype=torch.int)) != 0).nonzero()[:, 0]
-    return torch.diff(edges, prepend=torch.tensor([0]), append=torch.tensor([len(flat)])).tolist()
-
-
-def packed(counts: list[int]) -> str:
-    """COCO's string, as its description says: 5 bits a letter, low ones first."""
-    text = ""
-    for place, count in enumerate(counts):
-        value = count - counts[place - 2] if place > 2 else count
-        while True:
-            group, value = value & 0x1F, value >> 5
-            more = value != (-1 if group & 0x10 else 0)
-            text += chr(48 + (group | (0x20 if more else 0)))
-            if not more:
-                break
-    return text
-
-
-@pytest.mark.parametrize("mask", [LARGE, SMALL, ~SMALL, LARGE & ~SMALL, LARGE & False])
-def test_run_lengths(mask: torch.Tensor):
-    counts = runs(mask)
-    plain = {"size": list(SHAPE), "counts": counts}
-    assert torch.equal(decode_rle(plain, Path("a.json")), mask)
-    assert torch.equal(decode_rle({**plain, "counts": packed(counts)}, Path("a.json")), mask)
-
-
-def test_run_lengths_of_a_large_mask():
-    generator = torch.Generator().manual_seed(0)
-    mask = (
-        torch.nn.functional.avg_pool2d(torch.rand(1, 200, 300, generator=generator), 9, 1)[0] > 0.5
-    )
-    rle = {"size": list(mask.shape), "counts": packed(runs(mask))}
-    assert torch.equal(decode_rle(rle, Path("a.json")), mask)
-
-
-def coco(tmp_path: Path, **changes: object) -> Path:
-    annotation = {
-        "image_id": 5,
-        "category_id": 9,
-        "segmentation": {"size": list(SHAPE), "counts": packed(runs(LARGE))},
-    }
-    images = [{"id": 5, "file_name": "photos/002.jpg"}, {"id": 6, "file_name": "other.jpg"}]
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps({"images": images, "annotations": [annotation | changes]}))
-    return path
-
-
-def test_coco(tmp_path: Path):
-    found = foreign_label_maps(coco(tmp_path), NAMES)
-    assert torch.equal(found.maps["002.png"].read(), 9 * LARGE.long())
-    found = foreign_label_maps(coco(tmp_path, track_id=4), NAMES)
-    assert torch.equal(found.maps["002.png"].read(), 4 * LARGE.long())
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"category_id": 0}, "the id 0 is not within 1 to 16777215"),
-        ({"category_id": 2**24}, "the id 16777216 is not"),
-        ({"image_id": 77}, "there is no image 77"),
-        ({"segmentation": [[1, 2, 3, 4]]}, "Polygons are not understood"),
-        (
-            {"segmentation": {"size": [6, 8], "counts": [3, 4]}},
-            "its runs do not hold the pixels of 6x8",
-        ),
-        ({"segmentation": {"size": [10**9, 10**9], "counts": [3]}}, "Expected `int` <= "),
-    ],
-)
-def test_coco_that_is_damaged(tmp_path: Path, changes: dict, expected: str):
-    with pytest.raises(StyleSplatError, match=expected):
-        foreign_label_maps(coco(tmp_path, **changes), NAMES).maps["002.png"].read()
-
-
 def test_masks_of_another_capture(tmp_path: Path):
     write_label_map(LARGE.long(), tmp_path / "IMG_1.png")
     with pytest.raises(StyleSplatError, match=r"belongs to a photo of this capture.*001\.png"):
@@ -153,94 +75,6 @@ def test_two_kinds_of_pictures(tmp_path: Path):
         write_label_map(3 * LARGE.long() + SMALL.long(), tmp_path / kind / "001.png")
     with pytest.raises(StyleSplatError, match="Give the folder of one kind"):
         foreign_label_maps(tmp_path, NAMES)
-
-
-@pytest.mark.parametrize(
-    ("size", "counts"), [([200_000, 200_000], [4 * 10**10]), ([2, 3], [1e30]), ([1e400, 3], [6])]
-)
-def test_masks_that_would_fill_the_memory(size: list, counts: list):
-    with pytest.raises(StyleSplatError, match=r"Cannot read a mask in a\.json"):
-        decode_rle({"size": size, "counts": counts}, Path("a.json"))
-
-
-HUGE = 2**62
-
-
-@pytest.mark.parametrize(
-    "rle",
-    [
-        {"size": [2, 2], "counts": [HUGE, HUGE, HUGE, HUGE, 4]},  # 4 in 64 bits
-        {"size": [2, 2], "counts": packed([HUGE, HUGE, HUGE, HUGE, 4])},
-        {"size": [2, 2], "counts": packed([5, 0, 0]) + "O"},  # ends with -1
-        {"size": [2, 2], "counts": [5, -1]},
-        {"size": [2, 2], "counts": [[4]]},
-        {"size": [2, 2], "counts": [4.0]},
-        {"size": [2, 2], "counts": [True, True, True, True]},
-        {"size": [2, 2], "counts": ["4"]},
-        {"size": [2, 2], "counts": 4},
-        {"size": [2, 2], "counts": ""},
-        {"size": [2, 2], "counts": "o" * 10**6},  # one run of millions of bits
-        {"size": [2, 2], "counts": "\ud800\xff~"},
-        {"size": [-2, -2], "counts": [4]},
-        {"size": [0, 5], "counts": []},
-        {"size": ["2", 2], "counts": [4]},
-        {"size": [2], "counts": [2]},
-        {"size": [2**14, 2**14], "counts": [2**28]},
-        {"size": [2, 2]},
-        None,
-    ],
-    ids=range(19),
-)
-def test_run_lengths_that_are_none(rle: object):
-    """The first wrote out of bounds: its runs were added up, and wrapped, in 64 bits."""
-    with pytest.raises(StyleSplatError, match=r"Cannot read a mask in a\.json") as caught:
-        decode_rle(rle, Path("a.json"))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"images": 5},
-        {"images": [{"id": None, "file_name": "002.jpg"}]},
-        {"images": [{"id": 5, "file_name": 2}]},
-        {"images": [{"id": 5, "file_name": "\ud800"}]},
-        {"images": [{"id": [5], "file_name": "002.jpg"}]},
-        {"annotations": [[]]},
-        {"annotations": [{"image_id": {}, "category_id": 1, "segmentation": {}}]},
-        {"annotations": [{"image_id": 5, "segmentation": {}}]},
-        {"annotations": [{"image_id": 5, "category_id": 1.5, "segmentation": {}}]},
-        {"annotations": [{"image_id": 5, "category_id": 10**400, "segmentation": {}}]},
-        {"categories": {"id": 9}},
-    ],
-    ids=range(11),
-)
-def test_annotations_of_wrong_types(tmp_path: Path, content: dict):
-    path = coco(tmp_path)
-    path.write_text(json.dumps({**json.loads(path.read_text()), **content}))
-    with pytest.raises(StyleSplatError, match=r"a\.json"):
-        foreign_label_maps(path, NAMES)
-
-
-def test_masks_of_one_photo_that_differ_in_size(tmp_path: Path):
-    path = coco(tmp_path)
-    content = json.loads(path.read_text())
-    other = {**content["annotations"][0], "segmentation": {"size": [2, 2], "counts": [4]}}
-    content["annotations"].append(other)
-    path.write_text(json.dumps(content))
-    with pytest.raises(StyleSplatError, match="differ in size: 2x2 and 8x6"):
-        foreign_label_maps(path, NAMES)
-
-
-def test_tracks_without_categories(tmp_path: Path):
-    path = coco(tmp_path, track_id=5)
-    content = json.loads(path.read_text())
-    for each in content["annotations"]:
-        each["track_id"] = 5
-        each.pop("category_id", None)
-    path.write_text(json.dumps(content))
-    found = foreign_label_maps(path, NAMES)
-    assert set(found.maps["002.png"].read().unique().tolist()) <= {0, 5} and not found.names
 
 
 TWO_CAMERAS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
@@ -292,15 +126,3 @@ def test_a_photo_that_was_not_posed_lends_its_mask_to_no_other(tmp_path: Path):
     write_label_map(LARGE.long(), tmp_path / "cam0" / "002.png")
     write_label_map(LARGE.long(), tmp_path / "cam0" / "001.png")
     assert maps_of(tmp_path, TWO_CAMERAS) == {"cam0/001.jpg": [0, 1]}
-
-
-def test_coco_of_photos_in_folders(tmp_path: Path):
-    path = coco(tmp_path)
-    content = json.loads(path.read_text())
-    content["images"] = [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]
-    path.write_text(json.dumps(content))
-    assert maps_of(path, TWO_CAMERAS) == {"cam1/001.jpg": [0, 9]}, "nothing is drawn on the other"
-    content["annotations"][0]["image_id"] = 6
-    path.write_text(json.dumps(content))
-    with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1"):
-        foreign_label_maps(path, TWO_CAMERAS)

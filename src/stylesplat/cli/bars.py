@@ -3,7 +3,8 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -43,9 +44,7 @@ class Bars:
         self, what: str, total: int | float | None, unit: str, done: int | float
     ) -> Iterator[_Bar]:
         """Draw a bar for work that takes longer than a moment."""
-        from tqdm import tqdm
-
-        with tqdm(
+        with _bars()(
             desc=what,
             total=total,
             unit=unit,
@@ -66,3 +65,20 @@ class Bars:
         from tqdm import tqdm
 
         tqdm.write(line, file=sys.stderr)
+
+
+@cache
+def _bars() -> "type[tqdm]":
+    """tqdm's, which leave no half line: theirs forget to end one that is drawn before its delay.
+
+    A line that is written draws all bars anew.
+    """
+    from tqdm import tqdm
+
+    class Ended(tqdm):
+        def display(self, *arguments: Any, **options: Any) -> Any:
+            if self.delay > 0:
+                self.last_print_t = max(self.last_print_t, self.start_t + self.delay)
+            return super().display(*arguments, **options)
+
+    return Ended

@@ -32,6 +32,7 @@ class Evaluate:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.progress import say
         from stylesplat.verbs.evaluate import evaluate
@@ -48,5 +49,8 @@ class Evaluate:
         elif source is not None:
             say(f"The photos are no longer in {source}, so only the style is measured.")
         metrics = evaluate(scene, capture, device=self.device)
-        revise(scene, replace(scene, metrics={**scene.metrics, "evaluate": metrics}), self.scene)
+        with changing(self.scene):
+            latest = open(self.scene)  # measuring takes long
+            measured = {**latest.metrics, "evaluate": metrics}
+            revise(latest, replace(latest, metrics=measured), self.scene)
         return metrics

@@ -26,11 +26,14 @@ class Objects:
         """Do it."""
         from stylesplat.drawing.object_sheet import object_sheet
         from stylesplat.io.images import write_image
+        from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.objects import objects
 
         scene = open(self.scene)
         found = objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
-        write_image(object_sheet(scene.splats, scene.cameras, names=names), self.scene / SHEET)
+        sheet = object_sheet(scene.splats, scene.cameras, names=names)
+        with changing(self.scene):
+            write_image(sheet, self.scene / SHEET)
         return {"objects": found, "sheet": self.scene / SHEET}

@@ -61,12 +61,14 @@ class Select:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.files import file_stem, inside
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.verbs.select import select
 
         if self.model is not None and self.text is None:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
+        target = inside(self.scene, f"{PICTURES}/{file_stem(self.name)}.png")
         with changing(self.scene):  # from reading on, so that no other's selection is lost
             before = open(self.scene)
             after = select(
@@ -88,7 +90,7 @@ class Select:
                 model=self.model,
             )
             revise(before, after, self.scene)
-            picture = self._draw(after)
+            picture = self._draw(after, target)
         return {"name": self.name, **after.objects[self.name].how, "picture": picture}
 
     def _sphere(self) -> tuple[Any, ...] | None:
@@ -97,14 +99,12 @@ class Select:
         view, numbers = parse_sphere(self.sphere)
         return (view, *numbers) if view else numbers
 
-    def _draw(self, scene: "Scene") -> Path | None:
+    def _draw(self, scene: "Scene", target: Path) -> Path | None:
         from stylesplat.drawing.selection_picture import selection_picture
-        from stylesplat.io.files import file_stem
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
         from stylesplat.progress import say
 
-        target = self.scene / PICTURES / f"{file_stem(self.name)}.png"
         picked = scene.objects[self.name].picked
         picture = selection_picture(scene.splats, scene.cameras, picked)
         if picture is None:

@@ -10,10 +10,11 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, given
 from stylesplat.cli.results import save_or_rescue
+from stylesplat.io.files import MARK
 from stylesplat.signals import WHOLE
 
 PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
-KEPT_IN_IT = re.compile(r"checkpoint_\w+\.pt|\.checkpoint_\w+\.[0-9a-f]{12}\.pt")  # whole, or not
+KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
 OWN = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?")  # at any port: of a tunnel too
-REFUSAL = "This server answers its own pages only.\n"
+REFUSAL = (
+    "This server answers its own pages only. Open it as http://localhost:PORT, from elsewhere by "
+    "way of an SSH tunnel.\n"
+)
 
 
 def private_server(port: int, label: str) -> "viser.ViserServer":

@@ -12,6 +12,7 @@ from uuid import uuid4
 from stylesplat.errors import StyleSplatError, brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+MARK = "[0-9a-f]{12}"  # what makes a hidden name one that nothing has: see `mark`
 MAX_STEM = 48  # characters of a file name that are taken from a text
 PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
 
@@ -85,7 +86,8 @@ def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) ->
         size = path.stat().st_size
         if most is not None and size > most:
             raise StyleSplatError(
-                f"Cannot read {path}: it has {size} bytes, such files {most} at most."
+                f"Cannot read {path}: it has {size} bytes, such files have {most} at most. "
+                "Check the name."
             )
         with path.open("rb") as file:
             return file.read(first)
@@ -129,9 +131,20 @@ def _sync_file(path: Path) -> None:
         os.fsync(file.fileno())
 
 
+def mark() -> str:
+    """What makes a hidden name one that nothing has."""
+    return uuid4().hex[:12]
+
+
 def beside(path: Path) -> Path:
     """A hidden name in the same folder that nothing has."""
-    return path.with_name(f".{path.stem}.{uuid4().hex[:12]}{path.suffix}")
+    return path.with_name(f".{path.stem}.{mark()}{path.suffix}")
+
+
+def left_beside(path: Path) -> list[Path]:
+    """What has one of the names that `beside` gives for a path: left by killed processes."""
+    ours = re.compile(rf"\.{re.escape(path.stem)}\.{MARK}{re.escape(path.suffix)}")
+    return [p for p in path.parent.glob(".*") if ours.fullmatch(p.name)]
 
 
 def cannot_write(path: Path, error: OSError) -> StyleSplatError:

@@ -9,10 +9,9 @@ import shutil
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from uuid import uuid4
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import sync_folder
+from stylesplat.io.files import mark, sync_folder
 
 JOURNAL = ".replacing"
 FILES, GONE = "files", "gone"  # in it: what is to be moved, and an empty file for each to delete
@@ -20,7 +19,7 @@ FILES, GONE = "files", "gone"  # in it: what is to be moved, and an empty file f
 
 def draft_in(path: Path) -> Path:
     """A hidden name in a folder that nothing has, for what is to replace something there."""
-    return path / f"{JOURNAL}.{uuid4().hex[:12]}"
+    return path / f"{JOURNAL}.{mark()}"
 
 
 def replace_files(path: Path, new: Path, gone: Iterable[Path]) -> None:

@@ -17,8 +17,9 @@ T = TypeVar("T")
 
 FilePath = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00\ud800-\udc7f\udd00-\udfff]*\Z")]
 """A path that a system can take; Python reads names that are not UTF-8 as \\udc80 to \\udcff."""
+MAX_NAME = 1024  # bytes of a photo's name, sub-folders included; systems take 4096 or less
 PhotoName = Annotated[
-    str, Meta(min_length=1, max_length=1024, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
+    str, Meta(min_length=1, max_length=MAX_NAME, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
 ]
 """In one line, sub-folders included."""
 
@@ -44,13 +45,19 @@ def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
     return content
 
 
-def read_json_as(path: Path | str, kind: type[T], remedy: str) -> T:
-    """Read a JSON file of a scene that holds what a type declares (see msgspec).
+def read_json_as(path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON) -> T:
+    """Read a JSON file that holds what a type declares (see msgspec).
+
+    Args:
+        path: The file, of a scene if `most` says nothing else.
+        kind: The type.
+        remedy: Ends the message if it does not fit.
+        most: Bytes that such a file can have.
 
     Raises:
         StyleSplatError: If the file is missing, unreadable or holds anything else.
     """
-    return fitting(read_json(path, most=MAX_JSON), kind, f"Cannot read {path}", remedy)
+    return fitting(read_json(path, most=most), kind, f"Cannot read {path}", remedy)
 
 
 def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:

@@ -79,7 +79,7 @@ def _acquired(lock: FileLock, path: Path) -> bool:
 
 
 def _release(lock: FileLock) -> None:
-    """Give a lock back; the file goes before, which whoever waits for it notices (filelock 4)."""
+    """Give a lock back; the file goes before, which whoever waits for it notices."""
     if lock.lock_counter == 1:
         with suppress(OSError):
             Path(lock.lock_file).unlink()

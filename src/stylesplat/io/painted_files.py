@@ -10,13 +10,12 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.declared import GAUSSIANS, PICKED, Declared
 from stylesplat.io.json_files import write_json
-from stylesplat.io.recipe_files import paintings_in, read_recipe_json, recipe_of
+from stylesplat.io.recipe_files import AGAIN, paintings_in, read_recipe_json, recipe_of
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import read_named, read_tensors, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit
 from stylesplat.scene.scene import check_name_or_id
 
-AGAIN = "Style the scene again."
 COLORS = {"sh0": GAUSSIANS["sh0"], "shN": replace(GAUSSIANS["shN"], shape=("N", FULL_BANDS, 3))}
 BASE_COLORS = "base_colors.safetensors"
 STYLE_COLORS = "style_colors.safetensors"

@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
-from uuid import uuid4
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import cannot_write
+from stylesplat.io.files import MARK, cannot_write, left_beside, mark
 from stylesplat.io.journal import JOURNAL, finish
 from stylesplat.io.locks import locked
 from stylesplat.progress import say
@@ -19,14 +18,13 @@ T = TypeVar("T")
 
 NEW = ".new"  # ends the name of a folder that is not, or no longer, worth anything
 OLD = ".old"  # ends that of one that was moved away, and whose place is empty meanwhile
-MARK = "[0-9a-f]{12}"  # what makes a hidden name one that nothing has
 TEMPORARY = re.compile(rf"\.(?P<stem>.+)\.{MARK}(?P<suffix>\.[^.]+)?")
 ATTEMPTS = 5  # at reading what others change; each takes seconds, and so does a change
 
 
 def hidden(path: Path, kind: str) -> Path:
     """A name beside a folder that nothing has, and that tells what it is: `NEW` or `OLD`."""
-    return path.with_name(f".{path.name}.{uuid4().hex[:12]}{kind}")
+    return path.with_name(f".{path.name}.{mark()}{kind}")
 
 
 @contextmanager
@@ -117,7 +115,8 @@ def _recover(path: Path) -> None:
 def _leftovers(path: Path) -> list[Path]:
     """What killed processes left of changes to a folder or a file."""
     found = [*_hidden_beside(path, NEW), *_hidden_beside(path, OLD)]
-    found += [p for p in _temporary_of(path) if p.is_file() or path.exists()]
+    # Earlier versions called folders so as well, the old and the new
+    found += [p for p in left_beside(path) if p.is_file() or path.exists()]
     if path.is_dir():
         found += [p for p in path.glob(f"{JOURNAL}.*") if re.fullmatch(MARK, p.suffix[1:])]
         found += [p for p in path.glob(".*") if _is_temporary(p) and p.is_file()]
@@ -126,12 +125,6 @@ def _leftovers(path: Path) -> list[Path]:
 
 def _hidden_beside(path: Path, kind: str) -> list[Path]:
     ours = re.compile(rf"\.{re.escape(path.name)}\.{MARK}{re.escape(kind)}")
-    return [p for p in path.parent.glob(".*") if ours.fullmatch(p.name)]
-
-
-def _temporary_of(path: Path) -> list[Path]:
-    """Those of a file; earlier versions called folders so as well, the old and the new."""
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.{MARK}{re.escape(path.suffix)}")
     return [p for p in path.parent.glob(".*") if ours.fullmatch(p.name)]
 
 

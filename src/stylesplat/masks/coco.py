@@ -12,7 +12,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.captures.lens import MAX_SIDE
-from stylesplat.io.json_files import fitting, read_json_as
+from stylesplat.io.json_files import MAX_BYTES, fitting, read_json_as
 from stylesplat.masks.photo_names import photo_key
 from stylesplat.scene.labels import MAX_ID, Mask
 
@@ -78,7 +78,7 @@ def read_coco(source: Path) -> Layers:
     Raises:
         StyleSplatError: If the file is missing or holds no annotations.
     """
-    content = read_json_as(source, CocoFile, REMEDY)
+    content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES)
     files = {image.id: photo_key(image.file_name) for image in content.images}
     kinds = {kind.id: str(kind.name) for kind in content.categories}
     tracked = any(each.track_id is not None for each in content.annotations)

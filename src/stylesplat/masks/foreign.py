@@ -119,7 +119,11 @@ def _stacked(layers: Sequence[tuple[int, Path]]) -> Labels:
 
 
 def overlaid(masks: Iterable[tuple[int, Mask]]) -> Labels:
-    """A label map of masks by id, taken one by one; where they overlap the smaller one shows."""
+    """A label map of masks by id, taken one by one; where they overlap the smaller one shows.
+
+    Raises:
+        StyleSplatError: If they differ in size.
+    """
     labels = areas = torch.zeros(0, 0, dtype=torch.int32)
     for place, (number, mask) in enumerate(masks):
         if place == 0:

@@ -1,7 +1,6 @@
 """A run on disk, to be continued with the same settings and the same capture only."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, check_tensors
-from stylesplat.io.files import atomic_path, reason
+from stylesplat.io.files import atomic_path, left_beside, reason
 from stylesplat.io.json_files import fitting
 from stylesplat.scene.fingerprint import differences
 from stylesplat.scene.labels import MAX_ID
@@ -25,8 +24,6 @@ from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
 REMEDY = "The same settings and photos continue it; `--restart` begins anew."
-
-
 ANY = {"low": -math.inf, "high": math.inf}  # of moments: squares of gradients
 
 
@@ -101,9 +98,8 @@ def remove_leftovers(path: Path) -> None:
     Raises:
         StyleSplatError: If one cannot be deleted.
     """
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{12}}{re.escape(path.suffix)}")
-    for file in path.parent.glob(f".{path.stem}.*") if path.parent.is_dir() else ():
-        if ours.fullmatch(file.name) and file.is_file():
+    for file in left_beside(path):
+        if file.is_file():
             try:
                 file.unlink(missing_ok=True)
             except OSError as error:

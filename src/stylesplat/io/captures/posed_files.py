@@ -10,10 +10,10 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.lens import Lens
+from stylesplat.io.json_files import MAX_NAME
 
 # Of a file's or folder's name: systems take 255, and to be written a name gets 14 more
 MAX_PART = 240
-MAX_NAME = 1024  # bytes of a whole path; systems take 4096 or less
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 

@@ -17,7 +17,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import MARK, atomic_path
 from stylesplat.io.json_files import read_json, read_json_as, write_json
 from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.masks.models.track import State
@@ -26,9 +26,7 @@ from stylesplat.scene.labels import MAX_ID, Labels, Mask
 
 SETTINGS = "settings.json"
 STATE = "state.json"
-OURS = re.compile(r"\.?(settings|state|proposals|known|labels)[_\d]*(\.\w{12})?\.(json|npz|png)")
-
-
+OURS = re.compile(rf"\.?(settings|state|proposals|known|labels)[_\d]*(\.{MARK})?\.(json|npz|png)")
 MAX_PACKED = 2**27  # bytes of a photo's masks: a thousand of 1024x1024
 
 _Id = Annotated[int, Meta(ge=1, le=MAX_ID)]
