@@ -8,6 +8,7 @@ from stylesplat.errors import StyleSplatError
     [
         ("No file é.ply. Give another.", "No file é.ply. Give another."),
         ("two\nlines\r\nand a tab\t.", "two lines and a tab ."),
+        ("No file 9.41\u202fAM.png.", "No file 9.41\u202fAM.png."),
         ("\x1b[31mred\x00 \ud800", "[31mred"),
     ],
 )

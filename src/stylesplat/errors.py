@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 HEAD, TAIL = 1200, 600  # characters that are kept of a line that nobody would read
 LONGEST_NAME = 100  # characters of a name that a message holds
-UNPRINTABLE = re.compile(r"[^\S ]+|[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")
 
 
 class StyleSplatError(Exception):

@@ -220,3 +220,17 @@ def test_it_may_be_larger_than_a_file_of_a_scene(tmp_path: Path):
     path = coco(tmp_path)
     path.write_text(path.read_text() + " " * MAX_JSON)
     assert "002.png" in foreign_label_maps(path, NAMES).maps
+
+
+@pytest.mark.parametrize("id", [7, 7.0, "7"])
+def test_ids_as_other_programs_write_them(id: object, tmp_path: Path):
+    found = foreign_label_maps(coco(tmp_path, category_id=id), NAMES)
+    assert set(found.maps["002.png"].read().unique().tolist()) == {0, 7}
+    tracked = foreign_label_maps(coco(tmp_path, track_id=id), NAMES)
+    assert set(tracked.maps["002.png"].read().unique().tolist()) == {0, 7}
+
+
+@pytest.mark.parametrize("id", [0, -1, 1.5, "x", "²", "1" * 99, 10**30, None, [1]])
+def test_ids_that_are_none(id: object, tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"a\.json"):
+        foreign_label_maps(coco(tmp_path, category_id=id), NAMES)

@@ -8,19 +8,20 @@ import torch
 from msgspec import Meta
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import PhotoName, read_json_as, write_json
+from stylesplat.io.json_files import PhotoName, fitting, read_json_as, write_json
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import ROTATION_TOLERANCE, are_rigid
 
 MAX_PIXELS = 2**28  # of a view: renders of more fill the memory
 REMEDY = "Train again."
+CHANGE = "Change the cameras."
 
 _Side = Annotated[int, Meta(ge=1, le=0xFFFF)]
 _Focal = Annotated[float, Meta(ge=1e-2, le=1e7)]
 _Pixel = Annotated[float, Meta(ge=-1e7, le=1e7)]
 _Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
-_Zero = Annotated[float, Meta(ge=0, le=0)]
-_One = Annotated[float, Meta(ge=1, le=1)]
+_Zero = Annotated[float, Meta(ge=-1e-6, le=1e-6)]  # inverses of poses are rounded
+_One = Annotated[float, Meta(ge=1 - 1e-6, le=1 + 1e-6)]
 _Row = tuple[_Place, _Place, _Place, _Place]
 
 
@@ -40,7 +41,7 @@ def write_cameras(cameras: Cameras, path: Path) -> None:
     """Write cameras.
 
     Raises:
-        StyleSplatError: If the file cannot be written.
+        StyleSplatError: If the file cannot be written, or `read_cameras` would refuse it.
     """
     dtype = torch.promote_types(cameras.viewmats.dtype, cameras.Ks.dtype)
     rows = [
@@ -52,7 +53,12 @@ def write_cameras(cameras: Cameras, path: Path) -> None:
         }
         for row, name in enumerate(cameras.names)
     ]
-    write_json({"dtype": str(dtype).removeprefix("torch."), "cameras": rows}, path)
+    content = {"dtype": str(dtype).removeprefix("torch."), "cameras": rows}
+    fitting(content, _File, f"Cannot write {path}", CHANGE)
+    fault = _fault(cameras)
+    if fault:
+        raise StyleSplatError(f"Cannot write {path}: {fault}. {CHANGE}")
+    write_json(content, path)
 
 
 def read_cameras(path: Path) -> Cameras:

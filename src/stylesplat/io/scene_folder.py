@@ -24,7 +24,7 @@ from stylesplat.io.json_files import (
 )
 from stylesplat.io.painted_files import read_painted, write_painted
 from stylesplat.io.recovery import settled
-from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, write_splat_ply
+from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
 from stylesplat.io.tensors import read_named, write_tensors
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
@@ -148,6 +148,9 @@ def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
         return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
 
     if differs("splats"):
+        fault = splat_fault(scene.splats) if len(scene.splats) else "there are no Gaussians"
+        if fault:
+            raise StyleSplatError(f"Cannot save the scene: {fault}. Remove what is wrong.")
         write_splat_ply(scene.splats, folder / SPLATS)
         write_identities(scene.splats, folder / IDENTITIES)
     if differs("cameras"):

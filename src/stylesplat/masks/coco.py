@@ -17,8 +17,9 @@ from stylesplat.masks.photo_names import photo_key
 from stylesplat.scene.labels import MAX_ID, Mask
 
 REMEDY = "Export images, annotations and RLE masks."
+MAX_DIGITS = 9  # of an id; MAX_ID has 8
 MAX_BITS = 40  # of a run's letters; 8 letters of 5, more than MAX_PIXELS needs
-Id = int | str
+Id = int | float | str  # some programs write 3.0 or "3"
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
 Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
 
@@ -42,8 +43,8 @@ class CocoAnnotation(msgspec.Struct):
 
     image_id: Id
     segmentation: Any  # looked at when the mask is wanted: masks of other photos do not matter
-    category_id: int | None = None
-    track_id: int | None = None
+    category_id: Id | None = None
+    track_id: Id | None = None
 
 
 class CocoFile(msgspec.Struct):
@@ -80,12 +81,12 @@ def read_coco(source: Path) -> Layers:
     """
     content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES)
     files = {image.id: photo_key(image.file_name) for image in content.images}
-    kinds = {kind.id: str(kind.name) for kind in content.categories}
+    kinds = {_number(kind.id): str(kind.name) for kind in content.categories}
     tracked = any(each.track_id is not None for each in content.annotations)
     names: dict[int, str] = {}
     found: dict[str, list[tuple[int, Any]]] = {}
     for each in content.annotations:
-        number = each.track_id if tracked else each.category_id
+        number = _number(each.track_id if tracked else each.category_id)
         fault = _fault(number, each.image_id, files)
         if number is None or fault:
             raise StyleSplatError(f"Cannot read {source} as COCO annotations: {fault}. {REMEDY}")
@@ -125,12 +126,21 @@ def decode_rle(rle: Any, source: Path) -> Mask:
     return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
 
 
+def _number(id: Id | None) -> int | None:
+    """An id as a number; None if it is none."""
+    if isinstance(id, str):
+        return int(id) if id.isascii() and id.isdecimal() and len(id) <= MAX_DIGITS else None
+    return int(id) if id is not None and id == id // 1 else None
+
+
 def _fault(number: int | None, photo: Id, files: Mapping[Id, str]) -> str | None:
     if photo not in files:
         return f"there is no image {photo!r}"
     if number is None:
-        return "an annotation has no track_id or category_id"
-    return None if 0 < number <= MAX_ID else f"the id {number} is not within 1 to {MAX_ID}"
+        return "an annotation has no track_id or category_id, or it is no number"
+    if 0 < number <= MAX_ID:
+        return None
+    return f"the id {number} is not within 1 to {MAX_ID}: 0 is background, number objects from 1"
 
 
 def _checked(rle: Any, source: Path) -> RunLengths:

@@ -19,6 +19,7 @@ SH0 = tuple(f"f_dc_{i}" for i in range(3))
 OPACITY = ("opacity",)
 SCALES = tuple(f"scale_{i}" for i in range(3))
 QUATS = tuple(f"rot_{i}" for i in range(4))
+REMEDY = "Remove those Gaussians, or make the file again."
 SMALLEST_TURN = 1e-10  # of a part of a rotation: squares of less vanish in float32
 NORMALS = ("nx", "ny", "nz")  # always 0; some viewers count on them
 
@@ -51,20 +52,21 @@ def check_splats(splats: Splats, path: Path | str) -> Splats:
     Raises:
         StyleSplatError: If not.
     """
-    try:
-        for name, values in splats.tensors().items():
-            check_range(name, values, GAUSSIANS[name])
-    except ValueError as error:
-        raise StyleSplatError(
-            f"Cannot read {path} as splats: {error}. Remove those Gaussians or train again."
-        ) from error
-    unturned = int((splats.quats.abs() < SMALLEST_TURN).all(dim=1).sum())
-    if unturned:
-        raise StyleSplatError(
-            f"Cannot read {path} as splats: the rotations of {unturned} Gaussians are 0. "
-            "Remove those Gaussians or export the file again."
-        )
+    fault = splat_fault(splats)
+    if fault:
+        raise StyleSplatError(f"Cannot read {path} as splats: {fault}. {REMEDY}")
     return splats
+
+
+def splat_fault(splats: Splats) -> str | None:
+    """Why these cannot be splats: a number is not finite or absurd, or a rotation is none."""
+    try:
+        for name, declared in GAUSSIANS.items():
+            check_range(name, getattr(splats, name), declared)
+    except ValueError as error:
+        return str(error)
+    unturned = int((splats.quats.abs() < SMALLEST_TURN).all(dim=1).sum())
+    return f"the rotations of {unturned} Gaussians are 0" if unturned else None
 
 
 def write_splat_ply(splats: Splats, path: Path | str) -> None:
