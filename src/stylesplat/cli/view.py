@@ -1,7 +1,9 @@
 """`stylesplat view`."""
 
 import sys
+import time
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
@@ -28,8 +30,15 @@ class View:
     def run(self) -> NoReturn:
         """Do it."""
         from stylesplat.io.scene_folder import open
+        from stylesplat.progress import say
         from stylesplat.verbs.view import view
 
-        sys.stdout = sys.stderr  # viser says where it serves, from threads that outlive this
-        view(open(self.scene), port=self.port)
-        raise KeyboardInterrupt  # which alone ends it
+        sys.stdout = sys.stderr  # viser says where it serves
+        server = view(open(self.scene), port=self.port, block=False)
+        sys.stdout = StringIO()  # and its thread, after our last line, that it no longer does
+        say("Ctrl-C closes the viewer.")
+        try:
+            while True:
+                time.sleep(1)
+        finally:
+            server.stop()
