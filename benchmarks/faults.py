@@ -1,6 +1,6 @@
 """Nothing lost, nothing let in: damaged files, kills, full disks, strangers, company.
 
-    .venv/bin/python benchmarks/faults.py              # about ten minutes on two cores
+    .venv/bin/python benchmarks/faults.py              # ten to twenty-five minutes on two cores
     .venv/bin/python benchmarks/faults.py --quick      # about two
 
 Mutants of all formats are read in processes whose memory is bounded, as in `tests/faults`, only
