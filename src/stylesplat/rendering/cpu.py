@@ -146,7 +146,7 @@ def sort_into_tiles(
     rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
     tiles.pack_rows(order, ellipses, rows)
     lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
-    return Tiled(order, rows, TileLists(*lists))
+    return Tiled(order, rows, lists)
 
 
 def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:

@@ -115,15 +115,15 @@ def similarity(mean_x, mean_y, xx, yy, xy):
 
 @no_type_check
 @kernel
-def forward(pair, inside, v_maps, threads):
-    """Each thread's sums of SSIM, absolute and squared error (of x clamped to 0..1).
+def forward(pair, inside, v_maps, totals):
+    """Add up each thread's SSIM, absolute and squared error (of x clamped to 0..1) in `totals`.
 
     Fills the gradients of SSIM by the three blurred maps, one framed image after the other.
     `inside` is 1 for the numbers of a row and 0 behind them.
     """
     window, x, y, stride = pair
     height = x.shape[0] // stride - 2 * HALF
-    totals = np.zeros((threads, 3))
+    threads = totals.shape[0]
     for thread in numba.prange(threads):
         blurred, lanes = np.zeros(5 * stride, np.float32), np.empty(3 * vec.LANES, np.float32)
         for row in range(thread * height // threads, (thread + 1) * height // threads):
@@ -151,7 +151,6 @@ def forward(pair, inside, v_maps, threads):
             vec.store(lanes, 2 * vec.LANES, squared)
             for k in range(3 * vec.LANES):
                 totals[thread, k // vec.LANES] += lanes[k]
-    return totals
 
 
 @no_type_check
@@ -184,14 +183,15 @@ class _Photometric(Function):
     @staticmethod
     def forward(ctx, image, target, dssim_weight):
         height, n = len(image), image[0].numel()
-        stride, threads = stride_of(n), get_num_threads()
+        stride = stride_of(n)
         x, y = framed(image, stride), framed(target, stride)
         inside = np.zeros(stride, np.float32)
         inside[:n] = 1
         v_maps = np.zeros(3 * len(x), np.float32)
         window = ssim_window().float().numpy()
         pair = Pair(window, x, y, stride)
-        totals = forward(pair, inside, v_maps, threads)
+        totals = np.zeros((get_num_threads(), 3))
+        forward(pair, inside, v_maps, totals)
         sums = totals.sum(axis=0) / (height * n)
         ctx.pair, ctx.v_maps = pair, v_maps
         ctx.shape, ctx.dssim_weight = image.shape, dssim_weight

@@ -6,6 +6,10 @@ transformations but `prange`, and the wrappers by which Python would call inner 
 What belongs together is passed as a NamedTuple. A loop over `prange` may use those among the
 arguments whose fields are no tuples (numba takes them apart and puts them together again), and any
 that it makes itself. Arrays that it writes to are taken out of them in front of the loop.
+
+Kernels that Python calls return numbers at most, and write into arrays that they are given: to
+return an array or a NamedTuple numba unpickles its type, and an interruption at that moment (a
+Ctrl-C that came while the kernel ran) is a segmentation fault.
 """
 
 from collections.abc import Callable

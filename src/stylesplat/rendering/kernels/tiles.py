@@ -15,7 +15,7 @@ from torch import Tensor
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import Place, spread
+from stylesplat.rendering.kernels.rows import Place, Rows, spread
 
 TILE = 16
 BLOCK = 4
@@ -63,32 +63,41 @@ def row_stride(channels: int) -> int:
     return -(-(ROW_COLORS + channels) // vec.LANES) * vec.LANES
 
 
+def depth_order(depths: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Indices of the Gaussians with a radius, nearest first: [visible], int32."""
+    order = np.empty(len(depths), np.int32)
+    return order[: sort_by_depth(depths, radii, order)]
+
+
 @no_type_check
 @serial_kernel
-def depth_order(depths, radii):
-    """Indices of the Gaussians with a radius, nearest first: a stable radix sort."""
-    order = np.empty(depths.shape[0], np.int32)
-    count = 0
+def sort_by_depth(depths, radii, order):
+    """Put what `depth_order` returns into the head of `order`: a stable radix sort.
+
+    Returns:
+        How many have a radius.
+    """
+    found, count = np.empty(order.shape[0], np.int32), 0
     for i in range(depths.shape[0]):
         if radii[i, 0] > 0:
-            order[count] = i
+            found[count] = i
             count += 1
-    order, other = order[:count], np.empty(count, np.int32)
+    now, then = found[:count], order[:count]
     keys = depths.view(np.uint32)  # positive floats sort like their bits
     bucket_mask = np.uint32((1 << RADIX_BITS) - 1)
     starts = np.empty((1 << RADIX_BITS) + 1, np.int64)
     for shift in (np.uint32(0), np.uint32(RADIX_BITS), np.uint32(2 * RADIX_BITS)):
         starts[:] = 0
-        for i in order:
+        for i in now:
             starts[np.int64((keys[i] >> shift) & bucket_mask) + 1] += 1
         for bucket in range(1, starts.shape[0]):
             starts[bucket] += starts[bucket - 1]
-        for i in order:
+        for i in now:
             bucket = np.int64((keys[i] >> shift) & bucket_mask)
-            other[starts[bucket]] = i
+            then[starts[bucket]] = i
             starts[bucket] += 1
-        order, other = other, order
-    return order
+        now, then = then, now  # three times, so that the last is `order`
+    return count
 
 
 @no_type_check
@@ -157,18 +166,15 @@ def tile_span(center, radius, tiles):
 
 @no_type_check
 @kernel
-def list_entries(order, rows, radii, grid, starts, entries):
-    """List the entries chunk by chunk; count those of each chunk and tile.
+def list_entries(order, rows, radii, grid, starts, entries, counts, written):
+    """List the entries chunk by chunk; count those of each chunk and tile, [chunks, tiles].
 
-    Returns:
-        counts [chunks, tiles] and, per chunk, how many entries it wrote from `starts[chunk]` on.
+    `written` becomes how many entries each chunk wrote from `starts[chunk]` on.
     """
     tiles, ranks, masks = entries
     flat, stride = rows
     columns, lines = grid
-    chunks, n = starts.shape[0] - 1, order.shape[0]
-    counts = np.zeros((chunks, columns * lines), np.int64)
-    written = np.zeros(chunks, np.int64)
+    chunks, n = written.shape[0], order.shape[0]
     for chunk in numba.prange(chunks):
         entry = starts[chunk]
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
@@ -188,15 +194,22 @@ def list_entries(order, rows, radii, grid, starts, entries):
                         counts[chunk, tile] += 1
                         entry += 1
         written[chunk] = entry - starts[chunk]
-    return counts, written
 
 
 @no_type_check
 @inner
-def entry_bounds(order, rows, radii, grid, chunks):
-    """Where each chunk may start to write its entries: the tiles under the bounding boxes."""
-    starts = np.zeros(chunks + 1, np.int64)
-    n, total = order.shape[0], 0
+def grid_of(size):
+    """The tiles of an image of a width and height."""
+    width, height = size
+    return Grid(-(-width // TILE), -(-height // TILE))
+
+
+@no_type_check
+@serial_kernel
+def entry_bounds(order, rows, radii, size, starts):
+    """Fill where each chunk may start to write its entries: the tiles under the bounding boxes."""
+    n, chunks, total, grid = order.shape[0], starts.shape[0] - 1, 0, grid_of(size)
+    starts[0] = 0
     for chunk in range(chunks):
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             row, i = rank * rows.stride, order[rank]
@@ -204,7 +217,6 @@ def entry_bounds(order, rows, radii, grid, chunks):
             first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], grid.rows)
             total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
         starts[chunk + 1] = total
-    return starts
 
 
 @no_type_check
@@ -225,32 +237,55 @@ def scatter_entries(entries, starts, written, places, lists):
 
 @no_type_check
 @inner
-def count_up(counts):
-    """Where each tile's list begins [tiles + 1], and each chunk's part of it [chunks, tiles]."""
+def count_up(counts, starts):
+    """Fill where each tile's list begins [tiles + 1].
+
+    Returns:
+        Where each chunk's part of it begins, [chunks, tiles].
+    """
     chunks, tiles = counts.shape
-    starts, places = np.zeros(tiles + 1, np.int64), np.empty_like(counts)
+    places = np.empty_like(counts)
     place = 0
     for tile in range(tiles):
+        starts[tile] = place
         for chunk in range(chunks):
             places[chunk, tile] = place
             place += counts[chunk, tile]
-        starts[tile + 1] = place
-    return starts, places
+    starts[tiles] = place
+    return places
 
 
 @no_type_check
 @serial_kernel
-def tile_lists(order, rows, radii, size, chunks):
-    """The list of every tile of an image of a width and height, made by `chunks` threads."""
-    width, height = size
-    grid = Grid(-(-width // TILE), -(-height // TILE))
-    starts = entry_bounds(order, rows, radii, grid, chunks)
-    room = starts[-1]
+def list_tiles(order, rows, radii, size, starts, lists):
+    """Fill the lists of all tiles, whose chunks have the room between `starts` for their entries.
+
+    Returns:
+        How many entries there are.
+    """
+    room, grid = starts[-1], grid_of(size)
     tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
     entries = Entries(tiles, ranks, np.empty(room, np.uint16))
-    counts, written = list_entries(order, rows, radii, grid, starts, entries)
-    tile_starts, places = count_up(counts)
-    count = tile_starts[-1]
-    lists = TileLists(tile_starts, np.empty(count, np.int32), np.empty(count, np.uint16))
+    chunks = starts.shape[0] - 1
+    counts, written = (
+        np.zeros((chunks, grid.columns * grid.rows), np.int64),
+        np.zeros(chunks, np.int64),
+    )
+    list_entries(order, rows, radii, grid, starts, entries, counts, written)
+    places = count_up(counts, lists.starts)
     scatter_entries(entries, starts, written, places, lists)
-    return lists
+    return lists.starts[-1]
+
+
+def tile_lists(
+    order: np.ndarray, rows: Rows, radii: np.ndarray, size: tuple[int, int], chunks: int
+) -> TileLists:
+    """The list of every tile of an image of a width and height, made by `chunks` threads."""
+    starts = np.empty(chunks + 1, np.int64)
+    entry_bounds(order, rows, radii, size, starts)
+    columns, lines = (-(-side // TILE) for side in size)
+    room = starts[-1]
+    tile_starts = np.empty(columns * lines + 1, np.int64)
+    lists = TileLists(tile_starts, np.empty(room, np.int32), np.empty(room, np.uint16))
+    count = list_tiles(order, rows, radii, size, starts, lists)
+    return TileLists(tile_starts, lists.ranks[:count], lists.masks[:count])
