@@ -70,14 +70,16 @@ def step(
     *,
     identities: bool = False,
     all_gradients: bool = True,
+    poses: bool = False,
     backend: Backend = "auto",
 ) -> None:
-    """Render with 3 or 19 channels and fill the gradients of all parameters."""
+    """Render with 3 or 19 channels and fill the gradients of all parameters, or of poses, too."""
     leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
     attached = replace(splats, **leaves)
+    viewmats = camera.viewmats.detach().requires_grad_(poses)
     image, _, _ = rasterize(
         attached,
-        camera,
+        replace(camera, viewmats=viewmats),
         features=attached.identities if identities else None,
         features_move_geometry=all_gradients,
         backend=backend,

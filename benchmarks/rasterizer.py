@@ -4,7 +4,8 @@
 
 Fox at 540x960 with 50,000 Gaussians: spherical harmonics, projection, binning, blending and the
 way back to the gradients of all parameters. "identities" are 16 more channels; in training their
-gradients stop at the features (`identity_geometry` off), "all gradients" lets them through.
+gradients stop at the features (`identity_geometry` off), "all gradients" lets them through. Poses
+are trained only where asked for.
 """
 
 from collections.abc import Callable
@@ -47,17 +48,26 @@ class Options:
 def variants(splats: Splats, cameras: Cameras) -> dict[str, Callable[[], None]]:
     """The steps to compare, each over all cameras."""
 
-    def over_cameras(identities: bool, all_gradients: bool) -> Callable[[], None]:
+    def over_cameras(
+        identities: bool, all_gradients: bool, *, poses: bool = False
+    ) -> Callable[[], None]:
         def run() -> None:
             for i in range(len(cameras)):
-                step(splats, cameras[i], identities=identities, all_gradients=all_gradients)
+                step(
+                    splats,
+                    cameras[i],
+                    identities=identities,
+                    all_gradients=all_gradients,
+                    poses=poses,
+                )
 
         return run
 
     return {
         "colour, 3 channels": over_cameras(False, True),
+        "the same, and the camera's pose": over_cameras(False, True, poses=True),
         "with identities, 19 channels": over_cameras(True, False),
-        "the same, all gradients": over_cameras(True, True),
+        "the same 19, all gradients": over_cameras(True, True),
     }
 
 
