@@ -71,7 +71,7 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
 
 def _panels(capture: Capture, report: CaptureReport) -> tuple[_Panel, _Panel]:
     """Both at one scale, at which all cameras and nearly all points fit in."""
-    places = [report.frame.place(capture.cameras.positions.double()), _rim(report, seen=True)]
+    places = [report.frame.place(capture.cameras.positions.double()), _rim(report)]
     low, high = torch.cat(places).amin(dim=0), torch.cat(places).amax(dim=0)
     reach = float((high - low).max())
     if capture.points is not None and len(capture.points):
@@ -183,8 +183,11 @@ def _dashes(line: Float[Tensor, "M 3"]) -> list[Float[Tensor, "2 3"]]:
     return [line[start : start + 2] for start in range(0, len(line) - 1, 2)]
 
 
-def _rim(report: CaptureReport, *, seen: bool) -> Float[Tensor, "M 3"]:
-    return torch.cat([torch.zeros(1, 3).double(), *_arcs(report, seen=seen)])
+def _rim(report: CaptureReport) -> Float[Tensor, "M 3"]:
+    """What of the circle has to show: all of it, but behind a wall nothing is missing."""
+    arcs = _arcs(report, seen=True)
+    arcs += [] if report.coverage.facing else _arcs(report, seen=False)
+    return torch.cat([torch.zeros(1, 3).double(), *arcs])
 
 
 def _pixels(places: Float[Tensor, "M 2"]) -> list[tuple[float, float]]:
