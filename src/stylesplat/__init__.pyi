@@ -9,6 +9,7 @@ from .scene.splats import Splats as Splats
 from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust
+from .verbs.check import check as check
 from .verbs.evaluate import evaluate as evaluate
 from .verbs.export import export as export
 from .verbs.import_ import import_ as import_

@@ -9,6 +9,7 @@ import tyro
 
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
+from stylesplat.cli.check import Check
 from stylesplat.cli.demo import Demo
 from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
@@ -27,6 +28,7 @@ from stylesplat.signals import WHOLE
 
 VERBS = {
     "demo": Demo,
+    "check": Check,
     "mask": Mask,
     "train": Train,
     "import": Import,

@@ -12,6 +12,7 @@ Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
 Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 CONTINUES = "The same command goes on where it stopped."  # said of verbs that do
 
 
@@ -31,3 +32,15 @@ def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
         if getattr(command, name):
             option = {"source": "from"}.get(name, name).replace("_", "-")
             raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")
+
+
+def refuse_picture(output: Path, *, overwrite: bool) -> None:
+    """Refuse a place that no picture can be written to.
+
+    Raises:
+        StyleSplatError: If its name is that of no picture, or something is there.
+    """
+    if output.suffix.lower() not in PICTURES:
+        raise StyleSplatError(f"Cannot draw into {output}: use a name in {', '.join(PICTURES)}.")
+    if output.is_dir() or (output.exists() and not overwrite):
+        raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")

@@ -6,12 +6,10 @@ from typing import Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+from stylesplat.cli.options import Device, Json, Output, Overwrite, given, refuse_picture
 from stylesplat.cli.parse import parse_style
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
-
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Sheet:
         from stylesplat.stylization.recipe import parse_variation
         from stylesplat.verbs.sheet import sheet
 
-        self._refuse_output()
+        refuse_picture(self.output, overwrite=self.overwrite)
         styles = [parse_style(text) for text in self.style]
         names = list(dict.fromkeys(name for name, _ in styles))
         if len(names) != 1:
@@ -89,12 +87,3 @@ class Sheet:
         write_image(made.picture, self.output)
         counts = {"cells": made.cells, "repainted": made.repainted}
         return {"sheet": self.output, "view": made.view, **counts}
-
-    def _refuse_output(self) -> None:
-        output = self.output
-        if output.suffix.lower() not in SUFFIXES:
-            raise StyleSplatError(
-                f"Cannot draw into {output}: use a name in {', '.join(SUFFIXES)}."
-            )
-        if output.is_dir() or (output.exists() and not self.overwrite):
-            raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")

@@ -24,6 +24,11 @@ class Frame:
     shift: Float[Tensor, "3"] | None = None
     """Added last; None is no shift."""
 
+    def place(self, points: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
+        """Where points of the capture's world lie in this frame."""
+        moved = self.scale * points @ self.rotation.to(points).T
+        return moved if self.shift is None else moved + self.shift.to(points)
+
 
 SAME = Frame(torch.eye(3))
 
@@ -31,9 +36,7 @@ SAME = Frame(torch.eye(3))
 def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
     """The same cameras in another world frame."""
     rotation = frame.rotation.to(cameras.viewmats)
-    positions = frame.scale * cameras.positions @ rotation.T
-    if frame.shift is not None:
-        positions = positions + frame.shift.to(positions)
+    positions = frame.place(cameras.positions)
     viewmats = cameras.viewmats.clone()
     viewmats[:, :3, :3] = cameras.viewmats[:, :3, :3] @ rotation.T
     viewmats[:, :3, 3] = -torch.einsum("cij,cj->ci", viewmats[:, :3, :3], positions)

@@ -7,7 +7,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 
-UP_RIDGE = 0.05  # weight of the cameras' mean up against 'no camera is rolled'
+UP_RIDGE = 0.01  # weight of the cameras' mean up against 'no camera is rolled'
 PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
 ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
 REMEDY = "To render, choose --views all; to train, give sparse points."

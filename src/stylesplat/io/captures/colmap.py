@@ -56,7 +56,7 @@ def _posed(model: pycolmap.Reconstruction, sparse: Path, folder: Path) -> PosedF
     viewmats = torch.eye(4, dtype=torch.float64).repeat(len(images), 1, 1)
     viewmats[:, :3] = torch.from_numpy(np.stack([i.cam_from_world().matrix() for i in images]))
     points, point_colors = _points(model)
-    photos = _find_photos(folder)
+    photos = find_photos(folder)
     return PosedFiles(
         names=tuple(image.name for image in images),
         paths=tuple(photos / image.name for image in images),
@@ -67,8 +67,12 @@ def _posed(model: pycolmap.Reconstruction, sparse: Path, folder: Path) -> PosedF
     )
 
 
-def _find_photos(folder: Path) -> Path:
-    """`images`, or the largest of the smaller copies."""
+def find_photos(folder: Path) -> Path:
+    """The folder of a capture's photos: `images`, or the largest of the smaller copies.
+
+    Raises:
+        StyleSplatError: If there is neither.
+    """
     if (folder / "images").is_dir():
         return folder / "images"
     copies = [p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdecimal()]

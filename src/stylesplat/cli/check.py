@@ -1,0 +1,54 @@
+"""`stylesplat check`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, refuse_picture
+
+if TYPE_CHECKING:
+    from stylesplat.scene.capture import Capture
+    from stylesplat.sfm.capture_report import CaptureReport
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say whether photos and their poses will make a good scene, and what to do if not.
+
+    Example: stylesplat check garden -o garden-check.jpg
+    """
+
+    capture: Positional[Path]
+    """Folder of the posed photos, which stays as it is."""
+    output: OptionalOutput = None
+    """Picture to make: cameras and points from above and from the side."""
+    overwrite: Overwrite = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Do it."""
+        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.sfm.sharpness import SIDE
+        from stylesplat.verbs.check import check
+
+        if self.output is not None:
+            refuse_picture(self.output, overwrite=self.overwrite)
+        files = open_capture(self.capture, masks=False)
+        capture = files.at(files.cameras.shrink_to(SIDE))
+        report = check(capture)
+        picture = {} if self.output is None else {"picture": self._draw(capture, report)}
+        if self.json:
+            return report.summary() | picture
+        return {each.what: f"{each.verdict}. {each.line}" for each in report.findings} | picture
+
+    def _draw(self, capture: "Capture", report: "CaptureReport") -> Path:
+        from stylesplat.drawing.capture_picture import capture_picture
+        from stylesplat.io.images import write_image
+        from stylesplat.io.recovery import changing
+
+        assert self.output is not None
+        with changing(self.output):
+            write_image(capture_picture(capture, report), self.output)
+        return self.output

@@ -1,0 +1,68 @@
+"""`check`: whether photos and poses will make a good scene, and what to do if not."""
+
+import torch
+
+from stylesplat.io.captures.model_figures import ModelFigures, read_figures
+from stylesplat.io.captures.unposed import unposed_photos
+from stylesplat.scene.capture import Capture
+from stylesplat.sfm import findings
+from stylesplat.sfm.capture_report import CaptureReport
+from stylesplat.sfm.centre import find_centre
+from stylesplat.sfm.coverage import measure_coverage
+from stylesplat.sfm.findings import Finding
+from stylesplat.sfm.frame import working_frame
+from stylesplat.sfm.photo_looks import photo_looks
+
+
+def check(capture: Capture) -> CaptureReport:
+    """Look at a capture: its photos, each once, its poses, points and reconstruction.
+
+    Where the capture was read from a folder, the reconstruction that lies there counts as well,
+    and which photos there have no pose.
+
+    Args:
+        capture: Posed photos; a size of 640 pixels suffices.
+
+    Raises:
+        StyleSplatError: If a photo or the reconstruction is damaged.
+    """
+    cameras, points = capture.cameras, capture.points
+    frame = working_frame(cameras, torch.zeros(0, 3) if points is None else points)
+    outward = find_centre(cameras, points).outward
+    coverage = measure_coverage(cameras, points, frame, outward=outward)
+    figures = None if capture.path is None else read_figures(capture.path)
+    looks = photo_looks(capture)
+    return CaptureReport(
+        findings=(
+            findings.on_count(len(capture)),
+            *_on_reconstruction(capture, figures),
+            findings.on_sides(coverage, len(capture)),
+            findings.on_heights(coverage),
+            findings.on_distances(coverage),
+            *findings.on_looks(looks, cameras.names),
+            findings.on_lenses(capture.full_cameras),
+        ),
+        blurred=tuple(cameras.names[row] for row in findings.blurred_rows(looks)),
+        weak=tuple(findings.weakly_connected(figures.shared) if figures else ()),
+        coverage=coverage,
+        frame=frame,
+    )
+
+
+def advices(report: CaptureReport) -> list[str]:
+    """What is not good and what to do about it, a line each, the worst first."""
+    lines = {
+        verdict: [each.line for each in report.findings if each.verdict == verdict]
+        for verdict in ("poor", "fair")
+    }
+    return [line[:1].upper() + line[1:] for line in lines["poor"] + lines["fair"]]
+
+
+def _on_reconstruction(capture: Capture, figures: ModelFigures | None) -> list[Finding]:
+    found = []
+    if capture.path is not None:
+        unposed, left_out = unposed_photos(capture.path, capture.cameras.names)
+        found.append(findings.on_posed(len(capture), unposed, left_out))
+    found += findings.on_model(figures) if figures else []
+    points = capture.points
+    return [*found, findings.on_points(0 if points is None else len(points))]

@@ -1,0 +1,53 @@
+"""`stylesplat check`: what it prints and draws, and what it refuses."""
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from ball_photos import write_ball_capture
+from command_line import complaint, result, run
+
+
+@pytest.fixture(scope="module")
+def posed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_ball_capture(tmp_path_factory.mktemp("check") / "balls", masks=False)
+
+
+def test_a_line_for_each_finding(posed: Path, capsys: pytest.CaptureFixture[str]):
+    before = sorted(posed.parent.rglob("*"))
+    assert run("check", posed) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert "photos: poor. 8 photos. They are too few for most scenes: take 40 to 100." in lines
+    assert "sides: good. seen from all sides, every 45 degrees or closer." in lines
+    assert sorted(posed.parent.rglob("*")) == before, "nothing is written"
+
+
+def test_json_has_the_numbers(posed: Path, capsys: pytest.CaptureFixture[str]):
+    shown = result(capsys, "check", posed)
+    assert shown["blurred"] == [] and shown["weak"] == []
+    assert shown["findings"]["photos"]["number"] == 8
+    assert shown["findings"]["photos"]["verdict"] == "poor"
+    assert shown["findings"]["posed"]["number"] == 1
+    assert shown["findings"]["heights"]["advice"].startswith("Go around again")
+
+
+def test_the_picture(posed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    picture = tmp_path / "check.jpg"
+    assert result(capsys, "check", posed, "-o", picture)["picture"] == str(picture)
+    with Image.open(picture) as image:
+        assert image.width > 1000
+    written = picture.read_bytes()
+    assert "--overwrite" in complaint(capsys, "check", posed, "-o", picture)
+    assert picture.read_bytes() == written
+    assert run("check", posed, "-o", picture, "--overwrite") == 0
+
+
+def test_refusals(posed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert ".png" in complaint(capsys, "check", posed, "-o", tmp_path / "check.txt")
+    assert "There is no folder" in complaint(capsys, "check", tmp_path / "nowhere")
+    (posed / "images" / "0003.jpg").rename(tmp_path / "kept.jpg")
+    try:
+        assert "0003.jpg" in complaint(capsys, "check", posed)
+    finally:
+        (tmp_path / "kept.jpg").rename(posed / "images" / "0003.jpg")

@@ -1,0 +1,121 @@
+"""The verb `check`: what it says of a whole capture."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS
+from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
+from stylesplat.sfm.capture_report import CaptureReport
+from stylesplat.verbs.check import advices, check
+from stylesplat.verbs.load import load
+from tiny_captures import save_noise, write_capture
+
+
+def finding(report: CaptureReport, what: str) -> tuple[str, str]:
+    found = {each.what: each for each in report.findings}[what]
+    return found.verdict, found.line
+
+
+@pytest.fixture
+def posed(tmp_path: Path) -> Path:
+    return write_capture(tmp_path / "capture", count=4)
+
+
+def with_tracks(folder: Path, seen_by: list[list[int]]) -> None:
+    """Give the reconstruction points that are seen in the photos of these ids."""
+    model = pycolmap.Reconstruction(folder / "sparse" / "0")
+    for image in model.images.values():
+        seen = [point for point, ids in enumerate(seen_by) if image.image_id in ids]
+        image.points2D = pycolmap.Point2DList(
+            [pycolmap.Point2D(np.array([3.0 + point % 50, 5.0])) for point in seen]
+        )
+    for point, ids in enumerate(seen_by):
+        track = pycolmap.Track()
+        for id in ids:
+            index = [p for p, others in enumerate(seen_by) if id in others].index(point)
+            track.add_element(id, index)
+        key = model.add_point3D(
+            np.array([0.01 * point, 0.5, 5.0]), track, np.array([9, 9, 9], np.uint8)
+        )
+        model.points3D[key].error = 3.0
+    model.write(folder / "sparse" / "0")
+
+
+def test_photos_without_a_pose_are_named(posed: Path):
+    assert finding(check(load(posed)), "posed") == ("good", "4 of 4 photos have a pose.")
+    save_noise(posed / "images" / "more" / "lost.JPG")
+    (posed / "images" / "notes.txt").write_text("no photo")
+    verdict, line = finding(check(load(posed)), "posed")
+    assert verdict == "fair"
+    assert line.startswith("4 of 5 photos have a pose, not more/lost.JPG. Take more photos")
+
+
+def test_what_sfm_wrote_down_says_why(posed: Path):
+    record = SfmRecord(
+        source="photos",
+        digest="",
+        given=9,
+        registered=4,
+        left_out={"IMG_9.jpg": "nearly the same as IMG_8.jpg"},
+        unregistered={"IMG_3.jpg": "no overlap"},
+        origins={},
+        frame={},
+        settings={},
+        numbers={},
+        libraries={},
+    )
+    write_sfm(record, posed)
+    _, line = finding(check(load(posed)), "posed")
+    assert line.startswith(
+        "4 of 5 photos have a pose, not IMG_3.jpg (no overlap); 1 more were left out."
+    )
+
+
+def test_a_reconstruction_counts_where_there_is_one(posed: Path):
+    assert "overlap" not in {each.what for each in check(load(posed)).findings}, "no tracks"
+    with_tracks(posed, [[1, 2, 3]] * 60 + [[3, 4]] * 20)
+    report = check(load(posed))
+    assert finding(report, "reprojection error")[0] == "poor"
+    assert finding(report, "track length") == (
+        "poor",
+        "a point shows in 2.6 photos in the mean. Photos overlap little: take them in smaller "
+        "steps, each with two thirds of the last.",
+    )
+    assert report.weak == ("001.png",), "the photo of id 4"
+    assert finding(report, "overlap")[1].startswith("few points connect 001.png with the others")
+
+
+def test_a_capture_in_memory(tmp_path: Path):
+    whole = load(write_ball_capture(tmp_path, masks=False))
+    report = check(replace(whole, path=None))
+    assert "posed" not in {each.what for each in report.findings}
+    assert finding(report, "photos")[0] == "poor"
+    assert finding(report, "sides") == (
+        "good",
+        "seen from all sides, every 45 degrees or closer.",
+    )
+    assert finding(report, "points")[0] == "poor"
+    none = check(replace(whole, points=None, point_colors=None))
+    assert finding(none, "points")[1].startswith("there are no points. Training starts from random")
+
+
+def test_the_worst_comes_first_and_what_is_good_not_at_all(tmp_path: Path):
+    report = check(load(write_ball_capture(tmp_path, CAMERAS[:3], masks=False)))
+    lines = advices(report)
+    verdicts = [each.verdict for each in report.findings]
+    assert len(lines) == len(verdicts) - verdicts.count("good")
+    assert lines[0] == "3 photos. They are too few for most scenes: take 40 to 100."
+
+
+def test_lenses_that_differ(tmp_path: Path):
+    whole = load(write_ball_capture(tmp_path, masks=False))
+    Ks = whole.cameras.Ks.clone()
+    Ks[:2, :2, :2] *= 2
+    zoomed = replace(whole, cameras=replace(whole.cameras, Ks=Ks), full=None)
+    verdict, line = finding(check(zoomed), "lenses")
+    assert verdict == "fair" and line.startswith("1 size, focal lengths that differ by 2.0 times")
