@@ -50,7 +50,10 @@ def photograph_corner(viewmat: np.ndarray, seed: int = 0) -> np.ndarray:
         hits = np.delete(eye + t[..., None] * rays, axis, axis=-1).astype(np.float32) * 150
         seen = (t > 0) & (t < nearest)
         wall = cv2.remap(
-            _texture(seed, axis), hits[..., 0] + 150, hits[..., 1] + 150, cv2.INTER_LINEAR,
+            _texture(seed, axis),
+            hits[..., 0] + 150,
+            hits[..., 1] + 150,
+            cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REFLECT,
         )
         picture[seen], nearest[seen] = wall[seen], t[seen]
@@ -63,18 +66,21 @@ def _texture(seed: int, axis: int) -> np.ndarray:
         cv2.resize(rng.uniform(-1, 1, (n, n)).astype(np.float32), (TEXTURE, TEXTURE))
         for n in (16, 48, 128)
     ]
-    return 128 + 75 * sum(layers)
+    return 128 + 75 * np.sum(layers, axis=0)
 
 
-def write_photos(folder: Path, pictures: dict[str, np.ndarray], **more: object) -> Prepared:
+def write_photos(
+    folder: Path, pictures: dict[str, np.ndarray], sharpness: dict[str, float] | None = None
+) -> Prepared:
     """Write pictures by name."""
     for name, picture in pictures.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(picture).convert("RGB").save(path, quality=95)
     names = tuple(pictures)
-    facts = {"ordered": False, "origins": dict(zip(names, names, strict=True))}
-    return Prepared(names=names, **(facts | {"sharpness": dict.fromkeys(names, 1.0)} | more))
+    usual = dict.fromkeys(names, 1.0)
+    own = dict(zip(names, names, strict=True))
+    return Prepared(names, ordered=False, origins=own, sharpness=usual | (sharpness or {}))
 
 
 def corner(count: int = 10, *, seed: int = 0, prefix: str = "") -> dict[str, np.ndarray]:

@@ -1,9 +1,8 @@
-from contextlib import closing
-from pathlib import Path
 import resource
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from corner_photos import (
     write_photos,
 )
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.progress import Silence, observed
 from stylesplat.sfm.reconstruct import Reconstruction, reconstruct
 from stylesplat.sfm.sfm_config import SfmConfig
@@ -111,9 +111,7 @@ def test_photos_without_a_pose_are_told_apart(result: Reconstruction):
     assert reasons[BLURRED] == "blurred: 20% as sharp as its neighbours"
 
 
-def test_the_capture_is_one_of_pinhole_photos(
-    result: Reconstruction, photos: Path, tmp_path: Path
-):
+def test_the_capture_is_one_of_pinhole_photos(result: Reconstruction, photos: Path, tmp_path: Path):
     write_colmap(result.model, photos, tmp_path)
     capture = stylesplat.load(tmp_path)
     assert len(capture) == COUNT and capture.points is not None and len(capture.points) > 200
@@ -121,8 +119,6 @@ def test_the_capture_is_one_of_pinhole_photos(
     assert capture.photos[0].shape[1] > 300
     assert {p.name for p in (tmp_path / "sparse").iterdir()} == {"0"}
     # Points lie on the features that they were made from
-    import pycolmap
-
     model = pycolmap.Reconstruction(tmp_path / "sparse" / "0")
     before = model.compute_mean_reprojection_error()
     model.update_point_3d_errors()
@@ -181,7 +177,7 @@ def test_photos_of_two_places(tmp_path: Path):
 
 def test_a_panorama(tmp_path: Path):
     pictures = {f"{i}.jpg": photograph_corner(m) for i, m in enumerate(turned(7))}
-    with pytest.raises(StyleSplatError, match="taken from one place.*Walk around"):
+    with pytest.raises(StyleSplatError, match=r"taken from one place.*Walk around"):
         reconstruct(tmp_path, write_photos(tmp_path, pictures), tmp_path / "work", config=FAST)
 
 

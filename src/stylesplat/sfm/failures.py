@@ -47,9 +47,7 @@ def check_matches(table: MatchTable) -> None:
         )
 
 
-def check_models(
-    models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int
-) -> None:
+def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
     """Raise a StyleSplatError unless one model has most photos, from more than one place.
 
     Args:

@@ -26,7 +26,9 @@ def alike(place: Workplace) -> Int[Tensor, "P P"]:
     0 for a photo and itself, and where one has no features.
     """
     feats = torch.stack([_largest(place, file) for file in place.files])
-    rows = [_matched(feats[row], feats) for row in track(range(len(feats)), "Likeness", unit="photo")]
+    rows = [
+        _matched(feats[row], feats) for row in track(range(len(feats)), "Likeness", unit="photo")
+    ]
     found = torch.stack(rows)
     found = found + found.T
     return found.fill_diagonal_(0)
@@ -46,9 +48,7 @@ def _largest(place: Workplace, file: str) -> Float[Tensor, "L 128"]:
     return pad(feats, (0, 0, 0, LARGEST - len(feats)))
 
 
-def _matched(
-    feats: Float[Tensor, "L 128"], others: Float[Tensor, "P L 128"]
-) -> Int[Tensor, " P"]:
+def _matched(feats: Float[Tensor, "L 128"], others: Float[Tensor, "P L 128"]) -> Int[Tensor, " P"]:
     """How many of a photo's features have a clear match in each of the others."""
     cosines = torch.einsum("ad,pbd->pab", feats, others)
     best, where = cosines.max(dim=-1)

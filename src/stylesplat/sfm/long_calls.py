@@ -5,6 +5,8 @@ import re
 import subprocess
 import sys
 from collections import deque
+from contextlib import suppress
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +49,9 @@ def run_stage(stage: str, settings: dict[str, Any], what: str, total: int, unit:
     last: deque[str] = deque(maxlen=LINES_KEPT)
     try:
         assert process.stdin is not None
-        process.stdin.write(json.dumps(settings) + "\n")
-        process.stdin.flush()
+        with suppress(BrokenPipeError):  # it ended at once, and says below why
+            process.stdin.write(json.dumps(settings) + "\n")
+            process.stdin.flush()
         with task(what, total, unit=unit) as bar:
             _follow(process, bar, total, last)
         status = process.wait()
@@ -59,9 +62,7 @@ def run_stage(stage: str, settings: dict[str, Any], what: str, total: int, unit:
         raise _failure(what, Path(settings["database"]), [*last], status)
 
 
-def _follow(
-    process: "subprocess.Popen[str]", bar: Task, total: int, last: "deque[str]"
-) -> None:
+def _follow(process: "subprocess.Popen[str]", bar: Task, total: int, last: "deque[str]") -> None:
     """Advance the bar by the numbers that a process prints, and keep its other lines."""
     done = 0
     assert process.stdout is not None
@@ -78,6 +79,6 @@ def _follow(
 def _failure(what: str, database: Path, lines: list[str], status: int) -> StyleSplatError:
     said = [PLACE.sub("", line) for line in lines if line.strip() and not NOISE.match(line)]
     if any(FULL.search(line) for line in lines):
-        return cannot_write(database, OSError(28, "No space left on device"))
+        return cannot_write(database, OSError(ENOSPC, ""))
     words = said[0] if said else f"it ended with status {status}"
     return StyleSplatError(f"{what}: COLMAP gave up: {words}. Run the same command again.")

@@ -2,7 +2,6 @@
 
 from itertools import combinations
 
-import torch
 from jaxtyping import Int
 from torch import Tensor
 

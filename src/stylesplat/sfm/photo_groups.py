@@ -45,19 +45,16 @@ def group_photos(photos: Path, names: Sequence[str], cameras: str) -> tuple[Phot
     Raises:
         StyleSplatError: If a photo is no readable picture.
     """
-    rows: dict[tuple[object, ...], list[int]] = {}
+    rows: dict[tuple[tuple[int, int], tuple[object, ...]], list[int]] = {}
     for row, name in enumerate(names):
         with opened(inside(photos, name), reduced=False) as image:
-            rows.setdefault(_key(image, row, cameras), []).append(row)
-    return tuple(PhotoGroup((key[0], key[1]), tuple(found)) for key, found in rows.items())  # pyright: ignore[reportArgumentType]
+            lens = (row,) if cameras == "several" else _lens(image) if cameras == "auto" else ()
+            rows.setdefault((image.size, lens), []).append(row)
+    return tuple(PhotoGroup(size, tuple(found)) for (size, _), found in rows.items())
 
 
-def _key(image: Image.Image, row: int, cameras: str) -> tuple[object, ...]:
-    if cameras == "several":
-        return *image.size, row
-    if cameras == "one":
-        return image.size
+def _lens(image: Image.Image) -> tuple[str, ...]:
+    """What EXIF data tell of the lens and its zoom."""
     exif = image.getexif()
-    lens = exif.get_ifd(ExifTags.IFD.Exif)
-    seen = tuple(str(lens.get(tag)) for tag in LENS_TAGS)
-    return *image.size, str(exif.get(ExifTags.Base.Model)), *seen
+    more = exif.get_ifd(ExifTags.IFD.Exif)
+    return str(exif.get(ExifTags.Base.Model)), *(str(more.get(tag)) for tag in LENS_TAGS)

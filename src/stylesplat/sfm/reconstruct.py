@@ -19,6 +19,8 @@ from stylesplat.sfm.sfm_config import SfmConfig
 from stylesplat.sfm.unregistered import why_unregistered
 from stylesplat.sfm.workplace import open_workplace
 
+USUAL = SfmConfig()
+
 
 @dataclass(frozen=True)
 class Reconstruction:
@@ -33,7 +35,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    photos: Path, prepared: Prepared, work: Path, *, config: SfmConfig = SfmConfig()
+    photos: Path, prepared: Prepared, work: Path, *, config: SfmConfig = USUAL
 ) -> Reconstruction:
     """Find features, match them and map the photos.
 
@@ -68,9 +70,7 @@ def reconstruct(
     model = models[0]
     return Reconstruction(
         model=model,
-        unregistered=why_unregistered(
-            models, counts, prepared.sharpness, table, prepared.names
-        ),
+        unregistered=why_unregistered(models, counts, prepared.sharpness, table, prepared.names),
         numbers={
             "photos": len(prepared.names),
             "registered": model.num_reg_images(),

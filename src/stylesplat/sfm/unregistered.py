@@ -33,9 +33,7 @@ def why_unregistered(
     }
 
 
-def _quality(
-    name: str, counts: Mapping[str, int], sharpness: Mapping[str, float]
-) -> str | None:
+def _quality(name: str, counts: Mapping[str, int], sharpness: Mapping[str, float]) -> str | None:
     """What is wrong with the photo itself."""
     if name not in counts:
         return "it cannot be decoded"
