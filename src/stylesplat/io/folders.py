@@ -59,7 +59,7 @@ def revised_directory(path: Path | str) -> Iterator[Path]:
     path = Path(path).resolve()
     with changing(path), _place_for(path) as new:
         ignore = shutil.ignore_patterns(JOURNAL + "*")
-        shutil.copytree(path, new, symlinks=True, ignore=ignore, copy_function=_link)
+        shutil.copytree(path, new, symlinks=True, ignore=ignore, copy_function=link_file)
         yield new
         _put(new, path, whole=True)
 
@@ -127,7 +127,8 @@ def _entries(path: Path) -> Iterator[Path]:
     return (entry for entry in path.iterdir() if not entry.name.startswith(JOURNAL))
 
 
-def _link(source: str | Path, target: str | Path) -> None:
+def link_file(source: str | Path, target: str | Path) -> None:
+    """Give a file another name, or copy it where it cannot have one."""
     try:
         os.link(source, target)
     except OSError:  # not on every file system
