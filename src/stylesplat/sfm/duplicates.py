@@ -44,9 +44,7 @@ def near_duplicates(
     return {photo: _end(repeats, photo) for photo in repeats}
 
 
-def _closest(
-    tiny: Float[np.ndarray, "N P"], index: int, kept: dict[int, Tracker]
-) -> list[int]:
+def _closest(tiny: Float[np.ndarray, "N P"], index: int, kept: dict[int, Tracker]) -> list[int]:
     others = np.array([*kept], int)
     alike = tiny[others] @ tiny[index]
     order = np.argsort(-alike, kind="stable")[:CLOSEST]
@@ -61,7 +59,7 @@ def _same(tracker: Tracker, grey: UInt8[np.ndarray, "h w"]) -> bool:
     return moved is not None and moved < SAME
 
 
-def _tiny(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, "P"]:
+def _tiny(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, " P"]:
     """Such that the product of two is their correlation."""
     values = cv2.resize(grey, TINY, interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
     values -= values.mean()

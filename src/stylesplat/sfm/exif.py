@@ -27,7 +27,9 @@ def lens_exif(path: Path) -> bytes:
     with opened(path) as image:
         found, kept = image.getexif(), Image.Exif()
         of_lens = found.get_ifd(ExifTags.IFD.Exif)
-        kept.update({tag: found[tag] for tag in CAMERA if _is_sane(found.get(tag))})
+        for tag in CAMERA:
+            if _is_sane(found.get(tag)):
+                kept[tag] = found[tag]
         lens = {tag: of_lens[tag] for tag in (*LENS, *TAKEN) if _is_sane(of_lens.get(tag))}
         kept.get_ifd(ExifTags.IFD.Exif).update(lens)
         return kept.tobytes() if kept or lens else b""

@@ -76,9 +76,7 @@ def choose_photos(source: Path, found: Found) -> Prepared:
     )
 
 
-def too_few(
-    source: Path, count: int, what: str, left_out: Mapping[str, str]
-) -> StyleSplatError:
+def too_few(source: Path, count: int, what: str, left_out: Mapping[str, str]) -> StyleSplatError:
     """What to tell the user who has not enough photos.
 
     Args:
@@ -106,7 +104,9 @@ def _look_at_all(source: Path, names: Sequence[str], left_out: dict[str, str]) -
     # Python's own filters are of the process: those that threads set would get mixed up
     with warnings.catch_warnings(action="ignore"), ThreadPoolExecutor(THREADS) as pool:
         try:
-            looks = [*track(pool.map(look, names), "looking at photos", total=len(names), unit="photo")]
+            looks = [
+                *track(pool.map(look, names), "looking at photos", total=len(names), unit="photo")
+            ]
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

@@ -4,7 +4,8 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import chain, count
+from pathlib import Path, PurePosixPath
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.colmap import find_sparse
@@ -79,9 +80,11 @@ def written_names(photos: tuple[str, ...], suffixes: tuple[str, ...]) -> tuple[s
 
 
 def _written(name: str, suffix: str, taken: set[str]) -> str:
-    stem, own = os.path.splitext(name)
+    own = PurePosixPath(name).suffix
+    stem = name.removesuffix(own)
     kind = own if own.lower() in (suffix, suffix.replace("jpg", "jpeg")) else suffix
-    choices = (stem, f"{stem}_{own[1:].lower()}", *(f"{stem}_{i}" for i in range(2, 10**6)))
+    numbered = (f"{stem}_{number}" for number in count(2))
+    choices = chain((stem, f"{stem}_{own[1:].lower()}"), numbered)
     free = next(choice for choice in choices if choice.casefold() not in taken)
     taken.add(free.casefold())
     return free + kind
@@ -91,7 +94,7 @@ def _refuse_posed(folder: Path) -> None:
     posed = TRANSFORMS if (folder / TRANSFORMS).is_file() else None
     posed = posed or ("sparse" if (folder / "sparse").is_dir() and find_sparse(folder) else None)
     if posed:
-        photos = f" or give {folder / 'images'} to find new ones" * (folder / "images").is_dir()
+        photos = f", or give {folder / 'images'} to find new ones" * (folder / "images").is_dir()
         raise StyleSplatError(
             f"{folder} has its poses already ({posed}). Use it as it is, with "
             f"`stylesplat train {folder}`{photos}."

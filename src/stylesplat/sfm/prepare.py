@@ -4,7 +4,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import require_regular
@@ -52,6 +52,7 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> Prepared:
     return record.prepared
 
 
+@runtime_checkable
 class _Source(Protocol):
     """What photos are made of."""
 

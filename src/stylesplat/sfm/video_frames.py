@@ -50,22 +50,16 @@ def choose_frames(path: Path, most: int) -> Prepared:
         StyleSplatError: If it cannot be decoded, has one frame, hardly moves or is all blurred.
     """
     seen = _look_through(path)
-    _refuse(path, seen)
     chosen = pick_frames(seen, most)
-    values = relative([frame.sharp for frame in chosen])
-    kept = [f for f, value in zip(chosen, values, strict=True) if value >= BLURRED]
-    if len(kept) < LEAST:
-        raise StyleSplatError(
-            f"The camera hardly moves in {path}: there are {len(kept)} different views in its "
-            f"{len(seen)} frames. Film while you walk around."
-        )
-    by_number = {frame.number: value for frame, value in zip(chosen, values, strict=True)}
+    _refuse(path, len(seen), chosen)
+    sharp = dict(zip(chosen, relative([frame.sharp for frame in chosen]), strict=True))
+    kept = {frame_name(frame.number): frame for frame in chosen if sharp[frame] >= BLURRED}
     return Prepared(
-        names=tuple(frame_name(frame.number) for frame in kept),
+        names=tuple(kept),
         ordered=True,
-        origins={frame_name(frame.number): _called(frame) for frame in kept},
-        sharpness={frame_name(frame.number): by_number[frame.number] for frame in kept},
-        left_out={_called(frame): "blurred" for frame in chosen if frame not in kept},
+        origins={name: _called(frame) for name, frame in kept.items()},
+        sharpness={name: sharp[frame] for name, frame in kept.items()},
+        left_out={_called(f): "blurred" for f in chosen if frame_name(f.number) not in kept},
     )
 
 
@@ -76,6 +70,8 @@ def pick_frames(seen: Sequence[Seen], most: int) -> list[Seen]:
         seen: All frames, in order.
         most: Parts; there are fewer where they would be too short.
     """
+    if not seen:
+        return []
     length = seen[-1].way - seen[0].way
     parts = max(1, min(most, math.floor(length / STEP) + 1))
     part = length / parts or 1.0
@@ -146,15 +142,21 @@ def _look(frame: Frame, way: "_Way") -> Seen:
     return Seen(frame.number, frame.time, way.to(grey), sharpness(grey))
 
 
-def _refuse(path: Path, seen: Sequence[Seen]) -> None:
-    if len(seen) < LEAST:
+def _refuse(path: Path, count: int, chosen: Sequence[Seen]) -> None:
+    """Raise a StyleSplatError if nothing can come of the frames that were chosen."""
+    if count < LEAST:
         raise StyleSplatError(
-            f"{path} has {len(seen) or 'no'} frames that can be decoded. Give a video in which "
-            "the camera walks around, or a folder of photos."
+            f"{path} has {count or 'no'} frame{'s' * (count != 1)} that can be decoded. Give a "
+            "video in which the camera walks around, or a folder of photos."
         )
-    if np.median([frame.sharp for frame in seen]) < ALL_BLURRED:
+    if np.median([frame.sharp for frame in chosen]) < ALL_BLURRED:
         raise StyleSplatError(
             f"The frames of {path} are all blurred. Film in more light, and move more slowly."
+        )
+    if len(chosen) < LEAST:
+        raise StyleSplatError(
+            f"The camera hardly moves in {path}: {len(chosen)} of its {count} frames differ. "
+            "Film while you walk around."
         )
 
 

@@ -137,7 +137,7 @@ def read_small(path: Path, side: int) -> SmallPhoto:
     if scale < 1:
         small = tuple(max(1, round(length * scale)) for length in size)
         grey = cv2.resize(grey, small, interpolation=cv2.INTER_AREA)
-    upright = size[::-1] if orientation in QUARTER_TURNS else size
+    upright = (size[1], size[0]) if orientation in QUARTER_TURNS else size
     turn = TURNS.get(orientation, np.ascontiguousarray)
     return SmallPhoto(np.ascontiguousarray(turn(grey)), upright, transparent)
 
@@ -150,7 +150,7 @@ def plain_suffix(path: Path) -> str | None:
     """
     with opened(path, reduced=False) as image:
         suffix = {"JPEG": ".jpg", "PNG": ".png"}.get(image.format or "")
-        deep = any("16" in str(tile.args) for tile in image.tile)
+        deep = any("16" in str(tile.args) for tile in getattr(image, "tile", ()))
         simple = image.mode == "RGB" and not image.has_transparency_data and not deep
         fits = image.width * image.height <= MAX_PIXELS
         return suffix if simple and fits and _orientation(image) == UPRIGHT else None
