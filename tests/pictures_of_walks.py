@@ -9,16 +9,19 @@ import numpy as np
 from PIL import ExifTags, Image
 
 WIDTH, HEIGHT = 320, 240
+TINT = np.array([1.0, 0.9, 0.7], np.float32)
 
 
 def wall(width: int = 3200, seed: int = 0) -> np.ndarray:
     """A long picture with detail at every size."""
     generator = np.random.default_rng(seed)
     sizes = [(width >> level, 480 >> level) for level in range(6)]
-    layers = [generator.uniform(-1, 1, (h, w, 3)).astype(np.float32) for w, h in sizes]
+    layers = [generator.uniform(-1, 1, (h, w)).astype(np.float32) for w, h in sizes]
     scaled = [cv2.resize(layer, sizes[0], interpolation=cv2.INTER_CUBIC) for layer in layers]
-    weighed = sum(layer * 2.0**level for level, layer in enumerate(scaled))
-    return np.clip(128 + 2 * np.asarray(weighed), 0, 255).astype(np.uint8)
+    weighed = sum(layer * 1.6**level for level, layer in enumerate(scaled))
+    contrast = 40 / np.std(weighed)  # grey levels
+    grey = np.clip(128 + contrast * np.asarray(weighed), 0, 255)
+    return (grey[:, :, None] * TINT).astype(np.uint8)
 
 
 WALL = wall()
@@ -43,12 +46,12 @@ def save(
         exif[ExifTags.Base.Make] = "Maker"
         exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path, exif=exif, **({"quality": 95} if is_jpeg(path) else {}))
+    picture = Image.fromarray(np.ascontiguousarray(pixels))
+    if path.suffix.lower() in (".jpg", ".jpeg"):
+        picture.save(path, exif=exif, quality=95, subsampling=0)
+    else:
+        picture.save(path, exif=exif)
     return path
-
-
-def is_jpeg(path: Path) -> bool:
-    return path.suffix.lower() in (".jpg", ".jpeg")
 
 
 def walk(folder: Path, count: int = 5, *, step: float = 24) -> Path:
@@ -67,6 +70,7 @@ def film(
     """Write a video of frames of one size."""
     with av.open(path, "w") as container:
         stream = container.add_stream(codec, rate=30, options={"crf": "15"})
+        assert isinstance(stream, av.VideoStream)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         prepare(stream)
         for frame in frames:

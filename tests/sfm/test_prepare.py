@@ -180,7 +180,8 @@ def test_too_few_photos_are_counted(tmp_path: Path):
 
 def test_blurred_photos_only(tmp_path: Path):
     for index in range(4):
-        blurred = cv2.GaussianBlur(view(index * 24), (0, 0), 4)
+        small = cv2.resize(view(index * 24), (64, 48), interpolation=cv2.INTER_AREA)
+        blurred = cv2.GaussianBlur(cv2.resize(small, (640, 480)), (0, 0), 8)
         save(tmp_path / "in" / f"{index}.jpg", blurred)
     with pytest.raises(StyleSplatError, match="all blurred"):
         prepare(tmp_path / "in", tmp_path / "out")

@@ -58,7 +58,9 @@ def test_colours_are_right(tmp_path: Path):
 
     from stylesplat.io.video import write_video
 
-    frames = [torch.from_numpy(view(i * 8) // 4 + np.uint8([150, 20, 10])) for i in range(12)]
+    frames = [
+        torch.from_numpy(view(i * 8) // 4 + np.array([150, 20, 10], np.uint8)) for i in range(12)
+    ]
     write_video(frames, tmp_path / "a.mp4")
     name = prepare(tmp_path / "a.mp4", tmp_path / "out").names[0]
     with Image.open(tmp_path / "out" / name) as image:

@@ -30,8 +30,10 @@ def lens_exif(path: Path) -> bytes:
         for tag in CAMERA:
             if _is_sane(found.get(tag)):
                 kept[tag] = found[tag]
-        lens = {tag: of_lens[tag] for tag in (*LENS, *TAKEN) if _is_sane(of_lens.get(tag))}
-        kept.get_ifd(ExifTags.IFD.Exif).update(lens)
+        lens = kept.get_ifd(ExifTags.IFD.Exif)
+        for tag in (*LENS, *TAKEN):
+            if _is_sane(of_lens.get(tag)):
+                lens[tag] = of_lens[tag]
         return kept.tobytes() if kept or lens else b""
 
 
