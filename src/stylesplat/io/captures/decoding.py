@@ -25,6 +25,8 @@ MAX_PIXELS = 2**27
 MAX_JPEG_PIXELS = 2**28
 MAX_BYTES = 2**30  # of a file, which some decoders read whole: more than any of so many pixels has
 JPEG_START = b"\xff\xd8\xff"
+HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx")  # in the box `ftyp`
+FTYP_BYTES = 64  # of a file that tell its brands
 NO_MEMORY = -4  # cv2.Error.StsNoMem
 
 
@@ -35,7 +37,7 @@ def opened(path: Path, *, reduced: bool = True) -> Iterator[Image.Image]:
     JPEGs of too many pixels have half the width and height.
 
     Args:
-        path: A file of one of `FORMATS`.
+        path: A file of one of `FORMATS`, or HEIC where pillow-heif is installed.
         reduced: False to look at the size that such a JPEG has in its file.
 
     Raises:
@@ -81,12 +83,12 @@ def in_bands(
 
 
 def _open(file: BinaryIO, path: Path, *, reduced: bool) -> Image.Image:
-    start = file.read(len(JPEG_START))
+    start = file.read(FTYP_BYTES)
     file.seek(0)
-    if start == JPEG_START:  # not by `Image.open`, which has a bound of its own
+    if start.startswith(JPEG_START):  # not by `Image.open`, which has a bound of its own
         return _open_jpeg(JpegImageFile(file), path, reduced=reduced)
     try:
-        image = Image.open(file, formats=FORMATS)
+        image = _open_heic(file, path) if _is_heic(start) else Image.open(file, formats=FORMATS)
     except UnidentifiedImageError as error:
         raise ValueError(f"it is no picture, or none of {', '.join(FORMATS)}") from error
     except Image.DecompressionBombError as error:
@@ -105,6 +107,22 @@ def _open_jpeg(image: JpegImageFile, path: Path, *, reduced: bool) -> Image.Imag
         if image.width * image.height > MAX_PIXELS:
             raise _too_large(path)
     return image
+
+
+def _is_heic(start: bytes) -> bool:
+    brands = start[8 : int.from_bytes(start[:4])]
+    return start[4:8] == b"ftyp" and any(brand in brands for brand in HEIC_BRANDS)
+
+
+def _open_heic(file: BinaryIO, path: Path) -> Image.Image:
+    """Upright: libheif turns it, whatever its EXIF data said."""
+    try:
+        from pillow_heif import HeifImageFile
+    except ImportError as error:
+        raise StyleSplatError(
+            f"Cannot read {path}: it is HEIC. `pip install 'stylesplat[heic]'` makes it readable."
+        ) from error
+    return HeifImageFile(file)
 
 
 def _too_large(path: Path) -> StyleSplatError:

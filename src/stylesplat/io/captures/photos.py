@@ -13,7 +13,7 @@ from PIL import ExifTags, Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import in_bands, opened, reading
+from stylesplat.io.captures.decoding import MAX_PIXELS, in_bands, opened, reading
 from stylesplat.io.captures.lens import Lens, bands
 
 UPRIGHT = 1  # EXIF's orientation of a photo to be shown as it is stored
@@ -106,6 +106,54 @@ class Photo:
     def resized(self, width: int, height: int) -> "Photo":
         """The same photo, to be given another size."""
         return replace(self, size=(width, height))
+
+
+@dataclass(frozen=True)
+class SmallPhoto:
+    """What is seen of a photo at a glance."""
+
+    grey: UInt8[np.ndarray, "h w"]
+    """Upright, over white."""
+    size: tuple[int, int]
+    """Width and height of the whole, upright."""
+    transparent: float
+    """The share of pixels that show nothing."""
+
+
+def read_small(path: Path, side: int) -> SmallPhoto:
+    """Read a photo upright in grey, with a longer side of so many pixels or fewer.
+
+    Raises:
+        StyleSplatError: If there is no such file or it is no readable picture.
+    """
+    with opened(path) as image:
+        size, orientation = image.size, _orientation(image)
+        scale = side / max(size)
+        if image.format == "JPEG" and scale < 1:  # decoded at a part of its size, which is fast
+            image.draft("L", (round(size[0] * scale), round(size[1] * scale)))
+        pixels = in_bands(image, _pixels)
+        transparent = float((pixels[..., 3:] < OPAQUE).mean()) if pixels.shape[2] > 3 else 0.0
+        grey = cv2.cvtColor(_over(WHITE, pixels)[..., :3], cv2.COLOR_RGB2GRAY)
+    if scale < 1:
+        small = tuple(max(1, round(length * scale)) for length in size)
+        grey = cv2.resize(grey, small, interpolation=cv2.INTER_AREA)
+    upright = (size[1], size[0]) if orientation in QUARTER_TURNS else size
+    turn = TURNS.get(orientation, np.ascontiguousarray)
+    return SmallPhoto(np.ascontiguousarray(turn(grey)), upright, transparent)
+
+
+def plain_suffix(path: Path) -> str | None:
+    """`.jpg` or `.png` for an upright, opaque picture of such a kind in 8-bit RGB, else None.
+
+    Raises:
+        StyleSplatError: If the file is missing or no picture.
+    """
+    with opened(path, reduced=False) as image:
+        suffix = {"JPEG": ".jpg", "PNG": ".png"}.get(image.format or "")
+        deep = any("16" in str(tile.args) for tile in getattr(image, "tile", ()))
+        simple = image.mode == "RGB" and not image.has_transparency_data and not deep
+        fits = image.width * image.height <= MAX_PIXELS
+        return suffix if simple and fits and _orientation(image) == UPRIGHT else None
 
 
 def fit_photo(path: Path, lens: Lens) -> Photo:
