@@ -147,9 +147,10 @@ def test_cameras_that_look_elsewhere_do_not_move_the_centre():
     assert (place - torch.tensor([0, 0, 0.3])).norm() < 0.15
 
 
-def test_views_that_do_not_meet_go_by_the_points():
+@pytest.mark.parametrize("meeting", [900.0, 12.0])
+def test_views_that_meet_far_behind_or_never_go_by_the_points(meeting: float):
     places = torch.stack([torch.linspace(-1, 1, 9), torch.full((9,), -4.0), torch.zeros(9)], dim=1)
-    level = replace(cameras_at(places, torch.tensor([0.0, 900.0, 0.0])))
+    level = cameras_at(places, torch.tensor([0.0, meeting, 0.0]))
     wall = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
     wall[:, 1] = 0
     centre = find_centre(level, wall)

@@ -13,7 +13,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.sfm.findings import on_looks
 from stylesplat.sfm.photo_looks import photo_looks
 
-CAMERAS = dome_cameras(12, 240, 180)
+CAMERAS = dome_cameras(12, 160, 120)
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +75,9 @@ def test_a_blurred_photo_is_named(capture: Capture):
 
 def test_without_points_whole_photos_are_compared(capture: Capture):
     bare = replace(capture, points=None, point_colors=None)
+    assert capture.points is not None and capture.point_colors is not None
+    few = replace(capture, points=capture.points[:9], point_colors=capture.point_colors[:9])
+    assert not photo_looks(few).by_points
     dark = changed(bare, 4, bare.photos[4].numpy() * 0.5)
     looks = photo_looks(dark)
     assert not looks.by_points and looks.stops[4] < -1.5
@@ -82,6 +85,6 @@ def test_without_points_whole_photos_are_compared(capture: Capture):
 
 
 def test_a_black_photo_tells_nothing_and_breaks_nothing(capture: Capture):
-    looks = photo_looks(changed(capture, 4, np.zeros((180, 240, 3))))
+    looks = photo_looks(changed(capture, 4, np.zeros((120, 160, 3))))
     assert looks.stops[4].isnan() and looks.stops.isfinite().sum() == 11
     assert looks.sharpness[4] == 0

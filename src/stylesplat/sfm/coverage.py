@@ -28,10 +28,8 @@ class Coverage:
     """Of the full circle the part that photos show, between neighbours at most 45 apart."""
     largest_gap: float
     """Between neighbours."""
-    gap_start: float
-    """Where the largest gap begins, counted from the mean side of the cameras."""
     sides: Float[Tensor, " S"]
-    """Where cameras stand that are on a side at all, counted like that, sorted."""
+    """Where cameras stand that are on a side at all, sorted; 0 is before what they look at."""
     heights: int
     """How many heights differ by 15 degrees or more."""
     lowest: float
@@ -82,13 +80,11 @@ def measure_coverage(
     gaps = (sides.roll(-1) - sides) % (2 * math.pi)
     if len(gaps) and gaps.sum() < math.pi:  # all stand on one and the same side
         gaps[-1] += 2 * math.pi
-    widest = int(gaps.argmax()) if len(gaps) else 0
     distances = positions.norm(dim=1)
     low, high = elevations.quantile(torch.tensor([0.05, 0.95]).double()).tolist()
     return Coverage(
         arc=math.degrees(2 * math.pi - float(gaps[gaps > STRIDE].sum())) if len(gaps) else 0.0,
-        largest_gap=math.degrees(float(gaps[widest])) if len(gaps) else 360.0,
-        gap_start=math.degrees(float(sides[widest])) if len(gaps) else 0.0,
+        largest_gap=math.degrees(float(gaps.max())) if len(gaps) else 360.0,
         sides=sides.rad2deg(),
         heights=_levels(elevations),
         lowest=math.degrees(low),

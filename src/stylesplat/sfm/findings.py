@@ -19,6 +19,7 @@ SHOWN = 3  # names in a line
 FEW = 20  # photos, that from one side only are too few even for that side
 LEAST_SHARED = 50  # points that a photo has to share with others
 LEAST_OF_USUAL = 0.1  # of what photos of the capture share in the median
+ALIKE = 1.2  # ratio of distances that is not worth a number
 ZOOM = 1.1  # ratio of focal lengths, beyond which lenses differ
 
 
@@ -158,7 +159,9 @@ def on_distances(coverage: Coverage) -> Finding:
             "movement", "poor" if coverage.walk < 0.05 else "fair", coverage.walk, says, advice
         )
     ratio = coverage.far / max(coverage.near, 1e-9)
-    says = f"the far photos were taken from {ratio:.1f} times as far as the near ones"
+    says = "all photos are from about the same distance"
+    if ratio > ALIKE:
+        says = f"the far photos were taken from {ratio:.1f} times as far as the near ones"
     advice = "Take photos between near and far, in steps, so that they connect."
     return _plain("distances", graded(ratio, 3, 6), ratio, says, advice)
 

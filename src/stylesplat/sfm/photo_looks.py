@@ -16,6 +16,7 @@ from stylesplat.sfm.sharpness import SIDE, relative, sharpness
 
 MAX_POINTS = 4000  # whose colours are compared
 LEAST_POINTS = 30  # that a photo must show for that
+KNOWN = 0.5  # share of photos that show so many, below which whole photos are compared
 DARK, BRIGHT = 12, 243  # levels within which a colour tells of exposure
 GAMMA = 2.2  # of sRGB, roughly
 
@@ -35,21 +36,26 @@ class PhotoLooks:
 
 
 def photo_looks(capture: Capture) -> PhotoLooks:
-    """Look at all photos, one by one."""
+    """Look at all photos, one by one.
+
+    Raises:
+        StyleSplatError: If one is not readable.
+    """
     points, colors = capture.points, capture.point_colors
-    step = 1 if points is None else max(1, len(points) // MAX_POINTS)
-    sharp, gains = [], []
+    if points is None or colors is None:
+        points, colors = torch.zeros(0, 3), torch.zeros(0, 3, dtype=torch.uint8)
+    step = max(1, len(points) // MAX_POINTS)
+    points, colors = points[::step], colors[::step]
+    sharp, whole, gains = [], [], []
     for row in track(range(len(capture)), "looking at photos", unit="photo"):
         photo = _small(capture.photos[row])
         sharp.append(sharpness(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)))
-        if points is None or colors is None:
-            gains.append(_mean_color(photo))
-        else:
-            camera = capture.cameras[row]
-            gains.append(_gain(photo, camera, points[::step], colors[::step]))
+        whole.append(_mean_color(photo))
+        gains.append(_gain(photo, capture.cameras[row], points, colors))
     stops = torch.stack(gains)  # [C, 3]
+    by_points = bool(stops.isfinite().all(dim=1).float().mean() > KNOWN)
+    stops = stops if by_points else torch.stack(whole)
     stops = stops - stops.nanmedian(dim=0).values
-    by_points = points is not None and colors is not None
     warmth = stops[:, 0] - stops[:, 2]
     return PhotoLooks(torch.tensor(relative(sharp)), stops.mean(dim=1), warmth, by_points)
 
