@@ -138,11 +138,11 @@ def test_an_interrupted_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for index in range(4):
         save(source / f"{index}.jpg", view(index * 24), orientation=3)
     prepared = prepare(source, out)
-    (out / "2.jpg").unlink()
+    (out / "2.jpg").rename(out / ".2.0123456789ab.jpg")  # what a killed process leaves
     kept = (out / "1.jpg").stat()
     monkeypatch.setattr("stylesplat.sfm.prepare.choose_photos", None)  # nobody looks again
     assert prepare(source, out) == prepared
-    assert (out / "2.jpg").is_file()
+    assert {path.name for path in out.iterdir()} == {*prepared.names, ".prepared.json"}
     assert (out / "1.jpg").stat() == kept
 
 

@@ -43,7 +43,8 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> Prepared:
         prepared = found.choose()
         stamps = {name: found.stamp(origin) for name, origin in prepared.origins.items()}
         record = Record(source=identity, prepared=prepared, stamps=stamps)
-        clear(folder, record, earlier)
+    clear(folder, record, earlier)
+    if record is not earlier:
         write_record(record, folder)
     done = {name for name in record.stamps if (folder / name).is_file()}
     found.write(
