@@ -1,11 +1,16 @@
+import os
 import resource
+import signal
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 import stylesplat
 from corner_photos import (
@@ -19,9 +24,13 @@ from corner_photos import (
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.progress import Silence, observed
+from stylesplat.sfm.likeness import alike
+from stylesplat.sfm.pairs import most_alike
+from stylesplat.sfm.photo_groups import group_photos
 from stylesplat.sfm.reconstruct import Reconstruction, reconstruct
 from stylesplat.sfm.sfm_config import SfmConfig
 from stylesplat.sfm.undistort import write_colmap
+from stylesplat.sfm.workplace import open_workplace
 
 COUNT = 10
 FAST = SfmConfig(max_features=500)
@@ -198,3 +207,65 @@ def test_a_full_disk_is_called_so_and_the_next_call_goes_on(tmp_path: Path):
         reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=FAST)
     result = reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=FAST)
     assert result.numbers["registered"] == 4
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import stylesplat
+from stylesplat.progress import Silence, listen
+from stylesplat.sfm.prepared import Prepared
+from stylesplat.sfm.likeness import alike
+from stylesplat.sfm.pairs import most_alike
+from stylesplat.sfm.photo_groups import group_photos
+from stylesplat.sfm.reconstruct import reconstruct
+from stylesplat.sfm.sfm_config import SfmConfig
+
+class Killer(Silence):
+    def task(self, what, *rest):
+        if what == "Matches":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().task(what, *rest)
+
+listen(Killer())
+place, names = Path(sys.argv[1]), tuple(sys.argv[2:])
+prepared = Prepared(names, ordered=False, origins={}, sharpness={})
+reconstruct(place / "photos", prepared, place / "work", config=SfmConfig(max_features=500))
+"""
+
+
+def test_after_a_kill_the_next_call_goes_on(tmp_path: Path):
+    prepared = write_photos(tmp_path / "photos", corner(4))
+    environment = os.environ | {"PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
+    command = [sys.executable, "-c", KILLED, tmp_path, *prepared.names]
+    assert subprocess.run(command, env=environment).returncode == -signal.SIGKILL
+    again = Recorder()
+    with observed(again):
+        result = reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=FAST)
+    assert again.tasks == ["Matches", "Poses"]
+    assert result.numbers["registered"] == 4
+
+
+def test_each_size_and_lens_has_a_camera(tmp_path: Path):
+    write_photos(tmp_path, corner(3))
+    exif = Image.Exif()
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.2
+    Image.open(tmp_path / "00.jpg").save(tmp_path / "03.jpg", exif=exif)
+    Image.open(tmp_path / "00.jpg").resize((160, 120)).save(tmp_path / "04.jpg")
+    names = [f"0{i}.jpg" for i in range(5)]
+
+    def rows(cameras: str) -> list[tuple[int, ...]]:
+        return [group.rows for group in group_photos(tmp_path, names, cameras)]
+
+    assert rows("auto") == [(0, 1, 2), (3,), (4,)]
+    assert rows("one") == [(0, 1, 2, 3), (4,)]
+    assert rows("several") == [(0,), (1,), (2,), (3,), (4,)]
+
+
+def test_photos_that_look_alike_are_compared(photos: Path, work: Path, result, prepared):
+    place = open_workplace(work, photos, prepared.names, FAST)
+    likeness = alike(place)
+    assert likeness[3, 4] > 10 * likeness[3, COUNT + 1]  # the neighbour; another place
+    assert likeness[COUNT].sum() == 0  # the blank photo
+    pairs = most_alike(likeness, 4)
+    assert {(row, row + 1) for row in range(COUNT - 1)} <= pairs

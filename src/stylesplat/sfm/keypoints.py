@@ -3,7 +3,7 @@
 from stylesplat.scene.sampling import evenly
 from stylesplat.sfm.workplace import Workplace
 
-SAMPLE = 5  # photos of a camera that tell how closely its photos have to be looked at
+SAMPLE = 3  # photos of a camera that tell how closely its photos have to be looked at
 WITH_FEATURES = "SELECT name FROM images JOIN descriptors USING (image_id)"
 COUNTS = "SELECT name, rows FROM images JOIN keypoints USING (image_id)"
 

@@ -68,6 +68,7 @@ def most_alike(likeness: Int[Tensor, "P P"], neighbours: int) -> Pairs:
     """Each photo with those most like it.
 
     Example:
+        >>> import torch
         >>> sorted(most_alike(torch.tensor([[0, 5, 1], [5, 0, 2], [1, 2, 0]]), 1))
         [(0, 1), (1, 2)]
     """
