@@ -3,7 +3,7 @@
 A handful of verbs over four nouns (`Capture`, `Cameras`, `Splats`, `Scene`)::
 
     import stylesplat as ss
-    capture = ss.load("garden/")                                        # posed photos
+    capture = ss.sfm("MyPhotos/", "garden/")         # finds the cameras; ss.load reads posed photos
     capture = ss.mask(capture, boxes={"vase": ("IMG_0007.jpg", (500, 300, 800, 700))})
     scene = ss.train(capture)                                           # Gaussians, objects
     scene = ss.select(scene, "pot", point=("IMG_0007.jpg", 640, 420))
@@ -12,7 +12,7 @@ A handful of verbs over four nouns (`Capture`, `Cameras`, `Splats`, `Scene`)::
     ss.export(styled, "garden.ply"); ss.view(styled); ss.save(styled, "garden-wave")
 
 Nouns are never changed: every verb takes them and returns others. Captures and scenes meet the disk
-in `load`, `open`, `save` and `export` only.
+in `sfm`, `load`, `open`, `save` and `export` only.
 """
 
 import lazy_loader

@@ -18,6 +18,7 @@ from .verbs.mask import mask as mask
 from .verbs.objects import objects as objects
 from .verbs.render import render as render
 from .verbs.select import select as select
+from .verbs.sfm import sfm as sfm
 from .verbs.sheet import sheet as sheet
 from .verbs.stylize import stylize as stylize
 from .verbs.train import train as train

@@ -17,9 +17,9 @@ from stylesplat.drawing.capture_picture import (
     capture_picture,
 )
 from stylesplat.drawing.object_sheet import MARGIN
+from stylesplat.posing.capture_report import CaptureReport
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.sfm.capture_report import CaptureReport
 from stylesplat.verbs.check import check
 
 DOME = dome_cameras(48, 48, 36)

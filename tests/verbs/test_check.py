@@ -10,7 +10,7 @@ import pytest
 from ball_photos import write_ball_capture
 from balls import CAMERAS
 from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
-from stylesplat.sfm.capture_report import CaptureReport
+from stylesplat.posing.capture_report import CaptureReport
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 from tiny_captures import save_noise, write_capture

@@ -19,6 +19,7 @@ from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Objects
 from stylesplat.cli.render import Render
 from stylesplat.cli.select import Select
+from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
@@ -29,6 +30,7 @@ from stylesplat.signals import WHOLE
 VERBS = {
     "demo": Demo,
     "check": Check,
+    "sfm": Sfm,
     "mask": Mask,
     "train": Train,
     "import": Import,

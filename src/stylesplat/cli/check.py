@@ -9,8 +9,8 @@ from tyro.conf import Positional
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, refuse_picture
 
 if TYPE_CHECKING:
+    from stylesplat.posing.capture_report import CaptureReport
     from stylesplat.scene.capture import Capture
-    from stylesplat.sfm.capture_report import CaptureReport
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Check:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import open_capture
-        from stylesplat.sfm.sharpness import SIDE
+        from stylesplat.posing.sharpness import SIDE
         from stylesplat.verbs.check import check
 
         if self.output is not None:

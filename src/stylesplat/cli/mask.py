@@ -9,6 +9,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
+from stylesplat.cli.posed import is_under_way, posed
+from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
@@ -32,7 +34,8 @@ class Mask:
     """
 
     capture: Positional[Path]
-    """Folder with the posed photos; the label maps go into its object_mask/."""
+    """Folder with the posed photos; the label maps go into its object_mask/. Of photos without
+    poses, or a video, `sfm` makes a capture first, beside them; the label maps go into that one."""
     method: Method | None = None
     """files takes masks of another program and grabcut cuts out what boxes hold, by default what
     the other options call for; the others find all objects with that model."""
@@ -60,6 +63,8 @@ class Mask:
     @property
     def after_interruption(self) -> str:
         """How to go on."""
+        if is_under_way(self.capture, beside=self.capture):
+            return CONTINUES
         return WHOLE if self._method in REFUSED else CONTINUES
 
     @property
@@ -74,9 +79,10 @@ class Mask:
 
         method = self._method
         refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), f"--method {method}")
-        output = self.capture / OBJECT_MASK
-        progress = None if method in REFUSED else output.with_suffix(".partial")
-        capture = load(self.capture, masks=False)
+        folder = posed(self.capture, beside=self.capture)
+        output = folder / OBJECT_MASK
+        progress = None if method in REFUSED else partial_of(output)
+        capture = load(folder, masks=False)
         with changing(output):
             return self._mask(capture, method, output, progress)
 
@@ -135,7 +141,7 @@ class Mask:
         ids = sorted(set[int]().union(*found.values()))
         names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
         with changing(output / PREVIEW):
-            write_image(mask_preview(load(self.capture), names), output / PREVIEW)
+            write_image(mask_preview(load(output.parent), names), output / PREVIEW)
         return {
             "masks": output,
             "preview": output / PREVIEW,

@@ -9,23 +9,25 @@ from typing import Any, Literal
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, given
+from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.io.files import MARK
+from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
-PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
 KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train a splat with objects from posed photos.
+    """Train a splat with objects from photos.
 
     Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
     """
 
     capture: Positional[Path]
-    """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/."""
+    """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/. Of
+    photos without poses, or a video, `sfm` makes a capture first, beside the scene."""
     output: Output
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
     preset: Literal["default", "paper"] = "default"
@@ -60,13 +62,12 @@ class Train:
     def after_interruption(self) -> str:
         """How to go on."""
         if not self._checkpoint.exists():
-            return WHOLE
+            return CONTINUES if is_under_way(self.capture, beside=self.output) else WHOLE
         return CONTINUES if not self.restart else "Without `--restart` it goes on where it stopped."
 
     @property
     def _checkpoint(self) -> Path:
-        output = self.output.resolve()
-        return output.with_name(output.name + PARTIAL) / f"checkpoint_{self.segment}.pt"
+        return partial_of(self.output) / f"checkpoint_{self.segment}.pt"
 
     def run(self) -> dict[str, Any]:
         """Do it."""
@@ -86,7 +87,8 @@ class Train:
         config = replace(PRESETS[self.preset], **given(self, names))
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         checkpoint, partial = self._checkpoint, self._checkpoint.parent
-        capture = load(self.capture, downscale=self.downscale, masks=self.masks)
+        folder = posed(self.capture, beside=self.output)
+        capture = load(folder, downscale=self.downscale, masks=self.masks)
         if self.restart:
             _forget(partial)
         scene = train(

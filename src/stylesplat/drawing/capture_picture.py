@@ -11,10 +11,10 @@ from torch import Tensor
 
 from stylesplat.drawing.grid import write_line
 from stylesplat.drawing.object_sheet import COUNT_SIZE, INK, MARGIN, PAPER, TITLE_SIZE
+from stylesplat.posing.capture_report import CaptureReport
+from stylesplat.posing.coverage import STRIDE
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import seen_from
-from stylesplat.sfm.capture_report import CaptureReport
-from stylesplat.sfm.coverage import STRIDE
 
 FINE = 2  # times the size at which all but the text is drawn, so that edges are smooth
 PANEL = 720  # pixels along a side of a panel

@@ -14,6 +14,13 @@ from stylesplat.io.recovery import NEW, OLD, changing, hidden
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: paths as they are; swap two
 RENAME_SWAP = 2  # the same of macOS
+PARTIAL = ".partial"  # what the folder of an interrupted run is called after that of its result
+
+
+def partial_of(path: Path) -> Path:
+    """Where what an interrupted run has done so far is kept: beside the result."""
+    path = path.resolve()
+    return path.with_name(path.name + PARTIAL)
 
 
 @contextmanager

@@ -4,14 +4,14 @@ import torch
 
 from stylesplat.io.captures.model_figures import ModelFigures, read_figures
 from stylesplat.io.captures.unposed import unposed_photos
+from stylesplat.posing import findings
+from stylesplat.posing.capture_report import CaptureReport
+from stylesplat.posing.centre import find_centre
+from stylesplat.posing.coverage import measure_coverage
+from stylesplat.posing.findings import Finding
+from stylesplat.posing.frame import working_frame
+from stylesplat.posing.photo_looks import photo_looks
 from stylesplat.scene.capture import Capture
-from stylesplat.sfm import findings
-from stylesplat.sfm.capture_report import CaptureReport
-from stylesplat.sfm.centre import find_centre
-from stylesplat.sfm.coverage import measure_coverage
-from stylesplat.sfm.findings import Finding
-from stylesplat.sfm.frame import working_frame
-from stylesplat.sfm.photo_looks import photo_looks
 
 
 def check(capture: Capture) -> CaptureReport:

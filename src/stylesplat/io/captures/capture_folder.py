@@ -116,6 +116,11 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     )
 
 
+def is_posed(folder: Path) -> bool:
+    """Whether a folder has camera poses."""
+    return find_sparse(folder) is not None or (folder / TRANSFORMS).is_file()
+
+
 def _read_poses(folder: Path) -> PosedFiles:
     if not folder.is_dir():
         raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
@@ -126,7 +131,7 @@ def _read_poses(folder: Path) -> PosedFiles:
         return read_transforms(folder)
     raise StyleSplatError(
         f"{folder} is not a capture: it has neither sparse/0/cameras.bin (or .txt) nor "
-        f"{TRANSFORMS}. Pose the photos with COLMAP first."
+        f"{TRANSFORMS}. Find the cameras first: `stylesplat sfm {folder} -o CAPTURE`."
     )
 
 

@@ -1,0 +1,61 @@
+"""Photos as structure from motion gets them: upright, in JPEG or PNG, with their focal length."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from stylesplat.io.captures.decoding import opened
+from stylesplat.io.captures.photos import plain_suffix, read_image
+from stylesplat.io.files import atomic_path
+from stylesplat.posing.exif import lens_exif
+
+QUALITY = 95  # of JPEG, with colours at full size: losses are hardly visible
+
+
+def write_photo(source: Path, target: Path) -> None:
+    """Write a photo as it is if that serves, else decoded and upright as JPEG.
+
+    Raises:
+        StyleSplatError: If the photo is unreadable, the disk is full or the place cannot be
+            written to.
+    """
+    if plain_suffix(source):
+        with atomic_path(target) as temporary:
+            _link(source.resolve(), temporary)
+        return
+    with opened(source) as image:
+        rgb = image.mode in ("RGB", "RGBA")
+        profile = image.info.get("icc_profile") if rgb else None
+    write_jpeg(read_image(source).numpy(), target, exif=lens_exif(source), icc_profile=profile)
+
+
+def write_jpeg(
+    pixels: UInt8[np.ndarray, "H W 3"],
+    target: Path,
+    *,
+    exif: bytes = b"",
+    icc_profile: bytes | None = None,
+) -> None:
+    """Write a picture of high quality.
+
+    Raises:
+        StyleSplatError: If the disk is full or the place cannot be written to.
+    """
+    with atomic_path(target) as temporary:
+        Image.fromarray(pixels).save(
+            temporary, "JPEG", quality=QUALITY, subsampling=0, exif=exif, icc_profile=icc_profile
+        )
+
+
+def _link(source: Path, target: Path) -> None:
+    """Without a copy where the system can do that and the file may be opened to be synced."""
+    try:
+        if not os.access(source, os.W_OK):
+            raise PermissionError
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

@@ -1,0 +1,132 @@
+"""Which capture belongs to photos that have no poses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from command_line import complaint, result, run
+from corner_photos import corner, write_photos
+from stylesplat.cli.posed import earlier_capture, is_under_way, place_of, posed
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.sfm_file import SfmRecord, read_sfm, write_sfm
+from stylesplat.io.scene_folder import open as open_scene
+from stylesplat.verbs.sfm import digest_of
+from tiny_captures import save_noise, write_capture
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    for i in range(3):
+        save_noise(tmp_path / "My photos" / f"{i}.png", seed=i)
+    return tmp_path / "My photos"
+
+
+def write_record(folder: Path, photos: Path) -> Path:
+    write_sfm(
+        SfmRecord(
+            source=str(photos.resolve()),
+            digest=digest_of(photos),
+            given=3,
+            registered=3,
+            left_out={},
+            unregistered={},
+            origins={},
+            frame={},
+            settings={},
+            numbers={},
+            libraries={},
+        ),
+        folder,
+    )
+    return folder
+
+
+def test_a_capture_is_taken_as_it_is(tmp_path: Path):
+    folder = write_capture(tmp_path / "garden")
+    assert posed(folder, beside=tmp_path / "scene") == folder
+    assert [p.name for p in tmp_path.iterdir()] == ["garden"]
+
+
+def test_what_is_not_there_is_left_to_the_reader(tmp_path: Path):
+    assert posed(tmp_path / "nothing", beside=tmp_path / "scene") == tmp_path / "nothing"
+
+
+@pytest.mark.parametrize("near", ["My photos", "elsewhere/scene"])
+def test_an_earlier_capture_is_found_beside_the_photos_and_the_scene(
+    near: str, photos: Path, tmp_path: Path
+):
+    scene = tmp_path / "elsewhere" / "scene"
+    place = place_of(photos, beside=tmp_path / near)
+    assert place.name == "My photos-capture" and place.parent == (tmp_path / near).parent
+    write_record(write_capture(place), photos)
+    assert posed(photos, beside=scene) == place
+
+
+def test_of_a_video_it_is_called_without_the_extension(tmp_path: Path):
+    (tmp_path / "walk.mp4").write_bytes(b"")
+    assert place_of(tmp_path / "walk.mp4", beside=tmp_path / "scene").name == "walk-capture"
+
+
+def test_photos_that_have_changed_since(photos: Path, tmp_path: Path):
+    place = write_record(write_capture(place_of(photos, beside=photos)), photos)
+    save_noise(photos / "sub" / "4.png")
+    with pytest.raises(StyleSplatError, match=r"have changed since .* sfm .* --overwrite`"):
+        earlier_capture(photos, beside=photos)
+    assert read_sfm(place) is not None
+
+
+def test_hidden_files_are_no_change(photos: Path):
+    before = digest_of(photos)
+    (photos / ".DS_Store").write_bytes(b"1")
+    assert digest_of(photos) == before
+
+
+def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
+    write_record(write_capture(place_of(photos, beside=photos)), tmp_path / "others")
+    assert earlier_capture(photos, beside=photos) is None
+
+
+def test_a_damaged_record(photos: Path):
+    place = write_capture(place_of(photos, beside=photos))
+    (place / "sfm.json").write_text('{"source": 3}')
+    with pytest.raises(StyleSplatError, match=r"Cannot read .*sfm\.json"):
+        earlier_capture(photos, beside=photos)
+
+
+def test_an_interrupted_run_is_known_by_its_folder(photos: Path):
+    assert not is_under_way(photos, beside=photos)
+    (photos.parent / "My photos-capture.partial").mkdir()
+    assert is_under_way(photos, beside=photos)
+
+
+def save_ids(path: Path) -> None:
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(np.repeat(np.uint8([[0], [3]]), 120, axis=0).repeat(320, axis=1)).save(path)
+
+
+def test_from_photos_to_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """`mask` finds the poses, beside the photos, and `train` takes them from there."""
+    photos = tmp_path / "Walls"
+    write_photos(photos, corner(6))
+    for name in corner(6):
+        save_ids(tmp_path / "ids" / name.replace("jpg", "png"))
+    assert run("mask", photos, "--from", tmp_path / "ids") == 0
+    capture = tmp_path / "Walls-capture"
+    assert "has no camera poses: finding them first" in capsys.readouterr().err
+    assert {p.name for p in capture.iterdir()} >= {"images", "sparse", "object_mask"}
+    out = tmp_path / "scene"
+    assert run("train", photos, "-o", out, "--steps", 4, "--device", "cpu") == 0
+    assert f"taking those in {capture}" in capsys.readouterr().err
+    assert open_scene(out).splats.classifier is not None
+
+
+def test_a_run_of_its_own_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    photos = tmp_path / "Walls"
+    write_photos(photos, corner(5) | {"blank.jpg": np.full((240, 320), 90, np.uint8)})
+    found = result(capsys, "sfm", photos, "-o", tmp_path / "walls")
+    assert (found["registered"], found["photos"]) == (5, 6)
+    assert [*found["left_out"], *found["unregistered"]] == ["blank.jpg"]
+    line = complaint(capsys, "sfm", photos, "-o", tmp_path / "walls")
+    assert "--overwrite" in line

@@ -1,0 +1,133 @@
+"""Photos in, a capture with poses out."""
+
+import itertools
+import json
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+import pytest
+import torch
+
+import stylesplat as ss
+from corner_photos import corner, places_around, write_photos
+from stylesplat.io.captures.sfm_file import read_sfm
+from stylesplat.posing.frame import working_frame
+from stylesplat.progress import Silence, Task, observed
+from stylesplat.scene.frames import seen_from
+
+COUNT = 8
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Photos of a textured corner, one of them twice and one of them no picture."""
+    folder = tmp_path_factory.mktemp("sfm") / "Ma pièce"
+    pictures = corner(COUNT)
+    write_photos(folder, pictures | {"again.jpg": pictures["02.jpg"]})
+    (folder / "broken.jpg").write_bytes(b"\xff\xd8\xff no photo")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def capture(photos: Path) -> ss.Capture:
+    return ss.sfm(photos, photos.with_name("capture"))
+
+
+def test_all_that_fit_are_posed(capture: ss.Capture, photos: Path):
+    assert capture.cameras.names == tuple(f"{i:02}.jpg" for i in range(COUNT))
+    assert capture.path == photos.with_name("capture")
+    assert capture.points is not None and len(capture.points) > 200
+    steps = capture.cameras.positions.diff(dim=0).norm(dim=1)
+    truth = torch.from_numpy(places_around(COUNT, spread=COUNT / 10)).diff(dim=0).norm(dim=1)
+    ratio = steps / truth.float()
+    assert (ratio / ratio.median() - 1).abs().max() < 0.02
+
+
+def test_the_frame_is_one_to_work_in(capture: ss.Capture):
+    """Nothing is left to do for what makes such frames."""
+    assert capture.points is not None
+    frame = working_frame(capture.cameras, capture.points)
+    assert frame.scale == pytest.approx(1, abs=0.02)
+    moved = seen_from(capture.cameras, frame)
+    assert (moved.positions - capture.cameras.positions).norm(dim=1).max() < 0.05
+
+
+def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: Path):
+    assert capture.path is not None
+    record = read_sfm(capture.path)
+    assert record is not None
+    assert (record.given, record.registered) == (COUNT + 2, COUNT)
+    assert record.source == str(photos)
+    assert record.left_out.keys() == {"02.jpg", "broken.jpg"} or record.left_out.keys() == {
+        "again.jpg",
+        "broken.jpg",
+    }
+    assert record.frame["up"] == [0, -1, 0]
+    assert json.loads((capture.path / "sfm.json").read_text())["format"] == 1
+
+
+def test_the_capture_is_checked(capture: ss.Capture):
+    assert capture.path is not None
+    assert {p.name for p in capture.path.iterdir()} == {"images", "sparse", "sfm.json", "check.jpg"}
+
+
+def test_nothing_is_left_beside_it(capture: ss.Capture, photos: Path):
+    assert {p.name for p in photos.parent.iterdir()} == {"Ma pièce", "capture"}
+
+
+class InterruptedAt(Silence):
+    """Ctrl-C when a kind of work begins."""
+
+    def __init__(self, stage: int) -> None:
+        self.stages = itertools.count()
+        self.stage = stage
+
+    def task(
+        self, what: str, total: int | float | None, unit: str, done: int | float
+    ) -> AbstractContextManager[Task]:
+        if next(self.stages) == self.stage:
+            raise KeyboardInterrupt
+        return nullcontext(self)
+
+
+@pytest.fixture
+def stages() -> Iterator[range]:
+    yield range(2, 5)  # after the photos are read: features, matching, poses
+
+
+def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path, stages: range):
+    output = tmp_path / "capture"
+    for stage in stages:
+        with observed(InterruptedAt(stage)), pytest.raises(KeyboardInterrupt):
+            ss.sfm(photos, output)
+        assert not output.exists()
+        assert (tmp_path / "capture.partial" / "prepared" / "00.jpg").is_file()
+    assert len(ss.sfm(photos, output)) == COUNT
+    assert [p.name for p in tmp_path.iterdir()] == ["capture"]
+
+
+def test_an_occupied_place(photos: Path, tmp_path: Path):
+    (tmp_path / "diary.txt").write_text("dear")
+    with pytest.raises(ss.StyleSplatError, match=r"holds something else\. Choose another"):
+        ss.sfm(photos, tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["diary.txt"]
+
+
+def test_inside_of_the_photos(photos: Path):
+    with pytest.raises(ss.StyleSplatError, match="lies inside of"):
+        ss.sfm(photos, photos / "capture")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"frames": 2}, "needs 3 or more"),
+        ({"matchin": "auto"}, "setting"),
+        ({"matching": "all"}, "matching"),
+    ],
+)
+def test_settings(settings: dict, message: str, photos: Path, tmp_path: Path):
+    with pytest.raises(ss.StyleSplatError, match=message):
+        ss.sfm(photos, tmp_path / "capture", **settings)
+    assert not any(tmp_path.iterdir())
