@@ -9,6 +9,7 @@ from torch import Tensor
 from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.training import growth, schedule
+from stylesplat.training.color_maps import aim, mapped
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
 from stylesplat.training.parts import parts_for
 from stylesplat.training.run import Run
@@ -18,6 +19,7 @@ from stylesplat.training.training_views import View
 NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
 NEIGHBORS = 5
+CHANGE_WEIGHT = 0.01  # of a photo's change of colours, so that what is not told stays 0
 
 
 class Outcome(NamedTuple):
@@ -47,18 +49,25 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     classes = view.classes if state.step % config.identity_every == 0 else None
     for param in state.params.values():
         param.grad = None
-    splats = state.splats
+    splats, changes = state.splats, state.params.get("color_maps")
     background, target = _behind(view, generator)
-    render, _, info = rasterize(
+    render, alphas, info = rasterize(
         splats,
         view.camera,
         features=None if classes is None else splats.identities,
         features_move_geometry=config.identity_geometry,
-        background=background,
+        background=background if changes is None else None,
         sh_degree=schedule.sh_degree(progress, config),
     )
     image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
+    if changes is not None:
+        image = mapped(image, alphas[0], changes[row])
+        if background is not None:
+            image = image + (1 - alphas[0]) * background
+        target = aim(image, target)
     loss, error = photometric_loss(image, target)
+    if changes is not None:
+        loss = loss + CHANGE_WEIGHT * changes[row].square().sum()
     loss = loss + growth.regularizer(state.params)
     if classes is not None:
         loss = loss + _identity_losses(run, state, (rendered, classes), generator)

@@ -1,0 +1,85 @@
+"""What is learned of each photo and is no part of the splat: its colours.
+
+Their mean over the photos is held at nothing, so that the splat has the typical photo's colours.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.progress import say
+from stylesplat.training import schedule
+from stylesplat.training.adam import Moments, adam_step
+from stylesplat.training.photo_gains import photo_gains
+from stylesplat.training.run import Run
+from stylesplat.training.state import PER_PHOTO, State
+
+RATES = {"color_maps": 5e-3}  # at first; a gain of 1.6 in light is a change of 0.24
+DECAY = 0.1  # last rate over the first
+VARIED = 0.08  # spread of the logarithms of gains from which on photos differ in exposure
+
+
+def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
+    """What is to be learned of the photos, as a run begins; one row per photo of the capture.
+
+    Args:
+        run: What stays the same.
+        points: Sparse points in the world, from which exposures are told.
+    """
+    wanted = run.config.color_correction
+    told = points is not None and len(points) > 0
+    if wanted == "off" or (wanted == "auto" and not told):
+        return {}
+    gains = torch.zeros(len(run.rows), 3)
+    if told:
+        gains = photo_gains(points, lambda row: run.views(row, _coarsest(run, row)), run.rows)
+    spread = gains.mean(dim=1).std(correction=0).item()
+    if wanted == "auto" and spread < VARIED:
+        return {}
+    if wanted == "auto":
+        say(
+            f"The photos differ in exposure (by {spread:.0%}, typically): training learns it, "
+            "and keeps it out of the splat."
+        )
+    changes = torch.zeros(len(run.cameras), 3, 4)
+    changes[list(run.rows), :, :3] = torch.diag_embed(gains.exp() - gains.exp().mean(dim=0))
+    return {"color_maps": changes.to(run.device)}
+
+
+def step_photo(run: Run, state: State) -> None:
+    """Adam for what is learned of the photo of a step, in place; each photo has its own clock.
+
+    Args:
+        run: What stays the same.
+        state: Before the step, with gradients.
+    """
+    names = [name for name in PER_PHOTO if name in state.params]
+    if not names:
+        return
+    row, rows = run.row(state.step), list(run.rows)
+    params = {name: _own_row(state.params[name], row) for name in names}
+    rates = {name: RATES[name] * DECAY ** run.progress(state) for name in names}
+    visit = state.step // len(rows) + 1  # each photo comes once before any comes again
+    adam_step(params, _own_moments(state.moments, names, row), rates, visit)
+    with torch.no_grad():
+        for name in names:
+            state.params[name][rows] -= state.params[name][rows].mean(dim=0)
+
+
+def _own_row(param: Tensor, row: int) -> Tensor:
+    """One row, which shares its numbers with the tensor, and its gradient."""
+    own = param.detach()[row : row + 1]
+    own.grad = None if param.grad is None else param.grad[row : row + 1]
+    return own
+
+
+def _own_moments(moments: Moments, names: list[str], row: int) -> Moments:
+    first, second = (
+        {name: tensors[name][row : row + 1] for name in names}
+        for tensors in (moments.first, moments.second)
+    )
+    return Moments(first, second)
+
+
+def _coarsest(run: Run, row: int) -> int:
+    return schedule.photo_downscale(0.0, run.cameras[row].size, run.config)
