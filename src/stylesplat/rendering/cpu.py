@@ -1,7 +1,7 @@
 """Rendering on the CPU: numba kernels behind three differentiable functions.
 
-Float32 by construction. Gradients reach means, quats, scales, opacities and colours; cameras are
-taken as fixed.
+Float32 by construction. Gradients reach means, quats, scales, opacities and colours, and the
+cameras' poses where these ask for them; intrinsics are taken as fixed.
 """
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
@@ -25,12 +25,14 @@ from stylesplat.rendering.kernels import (
     sh_colors,
     tiles,
     vecs,
+    view_backward,
 )
 from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.rendering.kernels.project_backward import Geometry
 from stylesplat.rendering.kernels.rows import Rows
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
+from stylesplat.rendering.kernels.vec import LANES
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras
@@ -87,31 +89,42 @@ class _SphericalHarmonics(Function):
 
 class _Project(Function):
     @staticmethod
-    def forward(ctx, view, *gaussians):
-        ctx.view = arrays(view)
+    def forward(ctx, view, viewmat, *gaussians):
+        ctx.view = view
         n, new = len(gaussians[0]), gaussians[0].new_empty
         out = Projected(new(n, 2), new(n, 3), new(n, 1), torch.empty(n, 2, dtype=torch.int32))
         inputs = arrays(Gaussians(*gaussians))
-        project.project(inputs, ctx.view, arrays(out), get_num_threads())
+        project.project(inputs, arrays(view), arrays(out), get_num_threads())
         out = out._replace(depths=out.depths[:, 0])
-        ctx.save_for_backward(*gaussians[:3], *out)
+        ctx.save_for_backward(viewmat, *gaussians[:3], *out)
         ctx.mark_non_differentiable(out.depths, out.radii)
         return tuple(out)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, *v_projected):
-        geometry = Geometry(*ctx.saved_tensors[:3])
-        gradients = Geometry(*(t.new_empty(t.shape) for t in geometry))
-        project_backward.project_backward(
+        viewmat, *saved = ctx.saved_tensors
+        geometry, projected = Geometry(*saved[:3]), Projected(*saved[3:])
+        known = (
             arrays(geometry),
-            ctx.view,
-            arrays(Projected(*ctx.saved_tensors[3:])),
+            arrays(ctx.view._replace(viewmat=viewmat)),
+            arrays(projected),
             arrays(Projected(*v_projected)),
-            arrays(gradients),
-            get_num_threads(),
         )
-        return None, *gradients, None
+        v_viewmat = _viewmat_gradient(*known) if ctx.needs_input_grad[1] else None
+        if not any(ctx.needs_input_grad[2:]):
+            return None, v_viewmat, None, None, None, None
+        gradients = Geometry(*(t.new_empty(t.shape) for t in geometry))
+        project_backward.project_backward(*known, arrays(gradients), get_num_threads())
+        return None, v_viewmat, *gradients, None
+
+
+def _viewmat_gradient(*known: tuple) -> Tensor:
+    """Of the same nouns as `project_backward` takes; the last row of the matrix is 0."""
+    sums = np.zeros((get_num_threads(), 12, LANES))
+    view_backward.view_backward(*known, sums)
+    rows = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
+    return torch.nn.functional.pad(rows, (0, 0, 0, 1))
 
 
 class Tiled(NamedTuple):
@@ -207,7 +220,7 @@ def spherical_harmonics(
 
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     """What one camera sees of Gaussians; gradients reach means2d and conics only."""
-    return Projected(*_Project.apply(view, *gaussians))
+    return Projected(*_Project.apply(view, view.viewmat, *gaussians))
 
 
 def rasterize(

@@ -71,6 +71,8 @@ def rasterize(
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render splats from cameras of one size, differentiably.
 
+    Gradients reach the cameras' `viewmats`, too, if these require them.
+
     Args:
         splats: The Gaussians, as stored; they are activated here.
         cameras: One or more cameras that share an image size.

@@ -131,8 +131,12 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
 
 @no_type_check
 @inner
-def gaussian_gradients(gaussian, view, conic, v_ellipse):
-    """Gradients of a Gaussian's mean, quaternion and scale."""
+def camera_gradients(gaussian, view, conic, v_ellipse):
+    """Gradients of the rows of `camera_axes` and of the mean in camera coordinates.
+
+    Returns:
+        Both, then the unit quaternion and the rows of its rotation matrix.
+    """
     viewmat, K, _, _ = view
     p = camera_space(gaussian.mean, viewmat)
     unit = unit_quaternion(gaussian.quat)
@@ -152,11 +156,20 @@ def gaussian_gradients(gaussian, view, conic, v_ellipse):
             scaled(v_a1, -fy * slopes[1] * inverse_z),
         ),
     )
-    v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
     v_x, v_y, v_z = jacobian_backward(p, K, slopes, (v_a0, v_a1), axes)
     v_u, v_v = fx * inverse_z * v_ellipse.mean2d[0], fy * inverse_z * v_ellipse.mean2d[1]
     v_z = v_z - (v_u * p[0] + v_v * p[1]) * inverse_z
-    v_mean = combine((v_x + v_u, v_y + v_v, v_z), viewmat[0], viewmat[1], viewmat[2])
+    return v_axes, (v_x + v_u, v_y + v_v, v_z), unit, rows
+
+
+@no_type_check
+@inner
+def gaussian_gradients(gaussian, view, conic, v_ellipse):
+    """Gradients of a Gaussian's mean, quaternion and scale."""
+    viewmat, _, _, _ = view
+    v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
+    v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
+    v_mean = combine(v_p, viewmat[0], viewmat[1], viewmat[2])
     return Gaussian(v_mean, v_quat, v_scale)
 
 

@@ -1,0 +1,194 @@
+"""Gradients by the cameras' poses: the reference's in every backend, and good for finding them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from rendering.native_gsplat import install
+from scenes import BACKENDS, random_splats, two_cameras
+from stylesplat.rendering import cpu
+from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import depths_of
+from stylesplat.scene.splats import Splats
+
+TURN = torch.block_diag(
+    rotation_matrices(torch.tensor([[0.9, 0.2, -0.3, 0.1]]))[0], torch.ones(1, 1)
+)
+Carried = Callable[[Splats, Cameras], Tensor]
+
+
+def turned_cameras() -> Cameras:
+    """Views whose axes are none of the world's, so that no transposed matrix goes unnoticed."""
+    return replace(two_cameras(), viewmats=two_cameras().viewmats @ TURN)
+
+
+def cast(splats: Splats, cameras: Cameras, backend: Backend, dtype: torch.dtype):
+    """Both for a backend; of these only the poses collect gradients."""
+    device = "cuda" if backend == "cuda" and torch.cuda.is_available() else "cpu"
+    tensors = {name: t.to(device, dtype) for name, t in splats.tensors().items()}
+    viewmats = cameras.viewmats.to(device, dtype, copy=True).requires_grad_()
+    return replace(splats, **tensors), replace(cameras, viewmats=viewmats)
+
+
+def pose_gradients(
+    backend: Backend,
+    dtype: torch.dtype,
+    *,
+    splats: Splats | None = None,
+    cameras: Cameras | None = None,
+    carried: Carried | None = None,
+    **options,
+) -> Tensor:
+    """Of a loss that weighs every number of image and coverage."""
+    splats, cameras = cast(splats or random_splats(), cameras or turned_cameras(), backend, dtype)
+    features = None if carried is None else carried(splats, cameras)
+    images = rasterize(splats, cameras, features=features, backend=backend, **options)[:2]
+    generator = torch.Generator().manual_seed(1)
+    for each in images:
+        weights = torch.randn(each.shape, generator=generator, dtype=torch.float64)
+        (each * weights.to(each)).sum().backward(retain_graph=True)
+    gradients = cameras.viewmats.grad
+    assert gradients is not None
+    return gradients.cpu().double()
+
+
+def assert_same(found: Tensor, expected: Tensor, tolerance: float) -> None:
+    """View by view, by size and by direction."""
+    assert found.shape == expected.shape
+    assert not found[:, 3].any()
+    for mine, wanted in zip(found, expected, strict=True):
+        assert wanted.any()
+        assert (mine - wanted).norm() < tolerance * wanted.norm()
+        assert torch.cosine_similarity(mine.flatten(), wanted.flatten(), dim=0) > 0.9999
+
+
+def identities(splats: Splats, cameras: Cameras) -> Tensor:
+    assert splats.identities is not None
+    return splats.identities
+
+
+def depths(splats: Splats, cameras: Cameras) -> Tensor:
+    return depths_of(splats.means, cameras)[:, None]
+
+
+CASES = {
+    "colour": {},
+    "two cameras along the axes": {"cameras": two_cameras()},
+    "one band": {"sh_degree": 1},
+    "no bands": {"sh_degree": 0},
+    "identities": {"carried": identities},
+    "identities that move nothing": {"carried": identities, "features_move_geometry": False},
+    "depths": {"carried": depths, "cameras": turned_cameras()[1]},
+    "one Gaussian": {"splats": random_splats(1, seed=4)},
+    "seventeen Gaussians": {"splats": random_splats(17)},
+}
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("name", CASES)
+def test_they_are_the_references(backend: Backend, name: str):
+    expected = pose_gradients("reference", torch.float64, **CASES[name])
+    found = pose_gradients(backend, torch.float32, **CASES[name])
+    assert_same(found, expected, 1e-3)  # DESIGN's bound for float32 kernels; 5e-6 was measured
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_gsplat_is_asked_for_them(monkeypatch: pytest.MonkeyPatch, name: str):
+    install(monkeypatch)
+    expected = pose_gradients("reference", torch.float64, **CASES[name])
+    assert_same(pose_gradients("cuda", torch.float64, **CASES[name]), expected, 1e-10)  # rounding
+
+
+def test_the_references_are_those_of_its_image():
+    few = random_splats(6, seed=3, sh_degree=1)
+    splats, camera = cast(few, turned_cameras()[0].downscale(8), "reference", torch.float64)
+
+    def image(viewmats: Tensor) -> Tensor:
+        return rasterize(splats, replace(camera, viewmats=viewmats), backend="reference")[0]
+
+    assert torch.autograd.gradcheck(image, camera.viewmats, eps=1e-7, atol=1e-4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_moving_world_and_camera_together_cancels(backend: Backend):
+    """What a shift of all Gaussians gains, the same shift of the camera loses."""
+    splats, cameras = cast(random_splats(), turned_cameras()[0], backend, torch.float32)
+    means = splats.means.clone().requires_grad_()
+    image, _, _ = rasterize(replace(splats, means=means), cameras, backend=backend)
+    image.square().sum().backward()
+    assert means.grad is not None and cameras.viewmats.grad is not None
+    rotation, v_shift = cameras.viewmats[0, :3, :3].detach(), cameras.viewmats.grad[0, :3, 3]
+    by_camera = -(rotation.T @ v_shift)
+    # float32 sums of what cancels to a large part
+    torch.testing.assert_close(-means.grad.sum(dim=0), by_camera, rtol=1e-3, atol=1e-3)
+
+
+def test_other_gradients_are_bit_for_bit_the_same():
+    found = []
+    for asked in (False, True):
+        splats, cameras = cast(random_splats(), turned_cameras(), "cpu", torch.float32)
+        cameras.viewmats.requires_grad_(asked)
+        leaves = {name: t.clone().requires_grad_() for name, t in splats.tensors().items()}
+        attached = replace(splats, **leaves)
+        image, alphas, _ = rasterize(attached, cameras, features=attached.identities)
+        (image.square().sum() + alphas.square().sum()).backward()
+        found.append([image, alphas, *(leaf.grad for leaf in leaves.values())])
+    assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
+
+
+def test_they_are_the_same_every_time_and_almost_so_by_any_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    expected = pose_gradients("cpu", torch.float32)
+    assert torch.equal(pose_gradients("cpu", torch.float32), expected)
+    monkeypatch.setattr(cpu, "get_num_threads", lambda: 5)
+    assert_same(pose_gradients("cpu", torch.float32), expected, 1e-5)  # blending sums in float32
+
+
+def test_nothing_in_view_gives_no_gradient():
+    splats = random_splats(20)
+    behind = replace(splats, means=splats.means - torch.tensor([0.0, 0.0, 10.0]))
+    assert not pose_gradients("cpu", torch.float32, splats=behind, cameras=two_cameras()).any()
+
+
+def test_linear_rendering_takes_cameras_as_fixed():
+    splats, cameras = cast(random_splats(), turned_cameras()[0], "cpu", torch.float32)
+    view = contributions(splats, cameras, torch.ones(len(splats), dtype=torch.bool))
+    assert not view.render(splats).requires_grad
+
+
+def moved(viewmat: Tensor, step: Tensor) -> Tensor:
+    """A pose turned and shifted in the camera: a rotation vector, then a translation."""
+    x, y, z = step[:3]
+    zero = torch.zeros_like(x)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
+    rigid = torch.cat([torch.linalg.matrix_exp(cross), step[3:, None]], dim=1)
+    return torch.cat([rigid @ viewmat, viewmat[3:]])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_they_find_a_camera(backend: Backend):
+    splats, camera = cast(random_splats(), turned_cameras()[0], backend, torch.float32)
+    true = camera.viewmats.detach()[0]
+    with torch.no_grad():
+        photo = rasterize(splats, camera, backend=backend)[0]
+    wrong = moved(true, torch.tensor([0.02, -0.015, 0.02, 0.03, 0.02, -0.04]).to(true))
+    step = true.new_zeros(6).requires_grad_()
+    optimizer = torch.optim.LBFGS([step], max_iter=30, line_search_fn="strong_wolfe")
+
+    def loss() -> Tensor:
+        optimizer.zero_grad()
+        seen = replace(camera, viewmats=moved(wrong, step)[None])
+        error = (rasterize(splats, seen, backend=backend)[0] - photo).square().mean()
+        error.backward()
+        return error
+
+    optimizer.step(loss)
+    assert (wrong - true).norm() > 0.05
+    assert (moved(wrong, step) - true).norm() < 1e-3  # float32 reaches 1e-5
