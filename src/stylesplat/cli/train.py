@@ -13,6 +13,15 @@ from stylesplat.cli.results import save_or_rescue
 from stylesplat.io.files import MARK
 from stylesplat.signals import WHOLE
 
+SETTINGS = (
+    "steps",
+    "max_seconds",
+    "max_gaussians",
+    "test_every",
+    "color_correction",
+    "seed",
+    "max_memory",
+)
 PARTIAL = ".partial"  # what the folder of an interrupted run is called after the scene's
 KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
 
@@ -45,6 +54,11 @@ class Train:
     segment: Literal["joint", "lift"] = "joint"
     """How Gaussians learn their objects: with their colours, as in the paper, or by lifting the
     label maps afterwards, which is faster."""
+    color_correction: Literal["auto", "on", "off"] | None = None
+    """Learn each photo's exposure and white balance, and keep them out of the splat. auto, the
+    default, does where the photos differ in them."""
+    refine_poses: FlagCreatePairsOff[bool] = False
+    """Turn and shift the training photos' cameras a little, where poses are not exact."""
     seed: int | None = None
     """The same seed and number of threads give the same result."""
     device: Device = "auto"
@@ -82,8 +96,8 @@ class Train:
         from stylesplat.verbs.load import load
         from stylesplat.verbs.train import train
 
-        names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
-        config = replace(PRESETS[self.preset], **given(self, names))
+        config = replace(PRESETS[self.preset], **given(self, SETTINGS))
+        config = replace(config, refine_poses=self.refine_poses)
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         checkpoint, partial = self._checkpoint, self._checkpoint.parent
         capture = load(self.capture, downscale=self.downscale, masks=self.masks)

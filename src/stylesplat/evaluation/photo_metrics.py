@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.half_fits import recolored
+from stylesplat.evaluation.half_fits import Fits, fitted_render
 from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
@@ -20,6 +20,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 
+NO_FITS = Fits()
 MEASURED = 8  # views of an import
 
 
@@ -30,7 +31,7 @@ def measured_rows(capture: Capture) -> list[int]:
 
 @torch.no_grad()
 def evaluate_views(
-    splats: Splats, capture: Capture, rows: Sequence[int], *, recolor: bool = False
+    splats: Splats, capture: Capture, rows: Sequence[int], *, fits: Fits = NO_FITS
 ) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 
@@ -40,12 +41,12 @@ def evaluate_views(
         splats: The Gaussians.
         capture: Photos and their cameras.
         rows: Which views to compare; the held-out ones, usually.
-        recolor: Whether each photo has colours of its own, as after training with a correction:
-            those of its left half are fitted on the right one, and the other way round.
+        fits: What each photo has of its own, as in the training that made the splats: for its
+            left half that is fitted on the right one, and the other way round.
 
     Returns:
-        `psnr` and `ssim`, averaged over the views; with `recolor` also `psnr_uncorrected` and
-        `ssim_uncorrected`, of the splat's own colours. If the splats have identities and these
+        `psnr` and `ssim`, averaged over the views; where something is fitted, also
+        `psnr_unfitted` and `ssim_unfitted`, without that. If the splats have identities and these
         views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
         objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know, as no
         photo that was trained on shows them, are left out, and the ids listed in `unknown_ids`.
@@ -61,12 +62,14 @@ def evaluate_views(
     for row in track(rows, "comparing with photos"):
         photo = capture.photos[row].to(splats.means) / 255
         image = rasterize(splats, capture.cameras[row])[0][0]
-        images = [image, recolored(splats, capture.cameras[row], photo)] if recolor else [image]
+        images = [image]
+        if fits.names:
+            images.append(fitted_render(splats, capture.cameras[row], photo, fits))
         scores.append(torch.stack([_closeness(each.clamp(0, 1), photo) for each in images]))
     means = torch.stack(scores).mean(dim=0)
     metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1].tolist(), strict=True))
-    if recolor:
-        names = ("psnr_uncorrected", "ssim_uncorrected")
+    if fits.names:
+        names = ("psnr_unfitted", "ssim_unfitted")
         metrics |= dict(zip(names, means[0].tolist(), strict=True))
     return metrics | _label_metrics(splats, capture, rows)
 

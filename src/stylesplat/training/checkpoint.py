@@ -24,7 +24,10 @@ from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
 REMEDY = "The same settings and photos continue it; `--restart` begins anew."
-OF_PHOTOS = {"color_maps": Declared(("photos", 3, 4))}
+OF_PHOTOS = {
+    "color_maps": Declared(("photos", 3, 4)),
+    "pose_shifts": Declared(("photos", 6)),
+}
 ANY = {"low": -math.inf, "high": math.inf}  # of moments: squares of gradients
 
 

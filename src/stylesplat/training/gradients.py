@@ -8,10 +8,12 @@ from torch import Tensor
 
 from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.training import growth, schedule
+from stylesplat.scene.cameras import Cameras
+from stylesplat.training import growth, per_photo, schedule
 from stylesplat.training.color_maps import aim, mapped
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
 from stylesplat.training.parts import parts_for
+from stylesplat.training.pose_shifts import moved
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
 from stylesplat.training.training_views import View
@@ -19,7 +21,6 @@ from stylesplat.training.training_views import View
 NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
 NEIGHBORS = 5
-CHANGE_WEIGHT = 0.01  # of a photo's change of colours, so that what is not told stays 0
 
 
 class Outcome(NamedTuple):
@@ -53,7 +54,7 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     background, target = _behind(view, generator)
     render, alphas, info = rasterize(
         splats,
-        view.camera,
+        _camera(run, view, state.params.get("pose_shifts"), row),
         features=None if classes is None else splats.identities,
         features_move_geometry=config.identity_geometry,
         background=background if changes is None else None,
@@ -66,14 +67,18 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
             image = image + (1 - alphas[0]) * background
         target = aim(image, target)
     loss, error = photometric_loss(image, target)
-    if changes is not None:
-        loss = loss + CHANGE_WEIGHT * changes[row].square().sum()
+    loss = loss + per_photo.regularizer(state.params, row)
     loss = loss + growth.regularizer(state.params)
     if classes is not None:
         loss = loss + _identity_losses(run, state, (rendered, classes), generator)
     loss.backward()
     seen = (info["radii"][0] > 0).all(dim=-1)
     return Outcome(seen, torch.stack([loss.detach(), decibels(error)]))
+
+
+def _camera(run: Run, view: View, shifts: Float[Tensor, "C 6"] | None, row: int) -> Cameras:
+    """Of the photo of a step, as far as it is known by now."""
+    return view.camera if shifts is None else moved(view.camera, shifts[[row]], run.extent)
 
 
 def _behind(

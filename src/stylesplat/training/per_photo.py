@@ -1,6 +1,7 @@
-"""What is learned of each photo and is no part of the splat: its colours.
+"""What is learned of each photo and is no part of the splat: its colours, and where it was taken.
 
-Their mean over the photos is held at nothing, so that the splat has the typical photo's colours.
+The means over the photos are held at nothing, so that the splat has the colours of the typical
+photo, and the world frame stays.
 """
 
 import torch
@@ -14,7 +15,9 @@ from stylesplat.training.photo_gains import photo_gains
 from stylesplat.training.run import Run
 from stylesplat.training.state import PER_PHOTO, State
 
-RATES = {"color_maps": 5e-3}  # at first; a gain of 1.6 in light is a change of 0.24
+# At first; a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
+RATES = {"color_maps": 5e-3, "pose_shifts": 1e-3}
+WEIGHTS = {"color_maps": 0.01, "pose_shifts": 1.0}  # of their squares: what is not told stays 0
 DECAY = 0.1  # last rate over the first
 VARIED = 0.08  # spread of the logarithms of gains from which on photos differ in exposure
 
@@ -26,8 +29,19 @@ def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, 
         run: What stays the same.
         points: Sparse points in the world, from which exposures are told.
     """
-    wanted = run.config.color_correction
-    told = points is not None and len(points) > 0
+    shifts = {"pose_shifts": torch.zeros(len(run.cameras), 6)} if run.config.refine_poses else {}
+    return {name: each.to(run.device) for name, each in (_first_maps(run, points) | shifts).items()}
+
+
+def regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
+    """Pulls what is learned of a photo towards nothing."""
+    names = [name for name in PER_PHOTO if name in params]
+    return sum((WEIGHTS[name] * params[name][row].square().sum() for name in names), 0.0)
+
+
+def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
+    """Changes of colours to start from; none if they are not wanted."""
+    wanted, told = run.config.color_correction, points is not None and len(points) > 0
     if wanted == "off" or (wanted == "auto" and not told):
         return {}
     gains = torch.zeros(len(run.rows), 3)
@@ -37,13 +51,10 @@ def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, 
     if wanted == "auto" and spread < VARIED:
         return {}
     if wanted == "auto":
-        say(
-            f"The photos differ in exposure (by {spread:.0%}, typically): training learns it, "
-            "and keeps it out of the splat."
-        )
+        say("The photos differ in exposure: training learns how, and keeps it out of the splat.")
     changes = torch.zeros(len(run.cameras), 3, 4)
     changes[list(run.rows), :, :3] = torch.diag_embed(gains.exp() - gains.exp().mean(dim=0))
-    return {"color_maps": changes.to(run.device)}
+    return {"color_maps": changes}
 
 
 def step_photo(run: Run, state: State) -> None:

@@ -65,6 +65,11 @@ class TrainConfig:
 
     `auto` learns them where points that several photos show tell that exposures differ.
     """
+    refine_poses: bool = False
+    """Whether each training photo's camera is turned and shifted a little to fit better.
+
+    The mean over the photos stays where it was.
+    """
     max_memory: float = 1.0
     """GiB for photos and label maps; what does not fit is read again."""
 
