@@ -155,7 +155,7 @@ def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     parts = fitting({key: content[key] for key in _Parts.__struct_fields__}, _Parts, "parts", "")
     bands = (checkpoint.config.sh_degree + 1) ** 2 - 1
     declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if parts.ids else {})
-    declared |= {name: each for name, each in OF_PHOTOS.items() if name in parts.params}
+    declared |= _of_photos(checkpoint.config, parts.params)
     sizes = {"N": len(parts.params["means"]), "K": len(parts.ids), "bands": bands}
     sizes["photos"] = checkpoint.photos
     if len(set(parts.ids)) < len(parts.ids):
@@ -169,3 +169,10 @@ def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     params = {name: t.requires_grad_() for name, t in parts.params.items()}
     moments = Moments(parts.first, parts.second)
     return State(params, moments, parts.ids, first_count, step, parts.seconds)
+
+
+def _of_photos(config: TrainConfig, params: Mapping[str, Tensor]) -> dict[str, Declared]:
+    """What such a run learns of photos; `auto` has left open whether their colours."""
+    corrects = {"on": True, "off": False}.get(config.color_correction, "color_maps" in params)
+    learned = {"color_maps": corrects, "pose_shifts": config.refine_poses}
+    return {name: each for name, each in OF_PHOTOS.items() if learned[name]}

@@ -16,7 +16,7 @@ from stylesplat.training.run import Run
 from stylesplat.training.state import PER_PHOTO, State
 
 # At first; a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
-RATES = {"color_maps": 5e-3, "pose_shifts": 1e-3}
+RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
 WEIGHTS = {"color_maps": 0.01, "pose_shifts": 1.0}  # of their squares: what is not told stays 0
 DECAY = 0.1  # last rate over the first
 VARIED = 0.08  # spread of the logarithms of gains from which on photos differ in exposure
@@ -41,11 +41,13 @@ def regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | floa
 
 def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
     """Changes of colours to start from; none if they are not wanted."""
-    wanted, told = run.config.color_correction, points is not None and len(points) > 0
-    if wanted == "off" or (wanted == "auto" and not told):
+    wanted = run.config.color_correction
+    if points is None or not len(points):
+        points = None
+    if wanted == "off" or (wanted == "auto" and points is None):
         return {}
     gains = torch.zeros(len(run.rows), 3)
-    if told:
+    if points is not None:
         gains = photo_gains(points, lambda row: run.views(row, _coarsest(run, row)), run.rows)
     spread = gains.mean(dim=1).std(correction=0).item()
     if wanted == "auto" and spread < VARIED:
