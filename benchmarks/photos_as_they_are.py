@@ -125,7 +125,7 @@ def poses_off(found: Capture, truth: Capture) -> str:
 def row_of(photos: Capture, truth: Capture, config: TrainConfig, what: str) -> list[object]:
     """Train and measure."""
     state = fit(photos, config)
-    _, held_out = split_views(photos, config.test_every)
+    rows, held_out = split_views(photos, config.test_every)
     fits = Fits(colors=what != "poses", pose=what == "poses", unit=scene_extent(photos.cameras))
     scores = evaluate_views(state.splats.detach(), photos, held_out, fits=fits)
     remedy = ", ".join(n for n in ("color_maps", "pose_shifts") if n in state.params)
@@ -134,7 +134,7 @@ def row_of(photos: Capture, truth: Capture, config: TrainConfig, what: str) -> l
         f"{scores['psnr_unfitted']:.2f} dB",
         f"{scores['psnr']:.2f} dB",
         f"{scores['ssim']:.4f}",
-        poses_off(refined(photos, state), truth),
+        poses_off(refined(photos, state, rows), truth),
         f"{1e3 * state.seconds / state.step:.0f}",
     ]
 

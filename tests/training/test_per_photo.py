@@ -7,7 +7,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.half_fits import Fits
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photo_metrics import NO_FITS, evaluate_views
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.poses import are_rigid
@@ -45,7 +45,7 @@ def shaken(plain: Capture) -> Capture:
     return replace(plain, cameras=moved(plain.cameras, noise, scene_extent(plain.cameras)))
 
 
-def closeness(state: State, capture: Capture, fits: Fits) -> float:
+def closeness(state: State, capture: Capture, fits: Fits = NO_FITS) -> float:
     rows = range(len(capture))  # nothing of what was trained of them is in the splat
     return evaluate_views(state.splats.detach(), capture, rows, fits=fits)["psnr"]
 
@@ -60,11 +60,9 @@ def test_photos_of_other_exposures_train_better_with_a_correction(
 
 def test_the_mean_photo_has_the_colours_of_the_splat(exposed: Capture, config: TrainConfig):
     state = fit(exposed, replace(config, color_correction="on"))
-    rows, held_out = split_views(exposed, config.test_every)
     changes = state.params["color_maps"].detach()
-    assert changes[rows].abs().amax(dim=(1, 2)).min() > 0.01
-    assert changes[rows].mean(dim=0).abs().max() < 1e-6
-    assert not changes[held_out].any()
+    assert changes.abs().amax(dim=(1, 2)).min() > 0.01
+    assert changes.mean(dim=0).abs().max() < 1e-6
 
 
 def test_auto_corrects_where_photos_differ(
@@ -126,19 +124,22 @@ def test_checkpoints_of_the_other_kind_are_refused(
 
 def test_noisy_poses_get_better(plain: Capture, shaken: Capture, config: TrainConfig):
     config = replace(config, steps=400, test_every=0, color_correction="off")
-    state = fit(shaken, replace(config, refine_poses=True))
-    found = refined(shaken, state).cameras
-    assert spread(found, plain.cameras) < 0.7 * spread(shaken.cameras, plain.cameras)
-    assert are_rigid(found.viewmats, 1e-5).all()
+    as_given, state = (fit(shaken, replace(config, refine_poses=on)) for on in (False, True))
+    found = refined(shaken, state, range(len(shaken)))
+    # A turn and a shift look nearly alike in 72 pixels, so much of each stays
+    assert spread(found.cameras, plain.cameras) < 0.8 * spread(shaken.cameras, plain.cameras)
+    assert are_rigid(found.cameras.viewmats, 1e-5).all()
+    assert closeness(state, found) > closeness(as_given, shaken) + 1
 
 
 def test_the_world_stays_where_it_is(shaken: Capture, config: TrainConfig):
     state = fit(shaken, replace(config, refine_poses=True))
     rows, held_out = split_views(shaken, config.test_every)
     shifts = state.params["pose_shifts"].detach()
-    assert shifts[rows].abs().amax(dim=1).min() > 1e-4
-    assert shifts[rows].mean(dim=0).abs().max() < 1e-7
-    cameras = refined(shaken, state).cameras
+    assert shifts.abs().amax(dim=1).min() > 1e-4
+    assert shifts.mean(dim=0).abs().max() < 1e-7
+    cameras = refined(shaken, state, rows).cameras
+    assert not torch.equal(cameras.viewmats[rows], shaken.cameras.viewmats[rows])
     assert torch.equal(cameras.viewmats[held_out], shaken.cameras.viewmats[held_out])
 
 

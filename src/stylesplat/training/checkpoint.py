@@ -53,7 +53,7 @@ class Checkpoint:
     capture: str
     """Fingerprint of what it trains on."""
     photos: int = 0
-    """How many there are."""
+    """How many photos are trained on."""
 
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:

@@ -45,6 +45,7 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     """
     progress, config = run.progress(state), run.config
     row = run.row(state.step)
+    place = run.rows.index(row)  # in what is learned of each photo
     factor = schedule.photo_downscale(progress, run.cameras[row].size, config)
     view = run.views(row, factor)
     classes = view.classes if state.step % config.identity_every == 0 else None
@@ -54,7 +55,7 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     background, target = _behind(view, generator)
     render, alphas, info = rasterize(
         splats,
-        _camera(run, view, state.params.get("pose_shifts"), row),
+        _camera(run, view, state.params.get("pose_shifts"), place),
         features=None if classes is None else splats.identities,
         features_move_geometry=config.identity_geometry,
         background=background if changes is None else None,
@@ -62,12 +63,12 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     )
     image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
     if changes is not None:
-        image = mapped(image, alphas[0], changes[row])
+        image = mapped(image, alphas[0], changes[place])
         if background is not None:
             image = image + (1 - alphas[0]) * background
         target = aim(image, target)
     loss, error = photometric_loss(image, target)
-    loss = loss + per_photo.regularizer(state.params, row)
+    loss = loss + per_photo.regularizer(state.params, place)
     loss = loss + growth.regularizer(state.params)
     if classes is not None:
         loss = loss + _identity_losses(run, state, (rendered, classes), generator)
@@ -76,9 +77,11 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     return Outcome(seen, torch.stack([loss.detach(), decibels(error)]))
 
 
-def _camera(run: Run, view: View, shifts: Float[Tensor, "C 6"] | None, row: int) -> Cameras:
+def _camera(run: Run, view: View, shifts: Float[Tensor, "R 6"] | None, place: int) -> Cameras:
     """Of the photo of a step, as far as it is known by now."""
-    return view.camera if shifts is None else moved(view.camera, shifts[[row]], run.extent)
+    return (
+        view.camera if shifts is None else moved(view.camera, shifts[place : place + 1], run.extent)
+    )
 
 
 def _behind(

@@ -77,7 +77,7 @@ def fit(
         None
         if checkpoint is None
         else Checkpoint(
-            checkpoint, config, fingerprint(replace(capture, object_names={})), len(capture)
+            checkpoint, config, fingerprint(replace(capture, object_names={})), len(rows)
         )
     )
     continued = _continued(saved, device)

@@ -23,13 +23,13 @@ VARIED = 0.08  # spread of the logarithms of gains from which on photos differ i
 
 
 def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
-    """What is to be learned of the photos, as a run begins; one row per photo of the capture.
+    """What is to be learned of the photos, as a run begins; one row per training photo.
 
     Args:
         run: What stays the same.
         points: Sparse points in the world, from which exposures are told.
     """
-    shifts = {"pose_shifts": torch.zeros(len(run.cameras), 6)} if run.config.refine_poses else {}
+    shifts = {"pose_shifts": torch.zeros(len(run.rows), 6)} if run.config.refine_poses else {}
     return {name: each.to(run.device) for name, each in (_first_maps(run, points) | shifts).items()}
 
 
@@ -54,8 +54,8 @@ def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tens
         return {}
     if wanted == "auto":
         say("The photos differ in exposure: training learns how, and keeps it out of the splat.")
-    changes = torch.zeros(len(run.cameras), 3, 4)
-    changes[list(run.rows), :, :3] = torch.diag_embed(gains.exp() - gains.exp().mean(dim=0))
+    factors = gains.exp() - gains.exp().mean(dim=0)
+    changes = torch.cat([torch.diag_embed(factors), torch.zeros(len(gains), 3, 1)], dim=2)
     return {"color_maps": changes}
 
 
@@ -69,14 +69,14 @@ def step_photo(run: Run, state: State) -> None:
     names = [name for name in PER_PHOTO if name in state.params]
     if not names:
         return
-    row, rows = run.row(state.step), list(run.rows)
+    row = run.rows.index(run.row(state.step))
     params = {name: _own_row(state.params[name], row) for name in names}
     rates = {name: RATES[name] * DECAY ** run.progress(state) for name in names}
-    visit = state.step // len(rows) + 1  # each photo comes once before any comes again
+    visit = state.step // len(run.rows) + 1  # each photo comes once before any comes again
     adam_step(params, _own_moments(state.moments, names, row), rates, visit)
     with torch.no_grad():
         for name in names:
-            state.params[name][rows] -= state.params[name][rows].mean(dim=0)
+            state.params[name].sub_(state.params[name].mean(dim=0))
 
 
 def _own_row(param: Tensor, row: int) -> Tensor:

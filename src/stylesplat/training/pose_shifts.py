@@ -4,6 +4,7 @@ Both are of the world, so that their means over the photos, which are held at no
 the world frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -32,17 +33,23 @@ def moved(cameras: Cameras, shifts: Float[Tensor, "C 6"], unit: float) -> Camera
     return replace(cameras, viewmats=torch.cat([upper, viewmats[:, 3:]], dim=1))
 
 
-def refined(capture: Capture, state: State) -> Capture:
-    """The capture with its cameras where training has found them; as given if it did not look."""
+def refined(capture: Capture, state: State, rows: Sequence[int]) -> Capture:
+    """The capture with its cameras where training has found them; as given if it did not look.
+
+    Args:
+        capture: As it is given.
+        state: After training.
+        rows: Photos that were trained on; the others' cameras stay.
+    """
     shifts = state.params.get("pose_shifts")
     if shifts is None:
         return capture
     unit, shifts = scene_extent(capture.cameras), shifts.detach().cpu()
 
     def found(cameras: Cameras) -> Cameras:
-        matrices = moved(cameras, shifts.to(cameras.viewmats), unit).viewmats
-        unmoved = (shifts == 0).all(dim=1)[:, None, None]
-        return replace(cameras, viewmats=torch.where(unmoved, cameras.viewmats, matrices))
+        viewmats = cameras.viewmats.clone()
+        viewmats[list(rows)] = moved(cameras[rows], shifts.to(viewmats), unit).viewmats
+        return replace(cameras, viewmats=viewmats)
 
     full = None if capture.full is None else found(capture.full)
     return replace(capture, cameras=found(capture.cameras), full=full)

@@ -8,7 +8,7 @@ from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
 
 CLASSIFIER = ("weight", "bias")
-PER_PHOTO = ("color_maps", "pose_shifts")  # one row per photo of the capture; no part of the splat
+PER_PHOTO = ("color_maps", "pose_shifts")  # one row per training photo; no part of the splat
 
 
 @dataclass(frozen=True)

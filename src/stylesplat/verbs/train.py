@@ -83,7 +83,7 @@ def train(
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
     splats, seconds = state.splats.detach(), state.seconds
-    capture = refined(capture, state)
+    capture = refined(capture, state, rows)
     if segment == "lift" and capture.label_maps is not None:
         say_unseen(shown_ids(capture, rows), capture.object_names)
         start = time.perf_counter()
