@@ -51,6 +51,20 @@ def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
     assert [*tmp_path.iterdir()] == [out], "nothing is left beside it"
 
 
+def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):
+    out = tmp_path / "scene"
+    options = ("--color-correction", "on", "--refine-poses", "--steps", 20, "--device", "cpu")
+    metrics = result(capsys, "train", capture, "-o", out, *options)
+    scene = ss.open(out)
+    assert scene.info["fits"] == ["colors", "pose"]
+    assert {"color_maps", "pose_shifts"}.isdisjoint(scene.splats.tensors())
+    moved = (scene.cameras.viewmats - CAMERAS.viewmats).abs().amax(dim=(1, 2)) > 1e-5
+    assert moved.tolist() == [False] + 7 * [True]
+    again = ss.evaluate(scene, ss.load(capture), device="cpu")
+    for name in ("psnr", "ssim", "psnr_unfitted", "ssim_unfitted"):
+        assert again[name] == pytest.approx(metrics[name], abs=1e-3), name
+
+
 def test_labels_lifted_after_training(capture: Path, tmp_path: Path, capsys):
     out = tmp_path / "scene"
     options = ("--steps", 40, "--segment", "lift", "--device", "cpu")

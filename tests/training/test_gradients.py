@@ -197,3 +197,27 @@ def test_gradients_of_rows_are_added_up_in_order():
         assert all(torch.equal(gradient(), first) for _ in range(50))
     finally:
         torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("cut_out", [False, True])
+def test_photos_without_anything_of_their_own_teach_the_same(
+    capture: Capture, config: TrainConfig, cut_out: bool
+):
+    assert capture.label_maps is not None
+    covered = [255 * (labels > 0).to(torch.uint8) for labels in capture.label_maps]
+    photos = [photo.clamp(max=200) for photo in capture.photos]  # nothing is blown out
+    alphas = covered if cut_out else None
+    run, state = begun(replace(capture, photos=photos, label_maps=None, alphas=alphas), config)
+    zeros = {"color_maps": torch.zeros(9, 3, 4), "pose_shifts": torch.zeros(9, 6)}
+    learning = state.clone().with_photos(zeros)
+    scores = [fill_gradients(run, each, run.generator(0)).scores for each in (state, learning)]
+    assert torch.allclose(*scores, rtol=1e-5)
+    for name, param in state.params.items():
+        other = learning.params[name].grad
+        assert param.grad is not None and other is not None
+        # Colours are put over the background in another order
+        assert (other - param.grad).norm() <= 1e-3 * param.grad.norm(), name
+    for name in zeros:
+        own = learning.params[name].grad
+        assert own is not None and own[run.row(0)].any()
+        assert int(own.flatten(1).any(dim=1).sum()) == 1

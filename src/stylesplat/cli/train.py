@@ -15,6 +15,15 @@ from stylesplat.io.files import MARK
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
+SETTINGS = (
+    "steps",
+    "max_seconds",
+    "max_gaussians",
+    "test_every",
+    "color_correction",
+    "seed",
+    "max_memory",
+)
 KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
 
 
@@ -47,6 +56,11 @@ class Train:
     segment: Literal["joint", "lift"] = "joint"
     """How Gaussians learn their objects: with their colours, as in the paper, or by lifting the
     label maps afterwards, which is faster."""
+    color_correction: Literal["auto", "on", "off"] | None = None
+    """Learn each photo's exposure and white balance, and keep them out of the splat. auto, the
+    default, does where the photos differ in them."""
+    refine_poses: FlagCreatePairsOff[bool] = False
+    """Turn and shift the training photos' cameras a little, where poses are not exact."""
     seed: int | None = None
     """The same seed and number of threads give the same result."""
     device: Device = "auto"
@@ -83,8 +97,8 @@ class Train:
         from stylesplat.verbs.load import load
         from stylesplat.verbs.train import train
 
-        names = ("steps", "max_seconds", "max_gaussians", "test_every", "seed", "max_memory")
-        config = replace(PRESETS[self.preset], **given(self, names))
+        config = replace(PRESETS[self.preset], **given(self, SETTINGS))
+        config = replace(config, refine_poses=self.refine_poses)
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         checkpoint, partial = self._checkpoint, self._checkpoint.parent
         folder = posed(self.capture, beside=self.output)

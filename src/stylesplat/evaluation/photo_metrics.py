@@ -4,8 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.half_fits import Fits, fitted_render
 from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
@@ -17,6 +20,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 
+NO_FITS = Fits()
 MEASURED = 8  # views of an import
 
 
@@ -26,7 +30,9 @@ def measured_rows(capture: Capture) -> list[int]:
 
 
 @torch.no_grad()
-def evaluate_views(splats: Splats, capture: Capture, rows: Sequence[int]) -> dict[str, Any]:
+def evaluate_views(
+    splats: Splats, capture: Capture, rows: Sequence[int], *, fits: Fits = NO_FITS
+) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 
     Where photos are transparent, black is compared with what is rendered.
@@ -35,10 +41,13 @@ def evaluate_views(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
         splats: The Gaussians.
         capture: Photos and their cameras.
         rows: Which views to compare; the held-out ones, usually.
+        fits: What each photo has of its own, as in the training that made the splats: for its
+            left half that is fitted on the right one, and the other way round.
 
     Returns:
-        `psnr` and `ssim`, averaged over the views. If the splats have identities and these views
-        have label maps, also `iou` and `boundary_iou` by label id, and their means over the
+        `psnr` and `ssim`, averaged over the views; where something is fitted, also
+        `psnr_unfitted` and `ssim_unfitted`, without that. If the splats have identities and these
+        views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
         objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know, as no
         photo that was trained on shows them, are left out, and the ids listed in `unknown_ids`.
 
@@ -51,13 +60,22 @@ def evaluate_views(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
         )
     scores = []
     for row in track(rows, "comparing with photos"):
-        image, _, _ = rasterize(splats, capture.cameras[row])
-        photo = capture.photos[row].to(image) / 255
-        image = image[0].clamp(0, 1)
-        scores.append(torch.stack([psnr(image, photo), ssim(image, photo)]))
+        photo = capture.photos[row].to(splats.means) / 255
+        image = rasterize(splats, capture.cameras[row])[0][0]
+        images = [image]
+        if fits.names:
+            images.append(fitted_render(splats, capture.cameras[row], photo, fits))
+        scores.append(torch.stack([_closeness(each.clamp(0, 1), photo) for each in images]))
     means = torch.stack(scores).mean(dim=0)
-    metrics: dict[str, Any] = {"psnr": means[0].item(), "ssim": means[1].item()}
+    metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1].tolist(), strict=True))
+    if fits.names:
+        names = ("psnr_unfitted", "ssim_unfitted")
+        metrics |= dict(zip(names, means[0].tolist(), strict=True))
     return metrics | _label_metrics(splats, capture, rows)
+
+
+def _closeness(image: Float[Tensor, "H W 3"], photo: Float[Tensor, "H W 3"]) -> Float[Tensor, "2"]:
+    return torch.stack([psnr(image, photo), ssim(image, photo)])
 
 
 def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -53,6 +53,7 @@ class _Info(msgspec.Struct):
     capture: FilePath | None = None
     test_views: tuple[PhotoName, ...] = ()
     settings: _Settings = msgspec.field(default_factory=_Settings)
+    fits: tuple[Literal["colors", "pose"], ...] = ()  # what each photo has of its own
 
 
 class _How(msgspec.Struct):

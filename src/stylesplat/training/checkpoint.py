@@ -13,7 +13,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, check_tensors
+from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.io.files import atomic_path, left_beside, reason
 from stylesplat.io.json_files import fitting
 from stylesplat.scene.fingerprint import differences
@@ -24,6 +24,10 @@ from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
 REMEDY = "The same settings and photos continue it; `--restart` begins anew."
+OF_PHOTOS = {
+    "color_maps": Declared(("photos", 3, 4)),
+    "pose_shifts": Declared(("photos", 6)),
+}
 ANY = {"low": -math.inf, "high": math.inf}  # of moments: squares of gradients
 
 
@@ -48,6 +52,8 @@ class Checkpoint:
     """Its settings."""
     capture: str
     """Fingerprint of what it trains on."""
+    photos: int = 0
+    """How many photos are trained on."""
 
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
@@ -81,7 +87,7 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device) -> State:
         _check_sizes(path)
         content = torch.load(path, map_location=device, weights_only=True)
         changed = _changed(content, checkpoint)
-        state = None if changed else _state(content, checkpoint.config)
+        state = None if changed else _state(content, checkpoint)
     except Exception as error:  # torch.load raises half a dozen kinds
         raise StyleSplatError(
             f"Cannot continue from {path}: it is not a checkpoint, or damaged. "
@@ -140,16 +146,18 @@ def _check_sizes(path: Path) -> None:
             raise ValueError("it claims to hold more than it does")
 
 
-def _state(content: Mapping[str, Any], config: TrainConfig) -> State:
+def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     """The state in a checkpoint of such a run.
 
     Raises:
         ValueError: If it cannot be one.
     """
     parts = fitting({key: content[key] for key in _Parts.__struct_fields__}, _Parts, "parts", "")
-    bands = (config.sh_degree + 1) ** 2 - 1
+    bands = (checkpoint.config.sh_degree + 1) ** 2 - 1
     declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if parts.ids else {})
+    declared |= _of_photos(checkpoint.config, parts.params)
     sizes = {"N": len(parts.params["means"]), "K": len(parts.ids), "bands": bands}
+    sizes["photos"] = checkpoint.photos
     if len(set(parts.ids)) < len(parts.ids):
         raise ValueError("ids are not all different")
     check_tensors(parts.params, declared, sizes)
@@ -161,3 +169,10 @@ def _state(content: Mapping[str, Any], config: TrainConfig) -> State:
     params = {name: t.requires_grad_() for name, t in parts.params.items()}
     moments = Moments(parts.first, parts.second)
     return State(params, moments, parts.ids, first_count, step, parts.seconds)
+
+
+def _of_photos(config: TrainConfig, params: Mapping[str, Tensor]) -> dict[str, Declared]:
+    """What such a run learns of photos; `auto` has left open whether their colours."""
+    corrects = {"on": True, "off": False}.get(config.color_correction, "color_maps" in params)
+    learned = {"color_maps": corrects, "pose_shifts": config.refine_poses}
+    return {name: each for name, each in OF_PHOTOS.items() if learned[name]}

@@ -8,9 +8,12 @@ from torch import Tensor
 
 from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.training import growth, schedule
+from stylesplat.scene.cameras import Cameras
+from stylesplat.training import growth, per_photo, schedule
+from stylesplat.training.color_maps import aim, mapped
 from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss
 from stylesplat.training.parts import parts_for
+from stylesplat.training.pose_shifts import moved
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
 from stylesplat.training.training_views import View
@@ -42,29 +45,43 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     """
     progress, config = run.progress(state), run.config
     row = run.row(state.step)
+    place = run.rows.index(row)  # in what is learned of each photo
     factor = schedule.photo_downscale(progress, run.cameras[row].size, config)
     view = run.views(row, factor)
     classes = view.classes if state.step % config.identity_every == 0 else None
     for param in state.params.values():
         param.grad = None
-    splats = state.splats
+    splats, changes = state.splats, state.params.get("color_maps")
     background, target = _behind(view, generator)
-    render, _, info = rasterize(
+    render, alphas, info = rasterize(
         splats,
-        view.camera,
+        _camera(run, view, state.params.get("pose_shifts"), place),
         features=None if classes is None else splats.identities,
         features_move_geometry=config.identity_geometry,
-        background=background,
+        background=background if changes is None else None,
         sh_degree=schedule.sh_degree(progress, config),
     )
     image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
+    if changes is not None:
+        image = mapped(image, alphas[0], changes[place])
+        if background is not None:
+            image = image + (1 - alphas[0]) * background
+        target = aim(image, target)
     loss, error = photometric_loss(image, target)
+    loss = loss + per_photo.regularizer(state.params, place)
     loss = loss + growth.regularizer(state.params)
     if classes is not None:
         loss = loss + _identity_losses(run, state, (rendered, classes), generator)
     loss.backward()
     seen = (info["radii"][0] > 0).all(dim=-1)
     return Outcome(seen, torch.stack([loss.detach(), decibels(error)]))
+
+
+def _camera(run: Run, view: View, shifts: Float[Tensor, "R 6"] | None, place: int) -> Cameras:
+    """Of the photo of a step, as far as it is known by now."""
+    return (
+        view.camera if shifts is None else moved(view.camera, shifts[place : place + 1], run.extent)
+    )
 
 
 def _behind(

@@ -21,6 +21,7 @@ from stylesplat.training.classes import say_unseen, shown_ids
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.interrupt import deferred_interrupt
 from stylesplat.training.keeper import Keeper
+from stylesplat.training.per_photo import first_of_photos
 from stylesplat.training.run import Run
 from stylesplat.training.state import State, first_state
 from stylesplat.training.step import train_step
@@ -75,9 +76,12 @@ def fit(
     saved = (
         None
         if checkpoint is None
-        else Checkpoint(checkpoint, config, fingerprint(replace(capture, object_names={})))
+        else Checkpoint(
+            checkpoint, config, fingerprint(replace(capture, object_names={})), len(rows)
+        )
     )
-    state = _continued(saved, device) or _first(capture, rows, config, device)
+    continued = _continued(saved, device)
+    state = continued or _first(capture, rows, config, device)
     run = Run(
         config=config,
         rows=tuple(rows),
@@ -88,6 +92,8 @@ def fit(
         extent=scene_extent(capture.cameras),
         device=device,
     )
+    if continued is None:
+        state = state.with_photos(first_of_photos(run, capture.points))
     _warm_up(run, state)
     with announced(config, state, on_progress) as report:
         return _finish(run, state, Keeper(saved, state), report)

@@ -8,6 +8,7 @@ from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
 
 CLASSIFIER = ("weight", "bias")
+PER_PHOTO = ("color_maps", "pose_shifts")  # one row per training photo; no part of the splat
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class State:
     """Trained tensors with their optimiser state, after a number of steps."""
 
     params: dict[str, Tensor]
-    """Tensors of `Splats` by name, and the classifier's `weight` and `bias`."""
+    """Tensors of `Splats` by name, the classifier's `weight` and `bias`, and `PER_PHOTO` ones."""
     moments: Moments
     """Of Adam."""
     ids: tuple[int, ...]
@@ -30,12 +31,24 @@ class State:
     @property
     def names(self) -> tuple[str, ...]:
         """The tensors that have one row per Gaussian."""
-        return tuple(name for name in self.params if name not in CLASSIFIER)
+        return tuple(name for name in self.params if name not in CLASSIFIER + PER_PHOTO)
 
     def clone(self) -> "State":
         """A copy that shares no tensors."""
         params = {name: t.detach().clone().requires_grad_() for name, t in self.params.items()}
         return replace(self, params=params, moments=self.moments.clone())
+
+    def with_photos(self, tensors: dict[str, Tensor]) -> "State":
+        """With what is learned of each photo, by name; before the first step."""
+        fresh = {name: t.detach().clone().requires_grad_() for name, t in tensors.items()}
+        moments = Moments.zeros(fresh)
+        return replace(
+            self,
+            params=self.params | fresh,
+            moments=Moments(
+                self.moments.first | moments.first, self.moments.second | moments.second
+            ),
+        )
 
     @property
     def splats(self) -> Splats:

@@ -10,8 +10,9 @@ from stylesplat.training import growth, schedule
 from stylesplat.training.adam import adam_step
 from stylesplat.training.gradients import fill_gradients
 from stylesplat.training.object_sizes import growth_preference, limit_sizes
+from stylesplat.training.per_photo import step_photo
 from stylesplat.training.run import Run
-from stylesplat.training.state import CLASSIFIER, State
+from stylesplat.training.state import CLASSIFIER, PER_PHOTO, State
 from stylesplat.training.train_config import TrainConfig
 
 # The official code's learning rates; those of the means, the higher colour bands and the
@@ -31,7 +32,9 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     config, unit = run.config, run.extent * schedule.means_decay(run.progress(state))
     generator = run.generator(state.step)
     seen, scores = fill_gradients(run, state, generator)
-    adam_step(state.params, state.moments, rates(config, unit), state.step + 1, seen)
+    scene = {name: param for name, param in state.params.items() if name not in PER_PHOTO}
+    adam_step(scene, state.moments, rates(config, unit), state.step + 1, seen)
+    step_photo(run, state)
     growth.add_noise(state.params, unit, generator)
     if state.step % config.refine_every == config.refine_every - 1:
         state = _refined(run, state, generator)

@@ -1,8 +1,11 @@
 """Settings of training."""
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
+
+ColorCorrection = Literal["auto", "on", "off"]
 
 SH_DEGREES = range(4)
 WHOLE = ("steps", "max_gaussians", "test_every", "seed", "refine_every", "identity_every")
@@ -57,6 +60,16 @@ class TrainConfig:
     """Learning rate of the classifier."""
     identity_geometry: bool = False
     """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
+    color_correction: ColorCorrection = "auto"
+    """Whether each photo's exposure and white balance are learned, and kept out of the splat.
+
+    `auto` learns them where points that several photos show tell that exposures differ.
+    """
+    refine_poses: bool = False
+    """Whether each training photo's camera is turned and shifted a little to fit better.
+
+    The mean over the photos stays where it was.
+    """
     max_memory: float = 1.0
     """GiB for photos and label maps; what does not fit is read again."""
 
@@ -70,6 +83,7 @@ class TrainConfig:
                 raise StyleSplatError(
                     f"Cannot train with {name} {getattr(self, name)}: it must not be less than 0."
                 )
+        check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
         if self.sh_degree not in SH_DEGREES:
             raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
         for name in WHOLE:

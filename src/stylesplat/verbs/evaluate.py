@@ -8,6 +8,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.half_fits import fits_of
 from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
 from stylesplat.evaluation.style_metrics import (
     measure_changes,
@@ -72,7 +73,8 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
         rows = measured_rows(capture)
     else:
         rows = [capture.cameras.index(name) for name in scene.held_out]
-    return evaluate_views(splats, capture, rows) if rows else {}
+    fits = fits_of(scene.info.get("fits", ()), capture.cameras)
+    return evaluate_views(splats, capture, rows, fits=fits) if rows else {}
 
 
 def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.evaluation.half_fits import Fits
 from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
@@ -16,8 +17,10 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.naming import with_names
 from stylesplat.training.classes import say_unseen, shown_ids
+from stylesplat.training.initialize import scene_extent
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
+from stylesplat.training.pose_shifts import refined
 from stylesplat.training.state import State
 from stylesplat.training.train_config import PRESETS, TrainConfig
 from stylesplat.training.training_views import split_views
@@ -54,7 +57,10 @@ def train(
 
     Returns:
         The scene, its objects called what the capture calls them. Its metrics are `psnr` and
-        `ssim` of the held-out views, `seconds`, `steps`, `gaussians`, `steps_per_second`.
+        `ssim` of the held-out views, `seconds`, `steps`, `gaussians`, `steps_per_second`. Where
+        photos' colours or poses were learned, these views are measured half by half, each half
+        fitted on the other (`psnr_unfitted` is without), and the splat has the typical photo's
+        colours. With `refine_poses` the training views' cameras are the refined ones.
 
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
@@ -77,12 +83,16 @@ def train(
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
     splats, seconds = state.splats.detach(), state.seconds
+    capture = refined(capture, state, rows)
     if segment == "lift" and capture.label_maps is not None:
         say_unseen(shown_ids(capture, rows), capture.object_names)
         start = time.perf_counter()
         splats = _lifted(splats, capture, rows)
         seconds += time.perf_counter() - start
-    metrics = evaluate_views(splats, capture, held_out) if held_out else {}
+    fits = Fits(
+        "color_maps" in state.params, "pose_shifts" in state.params, scene_extent(capture.cameras)
+    )
+    metrics = evaluate_views(splats, capture, held_out, fits=fits) if held_out else {}
     scene = Scene(
         splats=splats.to("cpu"),
         cameras=capture.full_cameras,
@@ -92,7 +102,8 @@ def train(
         info={
             "settings": asdict(config) | {"segment": segment, "device": torch_device.type},
             "libraries": {name: version(name) for name in LIBRARIES},
-        },
+        }
+        | ({"fits": fits.names} if fits.names else {}),
         metrics=metrics | _numbers(state, seconds),
     )
     return with_names(scene, capture.object_names)
