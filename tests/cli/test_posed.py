@@ -103,7 +103,9 @@ def test_an_interrupted_run_is_known_by_its_folder(photos: Path):
 
 def save_ids(path: Path) -> None:
     path.parent.mkdir(exist_ok=True)
-    Image.fromarray(np.repeat(np.uint8([[0], [3]]), 120, axis=0).repeat(320, axis=1)).save(path)
+    Image.fromarray(np.array([[0], [3]], np.uint8).repeat(120, axis=0).repeat(320, axis=1)).save(
+        path
+    )
 
 
 def test_from_photos_to_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

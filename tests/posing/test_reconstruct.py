@@ -76,12 +76,12 @@ def prepared(photos: Path):
 
 @pytest.fixture(scope="module")
 def result(photos: Path, work: Path, prepared) -> Reconstruction:
-    with observed(Recorder("Matches")), pytest.raises(KeyboardInterrupt):
+    with observed(Recorder("matching photos")), pytest.raises(KeyboardInterrupt):
         reconstruct(photos, prepared, work, config=FAST)
     again = Recorder()
     with observed(again):
         result = reconstruct(photos, prepared, work, config=FAST)
-    assert again.tasks == ["Matches", "Poses"]  # the features were kept
+    assert again.tasks == ["matching photos", "finding poses"]  # the features were kept
     return result
 
 
@@ -140,7 +140,7 @@ def test_the_same_call_gives_the_same_poses_and_finds_nothing_again(
     again = Recorder()
     with observed(again):
         repeated = reconstruct(photos, prepared, work, config=FAST)
-    assert again.tasks == ["Poses"]
+    assert again.tasks == ["finding poses"]
     one, other = (poses(r.model, prepared.names[:COUNT]) for r in (result, repeated))
     np.testing.assert_allclose(one, other, atol=1e-6)  # threads add in any order
 
@@ -223,7 +223,7 @@ from stylesplat.posing.sfm_config import SfmConfig
 
 class Killer(Silence):
     def task(self, what, *rest):
-        if what == "Matches":
+        if what == "matching photos":
             os.kill(os.getpid(), signal.SIGKILL)
         return super().task(what, *rest)
 
@@ -242,7 +242,7 @@ def test_after_a_kill_the_next_call_goes_on(tmp_path: Path):
     again = Recorder()
     with observed(again):
         result = reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=FAST)
-    assert again.tasks == ["Matches", "Poses"]
+    assert again.tasks == ["matching photos", "finding poses"]
     assert result.numbers["registered"] == 4
 
 

@@ -71,7 +71,7 @@ def test_noise_moves_faint_gaussians_only():
     splats = random_splats(40)
     splats.opacities[:20], splats.opacities[20:] = -6.0, 3.0
     params = {name: t.clone() for name, t in splats.tensors().items()}
-    mcmc.add_noise(params, 1.0, torch.Generator().manual_seed(0))
+    mcmc.add_noise(params, 1.0, 1.0, torch.Generator().manual_seed(0))
     moved = (params["means"] - splats.means).norm(dim=-1)
     assert moved[:20].min() > 0
     assert moved[20:].max() < 1e-6 * moved[:20].mean()
@@ -79,7 +79,7 @@ def test_noise_moves_faint_gaussians_only():
 
 def test_regularizer_pulls_down_opacity_and_size():
     params = {name: t.requires_grad_() for name, t in random_splats(9).tensors().items()}
-    mcmc.regularizer(params).backward()
+    mcmc.regularizer(params, 1.0).backward()
     for name in ("opacities", "scales"):
         gradient = params[name].grad
         assert gradient is not None and (gradient > 0).all()
@@ -101,7 +101,7 @@ def test_noise_follows_the_covariance():
     one.opacities[:] = -20.0
     params = {n: t.repeat(20_000, *[1] * (t.ndim - 1)) for n, t in one.tensors().items()}
     before = params["means"].clone()
-    mcmc.add_noise(params, 1.0, torch.Generator().manual_seed(0))
+    mcmc.add_noise(params, 1.0, 1.0, torch.Generator().manual_seed(0))
     moved = params["means"] - before
     axes = rotation_matrices(one.quats)[0] * one.scales[0].exp()
     sigma = axes @ axes.T
@@ -110,10 +110,22 @@ def test_noise_follows_the_covariance():
     assert (moved.T.cov() - expected).norm() < 0.05 * expected.norm()
 
 
+def test_noise_and_regularizer_do_not_depend_on_the_unit_of_length():
+    def learned(factor: float) -> tuple[torch.Tensor, torch.Tensor]:
+        params = {name: t.clone() for name, t in faint().tensors().items()}
+        params["means"] *= factor
+        params["scales"] += math.log(factor)
+        mcmc.add_noise(params, factor, 1.0, torch.Generator().manual_seed(0))
+        return params["means"] / factor, mcmc.regularizer(params, factor)
+
+    for one, other in zip(learned(1.0), learned(100.0), strict=True):
+        assert torch.allclose(one, other, rtol=1e-4)
+
+
 def test_noise_follows_from_its_generator():
     def moved(seed: int) -> torch.Tensor:
         params = {name: t.clone() for name, t in faint().tensors().items()}
-        mcmc.add_noise(params, 1.0, torch.Generator().manual_seed(seed))
+        mcmc.add_noise(params, 1.0, 1.0, torch.Generator().manual_seed(seed))
         return params["means"]
 
     assert torch.equal(moved(1), moved(1))
@@ -122,7 +134,7 @@ def test_noise_follows_from_its_generator():
 
 def test_noise_moves_nothing_but_means():
     params = {name: t.clone() for name, t in faint().tensors().items()}
-    mcmc.add_noise(params, 1.0, torch.Generator().manual_seed(0))
+    mcmc.add_noise(params, 1.0, 1.0, torch.Generator().manual_seed(0))
     for name, tensor in faint().tensors().items():
         assert torch.equal(params[name], tensor) == (name != "means")
 
@@ -130,7 +142,7 @@ def test_noise_moves_nothing_but_means():
 def test_noise_is_as_likely_to_either_side():
     splats = faint(4000)
     params = {name: t.clone() for name, t in splats.tensors().items()}
-    mcmc.add_noise(params, 1.0, torch.Generator().manual_seed(0))
+    mcmc.add_noise(params, 1.0, 1.0, torch.Generator().manual_seed(0))
     moved = params["means"] - splats.means
     assert (moved > 0).float().mean(dim=0) == pytest.approx(
         [0.5] * 3, abs=0.04
@@ -234,8 +246,8 @@ def test_regularizer_is_linear_in_opacity_and_size():
     params = random_splats(50).tensors()
     larger = params | {"scales": params["scales"] + math.log(2)}
     opacity = mcmc.OPACITY_WEIGHT * torch.sigmoid(params["opacities"]).mean()
-    once, twice = mcmc.regularizer(params) - opacity, mcmc.regularizer(larger) - opacity
+    once, twice = mcmc.regularizer(params, 1.0) - opacity, mcmc.regularizer(larger, 1.0) - opacity
     assert float(twice) == pytest.approx(2 * float(once), rel=1e-4)
     assert float(opacity) == pytest.approx(
-        float(mcmc.regularizer(params | {"scales": torch.full((50, 3), -99.0)}))
+        float(mcmc.regularizer(params | {"scales": torch.full((50, 3), -99.0)}, 1.0))
     )

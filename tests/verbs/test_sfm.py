@@ -1,9 +1,8 @@
 """Photos in, a capture with poses out."""
 
-import itertools
 import json
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -59,10 +58,8 @@ def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: 
     assert record is not None
     assert (record.given, record.registered) == (COUNT + 2, COUNT)
     assert record.source == str(photos)
-    assert record.left_out.keys() == {"02.jpg", "broken.jpg"} or record.left_out.keys() == {
-        "again.jpg",
-        "broken.jpg",
-    }
+    (again,) = record.left_out.keys() - {"broken.jpg"}
+    assert again in ("02.jpg", "again.jpg") and "nearly the same" in record.left_out[again]
     assert record.frame["up"] == [0, -1, 0]
     assert json.loads((capture.path / "sfm.json").read_text())["format"] == 1
 
@@ -79,26 +76,21 @@ def test_nothing_is_left_beside_it(capture: ss.Capture, photos: Path):
 class InterruptedAt(Silence):
     """Ctrl-C when a kind of work begins."""
 
-    def __init__(self, stage: int) -> None:
-        self.stages = itertools.count()
+    def __init__(self, stage: str) -> None:
         self.stage = stage
 
+    @contextmanager
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
-    ) -> AbstractContextManager[Task]:
-        if next(self.stages) == self.stage:
+    ) -> Iterator[Task]:
+        if what == self.stage:
             raise KeyboardInterrupt
-        return nullcontext(self)
+        yield self
 
 
-@pytest.fixture
-def stages() -> Iterator[range]:
-    yield range(2, 5)  # after the photos are read: features, matching, poses
-
-
-def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path, stages: range):
+def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path):
     output = tmp_path / "capture"
-    for stage in stages:
+    for stage in ("finding features", "matching photos", "finding poses", "undistorting photos"):
         with observed(InterruptedAt(stage)), pytest.raises(KeyboardInterrupt):
             ss.sfm(photos, output)
         assert not output.exists()

@@ -21,7 +21,7 @@ def find_keypoints(place: Workplace) -> None:
             continue
         place.run(
             "find_features",
-            "Features" if len(place.groups) == 1 else f"Features, camera {number}",
+            "finding features" if len(place.groups) == 1 else f"finding features, camera {number}",
             len(files),
             "photo",
             names=files,

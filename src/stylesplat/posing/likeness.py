@@ -27,7 +27,8 @@ def alike(place: Workplace) -> Int[Tensor, "P P"]:
     """
     feats = torch.stack([_largest(place, file) for file in place.files])
     rows = [
-        _matched(feats[row], feats) for row in track(range(len(feats)), "Likeness", unit="photo")
+        _matched(feats[row], feats)
+        for row in track(range(len(feats)), "comparing photos", unit="photo")
     ]
     found = torch.stack(rows)
     found = found + found.T

@@ -16,7 +16,7 @@ def map_photos(place: Workplace) -> list[pycolmap.Reconstruction]:
         StyleSplatError: If the disk is full.
     """
     shutil.rmtree(place.models, ignore_errors=True)
-    place.run("map_photos", "Poses", len(place.names), "photo", models=str(place.models))
+    place.run("map_photos", "finding poses", len(place.names), "photo", models=str(place.models))
     models = [pycolmap.Reconstruction(folder) for folder in sorted(place.models.iterdir())]
     shutil.rmtree(place.models, ignore_errors=True)
     names = dict(zip(place.files, place.names, strict=True))

@@ -35,7 +35,9 @@ def match_photos(place: Workplace, *, ordered: bool) -> int:
         with atomic_path(listed) as temporary:
             lines = (f"{place.files[one]} {place.files[other]}\n" for one, other in pairs)
             temporary.write_text("".join(lines), encoding="utf-8")
-        place.run("match_pairs", "Matches", len(pairs), "pair", pairs=str(listed), block=BLOCK)
+        place.run(
+            "match_pairs", "matching photos", len(pairs), "pair", pairs=str(listed), block=BLOCK
+        )
     return len(pairs)
 
 

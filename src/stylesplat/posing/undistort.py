@@ -46,7 +46,9 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
     ]
     pool = ThreadPoolExecutor(max_workers=max(1, torch.get_num_threads()))
     try:
-        for _ in track(pool.map(_write, jobs), "Undistortion", unit="photo", total=len(jobs)):
+        for _ in track(
+            pool.map(_write, jobs), "undistorting photos", unit="photo", total=len(jobs)
+        ):
             pass
     finally:
         pool.shutdown(cancel_futures=True)

@@ -69,7 +69,7 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
         target = aim(image, target)
     loss, error = photometric_loss(image, target)
     loss = loss + per_photo.regularizer(state.params, place)
-    loss = loss + growth.regularizer(state.params)
+    loss = loss + growth.regularizer(state.params, run.extent)
     if classes is not None:
         loss = loss + _identity_losses(run, state, (rendered, classes), generator)
     loss.backward()

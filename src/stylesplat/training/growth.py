@@ -12,31 +12,34 @@ from stylesplat.training.adam import Moments
 from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, Geometry, parts_for
 
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
-NOISE_RATE = 80.0  # official: 5e5 times the learning rate of the means, 1.6e-4
+NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an extent of 8
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
-SCALE_WEIGHT = 0.01
+SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
 
 Params = dict[str, Tensor]
 
 
-def regularizer(params: Params) -> Float[Tensor, ""]:
-    """Pulls opacities and sizes towards 0."""
+def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
+    """Pulls opacities and sizes, in a scene's unit of length, towards 0."""
     opacity = torch.sigmoid(params["opacities"]).mean()
-    return OPACITY_WEIGHT * opacity + SCALE_WEIGHT * params["scales"].exp().mean()
+    return OPACITY_WEIGHT * opacity + SCALE_WEIGHT * params["scales"].exp().mean() / extent
 
 
 @torch.no_grad()
-def add_noise(params: Params, unit: float, generator: torch.Generator) -> None:
+def add_noise(params: Params, extent: float, decay: float, generator: torch.Generator) -> None:
     """Move the means at random, along their own covariance, the fainter the more.
+
+    Covariances are squares of lengths: over the extent, the same scene in other units moves alike.
 
     Args:
         params: Trained tensors; the means change in place.
-        unit: Of length, smaller as training goes on.
+        extent: Unit of length of the scene.
+        decay: Factor that becomes smaller as training goes on.
         generator: Source of randomness, on their device.
     """
     geometry = Geometry(**{name: params[name].detach() for name in Geometry._fields})
     noise = torch.randn(geometry.means.shape, generator=generator, device=geometry.means.device)
-    parts_for(noise.device).drift(geometry, noise, NOISE_RATE * unit)
+    parts_for(noise.device).drift(geometry, noise, NOISE_RATE * decay / extent)
 
 
 @torch.no_grad()

@@ -29,13 +29,13 @@ REFINE_END = 0.9  # share of the run after which Gaussians are neither moved nor
 
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     """The state after one more step, whose tensors are the same ones; and its loss and PSNR."""
-    config, unit = run.config, run.extent * schedule.means_decay(run.progress(state))
+    config, decay = run.config, schedule.means_decay(run.progress(state))
     generator = run.generator(state.step)
     seen, scores = fill_gradients(run, state, generator)
     scene = {name: param for name, param in state.params.items() if name not in PER_PHOTO}
-    adam_step(scene, state.moments, rates(config, unit), state.step + 1, seen)
+    adam_step(scene, state.moments, rates(config, run.extent * decay), state.step + 1, seen)
     step_photo(run, state)
-    growth.add_noise(state.params, unit, generator)
+    growth.add_noise(state.params, run.extent, decay, generator)
     if state.step % config.refine_every == config.refine_every - 1:
         state = _refined(run, state, generator)
     return replace(state, step=state.step + 1), scores
