@@ -15,6 +15,7 @@ from PIL import Image
 import stylesplat as ss
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from corner_photos import corner, write_photos
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.scene.scene import Scene
@@ -61,6 +62,7 @@ COMMANDS = (
         "trained",
         ss.open,
     ),
+    Command("sfm", ("photos", "-o", "posed"), "posed", ss.load),
     Command("mask --from", ("capture", "--from", "masks"), "capture/object_mask", label_maps),
     Command(
         "mask --box",
@@ -88,14 +90,15 @@ COMMANDS = (
     Command("evaluate", ("scene",), "scene", ss.open),
     Command("objects", ("scene",), "scene", ss.open),
 )
-REPLACING = {"train", "mask", "import", "stylize", "sheet", "render", "export"}
+REPLACING = {"sfm", "train", "mask", "import", "stylize", "sheet", "render", "export"}
 """The verbs that take `--overwrite`."""
 
 
 def make_place(folder: Path) -> Path:
-    """A capture, masks, a scene, a styled scene, a splat and a picture, all tiny."""
+    """Photos, a capture, masks, a scene, a styled scene, a splat and a picture, all tiny."""
     capture = write_ball_capture(folder / "capture")
     shutil.copytree(capture / "object_mask", folder / "masks")
+    write_photos(folder / "photos", corner(4))
     scene = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], capture=Path("capture"))
     ss.save(scene, folder / "scene")
     ss.export(scene, folder / "a.ply")
@@ -158,6 +161,8 @@ def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
 
 def state(path: Path) -> str:
     """A digest of what a command makes: of a scene, of what follows from the command alone."""
+    if (path / "sfm.json").exists():  # poses differ in their last bits, and times
+        return repr(sorted(str(file.relative_to(path)) for file in path.rglob("*")))
     names = [path / name for name in TOLD] if (path / "scene.json").exists() else path.rglob("*")
     files = [path] if path.is_file() else sorted(file for file in names if file.is_file())
     digests = [(str(file), hashlib.sha256(file.read_bytes()).hexdigest()) for file in files]

@@ -16,8 +16,11 @@ import seeds
 import stylesplat as ss
 from scenes import two_cameras
 from stylesplat.io.captures.label_folder import write_label_maps
+from stylesplat.io.captures.photos import read_image
+from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.masks.models.found_so_far import open_progress
+from stylesplat.posing.prepare import prepare
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
@@ -105,6 +108,19 @@ def look_through(capture: Capture, out: Path | None = None) -> None:
         write_label_maps(capture, out / "object_mask")
 
 
+def use_sfm(folder: Path, out: Path) -> None:
+    read_sfm(folder)
+    ss.check(ss.load(folder)).summary()
+
+
+def use_prepared(folder: Path, out: Path) -> None:
+    shutil.copytree(folder / "prepared", out / "prepared")
+    prepared = prepare(folder / "photos", out / "prepared")
+    assert len(prepared.names) == 3
+    for name in prepared.names:
+        read_image(out / "prepared" / name)
+
+
 def use_foreign(folder: Path, out: Path) -> None:
     capture = ss.load(folder / "capture")
     for number, source in enumerate(("by_object", "by_photo", "coco.json")):
@@ -152,6 +168,8 @@ READERS = {
     "splats": Reader(seeds.splats, ("*",), use_splats),
     "colmap": Reader(seeds.colmap, ("sparse/0/*", "images/*", "object_mask/*"), use_capture),
     "colmap_text": Reader(seeds.colmap_text, ("sparse/0/*",), use_capture),
+    "sfm": Reader(seeds.sfm, ("sfm.json",), use_sfm),
+    "prepared": Reader(seeds.prepared, ("prepared/.prepared.json",), use_prepared),
     "transforms": Reader(
         seeds.transforms,
         ("transforms.json", "points.ply", "images/*", "object_mask/*"),

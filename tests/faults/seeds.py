@@ -13,10 +13,13 @@ from PIL import Image
 import stylesplat as ss
 from ball_photos import write_ball_capture
 from balls import CAMERAS, CLASSIFIER
+from pictures_of_walks import walk
 from scenes import random_splats, two_cameras
+from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State
+from stylesplat.posing.prepare import prepare
 from stylesplat.scene.paintings import Colors, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.features.weights import PACKAGED
@@ -87,6 +90,31 @@ def colmap(folder: Path) -> None:
 def colmap_text(folder: Path) -> None:
     """The same as texts."""
     write_capture(folder, "OPENCV", (60.0, 62.0, 31.0, 25.0, 0.1, 0.0, 0.0, 0.0), text=True)
+
+
+def sfm(folder: Path) -> None:
+    """A capture with what became of each photo."""
+    write_capture(folder)
+    record = SfmRecord(
+        source="photos",
+        digest="12ab",
+        given=5,
+        registered=3,
+        left_out={"004.png": "blurred"},
+        unregistered={"005.png": "sees another place"},
+        origins={"001.png": "sub/001.heic"},
+        frame={"up": [0, -1, 0]},
+        settings={"seed": 0},
+        numbers={"points": 4},
+        libraries={"pycolmap": "4"},
+    )
+    write_sfm(record, folder)
+
+
+def prepared(folder: Path) -> None:
+    """Photos that are prepared for structure from motion."""
+    walk(folder / "photos", 3)
+    prepare(folder / "photos", folder / "prepared")
 
 
 def transforms(folder: Path) -> None:

@@ -204,7 +204,7 @@ def test_photos_without_anything_of_their_own_teach_the_same(
     capture: Capture, config: TrainConfig, cut_out: bool
 ):
     assert capture.label_maps is not None
-    covered = [255 * (labels > 0).to(torch.uint8) for labels in capture.label_maps]
+    covered = [255 * (x > 0).to(torch.uint8) for x in capture.label_maps if x is not None]
     photos = [photo.clamp(max=200) for photo in capture.photos]  # nothing is blown out
     alphas = covered if cut_out else None
     run, state = begun(replace(capture, photos=photos, label_maps=None, alphas=alphas), config)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, refuse_picture
+from stylesplat.cli.posed import earlier_capture
 
 if TYPE_CHECKING:
     from stylesplat.posing.capture_report import CaptureReport
@@ -21,7 +22,7 @@ class Check:
     """
 
     capture: Positional[Path]
-    """Folder of the posed photos, which stays as it is."""
+    """Folder of the posed photos, which stays as it is; or of photos whose poses were found."""
     output: OptionalOutput = None
     """Picture to make: cameras and points from above and from the side."""
     overwrite: Overwrite = False
@@ -29,13 +30,16 @@ class Check:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.io.captures.capture_folder import is_posed, open_capture
         from stylesplat.posing.sharpness import SIDE
         from stylesplat.verbs.check import check
 
         if self.output is not None:
             refuse_picture(self.output, overwrite=self.overwrite)
-        files = open_capture(self.capture, masks=False)
+        folder = self.capture
+        if not is_posed(folder):
+            folder = earlier_capture(folder, beside=folder) or folder
+        files = open_capture(folder, masks=False)
         capture = files.at(files.cameras.shrink_to(SIDE))
         report = check(capture)
         picture = {} if self.output is None else {"picture": self._draw(capture, report)}
