@@ -114,7 +114,7 @@ def test_inside_of_the_photos(photos: Path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"frames": 2}, "needs 3 or more"),
+        ({"frames": 2}, "Cannot choose 2 frames"),
         ({"matchin": "auto"}, "setting"),
         ({"matching": "all"}, "matching"),
     ],

@@ -71,8 +71,6 @@ def sfm(
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(SfmConfig)])
     config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
-    if not 3 <= frames:
-        raise StyleSplatError(f"Cannot take {frames} frames of a video: it needs 3 or more.")
     refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
     if output.is_relative_to(source.resolve()):
         raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
