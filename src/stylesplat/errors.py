@@ -18,7 +18,7 @@ class StyleSplatError(Exception):
     """
 
     def __init__(self, message: str) -> None:
-        line = UNPRINTABLE.sub(" ", message).strip()
+        line = printable(message).strip()
         cut = f"{line[:HEAD]} ... {line[-TAIL:]}" if len(line) > HEAD + TAIL else line
         super().__init__(cut)
 
@@ -28,6 +28,11 @@ def check_choice(value: object, what: str, choices: Iterable[object]) -> None:
     known = [*choices]
     if value not in known:
         raise StyleSplatError(f"There is no {what} {value!r}. Use {', '.join(map(str, known))}.")
+
+
+def printable(text: str) -> str:
+    """A text in one line, as a terminal can show it."""
+    return UNPRINTABLE.sub(" ", text)
 
 
 def brief(name: str) -> str:

@@ -1,5 +1,6 @@
 """Which capture belongs to photos that have no poses."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from PIL import Image
 
 from command_line import complaint, result, run
 from corner_photos import corner, write_photos
-from stylesplat.cli.posed import earlier_capture, is_under_way, place_of, posed
+from stylesplat.cli.posed import earlier_capture, is_under_way, place_of, posed, view_called
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import SfmRecord, read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
@@ -84,8 +85,31 @@ def test_hidden_files_are_no_change(photos: Path):
 
 
 def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
-    write_record(write_capture(place_of(photos, beside=photos)), tmp_path / "others")
+    others = tmp_path / "others" / photos.name
+    shutil.copytree(photos, others)
+    write_record(write_capture(place_of(photos, beside=photos)), others)
     assert earlier_capture(photos, beside=photos) is None
+    with pytest.raises(StyleSplatError, match=r"something else\. Find them with .* -o CAPTURE`"):
+        posed(photos, beside=photos)
+
+
+def test_a_scene_is_not_called_like_the_capture(photos: Path, tmp_path: Path):
+    with pytest.raises(StyleSplatError, match="Choose another name"):
+        posed(photos, beside=tmp_path / "My photos-capture")
+
+
+def test_never_among_the_photos(photos: Path, tmp_path: Path):
+    assert place_of(photos, beside=photos / "sub" / "scene").parent == tmp_path
+
+
+def test_photos_by_the_names_that_the_user_knows(photos: Path, tmp_path: Path):
+    record = read_sfm(write_record(write_capture(tmp_path / "capture"), photos))
+    assert record is not None
+    record.origins, record.left_out = {"a/1_png.png": "a/1.png"}, {"2.jpg": "blurred"}
+    assert view_called("a/1.png", record) == "a/1_png.png"
+    assert view_called("3.jpg", record) == view_called("3.jpg", None) == "3.jpg"
+    with pytest.raises(StyleSplatError, match=r"2\.jpg has no pose: blurred"):
+        view_called("2.jpg", record)
 
 
 def test_a_damaged_record(photos: Path):
@@ -97,7 +121,7 @@ def test_a_damaged_record(photos: Path):
 
 def test_an_interrupted_run_is_known_by_its_folder(photos: Path):
     assert not is_under_way(photos, beside=photos)
-    (photos.parent / "My photos-capture.partial").mkdir()
+    (photos.parent / "My photos-capture.partial" / "sfm").mkdir(parents=True)
     assert is_under_way(photos, beside=photos)
 
 

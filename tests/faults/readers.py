@@ -18,6 +18,7 @@ from scenes import two_cameras
 from stylesplat.io.captures.label_folder import write_label_maps
 from stylesplat.io.captures.photos import read_image
 from stylesplat.io.captures.sfm_file import read_sfm
+from stylesplat.io.files import inside
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.posing.prepare import prepare
@@ -116,9 +117,8 @@ def use_sfm(folder: Path, out: Path) -> None:
 def use_prepared(folder: Path, out: Path) -> None:
     shutil.copytree(folder / "prepared", out / "prepared")
     prepared = prepare(folder / "photos", out / "prepared")
-    assert len(prepared.names) == 3
     for name in prepared.names:
-        read_image(out / "prepared" / name)
+        read_image(inside(out / "prepared", name))
 
 
 def use_foreign(folder: Path, out: Path) -> None:

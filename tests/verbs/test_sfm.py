@@ -1,6 +1,7 @@
 """Photos in, a capture with poses out."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -94,7 +95,7 @@ def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path):
         with observed(InterruptedAt(stage)), pytest.raises(KeyboardInterrupt):
             ss.sfm(photos, output)
         assert not output.exists()
-        assert (tmp_path / "capture.partial" / "prepared" / "00.jpg").is_file()
+        assert (tmp_path / "capture.partial" / "sfm" / "prepared" / "00.jpg").is_file()
     assert len(ss.sfm(photos, output)) == COUNT
     assert [p.name for p in tmp_path.iterdir()] == ["capture"]
 
@@ -119,6 +120,26 @@ def test_inside_of_the_photos(photos: Path):
         ({"matching": "all"}, "matching"),
     ],
 )
+def test_photos_inside_of_the_capture(photos: Path, tmp_path: Path):
+    inside = tmp_path / "garden" / "images"
+    shutil.copytree(photos, inside)
+    with pytest.raises(ss.StyleSplatError, match="which would be replaced"):
+        ss.sfm(inside, tmp_path / "garden", overwrite=True)
+    assert (inside / "00.jpg").read_bytes() == (photos / "00.jpg").read_bytes()
+
+
+def test_another_time_label_maps_and_what_lies_beside_stay(photos: Path, tmp_path: Path):
+    output = tmp_path / "capture"
+    shutil.copytree(photos.with_name("capture"), output)
+    (output / "object_mask").mkdir()
+    (output / "object_mask" / "00.png").write_bytes(b"by hand")
+    (tmp_path / "capture.partial").mkdir()
+    (tmp_path / "capture.partial" / "diary.txt").write_text("dear")
+    assert len(ss.sfm(photos, output, overwrite=True)) == COUNT
+    assert (output / "object_mask" / "00.png").read_bytes() == b"by hand"
+    assert [p.name for p in (tmp_path / "capture.partial").iterdir()] == ["diary.txt"]
+
+
 def test_settings(settings: dict, message: str, photos: Path, tmp_path: Path):
     with pytest.raises(ss.StyleSplatError, match=message):
         ss.sfm(photos, tmp_path / "capture", **settings)

@@ -9,11 +9,12 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
-from stylesplat.cli.posed import is_under_way, posed
+from stylesplat.cli.posed import is_under_way, posed, view_called
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
+    from stylesplat.io.captures.sfm_file import SfmRecord
     from stylesplat.masks.boxes.grabcut import Box, Stroke
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
@@ -79,6 +80,8 @@ class Mask:
 
         method = self._method
         refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), f"--method {method}")
+        for drawn in (self._boxes, self._strokes):
+            drawn(None)  # what is mistyped is said before poses are found
         folder = posed(self.capture, beside=self.capture)
         output = folder / OBJECT_MASK
         progress = None if method in REFUSED else partial_of(output)
@@ -90,9 +93,11 @@ class Mask:
         self, capture: "Capture", method: Method, output: Path, progress: Path | None
     ) -> dict[str, Any]:
         from stylesplat.io.captures.label_folder import refuse_label_maps
+        from stylesplat.io.captures.sfm_file import read_sfm
         from stylesplat.verbs.mask import mask
 
-        boxes, strokes = self._boxes(), self._strokes()
+        record = read_sfm(output.parent)
+        boxes, strokes = self._boxes(record), self._strokes(record)
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         masked = mask(
             capture,
@@ -110,19 +115,20 @@ class Mask:
             shutil.rmtree(progress)
         return result
 
-    def _boxes(self) -> "dict[str, list[tuple[str, Box]]]":
+    def _boxes(self, record: "SfmRecord | None") -> "dict[str, list[tuple[str, Box]]]":
         boxes: dict[str, list[tuple[str, Box]]] = {}
         for name, view, box in map(parse_named_box, self.box):
-            boxes.setdefault(name, []).append((view, box))
+            boxes.setdefault(name, []).append((view_called(view, record), box))
         return boxes
 
-    def _strokes(self) -> "dict[str, list[tuple[str, Stroke]]]":
+    def _strokes(self, record: "SfmRecord | None") -> "dict[str, list[tuple[str, Stroke]]]":
         from stylesplat.masks.boxes.grabcut import Stroke
 
         strokes: dict[str, list[tuple[str, Stroke]]] = {}
         for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
             for name, view, points in map(parse_stroke, texts):
-                strokes.setdefault(name, []).append((view, Stroke(points, over_object)))
+                stroke = Stroke(points, over_object)
+                strokes.setdefault(name, []).append((view_called(view, record), stroke))
         return strokes
 
     def _scene(self) -> "Scene | None":

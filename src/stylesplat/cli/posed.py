@@ -1,9 +1,12 @@
 """Photos or a video where a capture is asked for: their poses are found first, once."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.folders import partial_of
+
+if TYPE_CHECKING:
+    from stylesplat.io.captures.sfm_file import SfmRecord
 
 SUFFIX = "-capture"  # what the capture of photos is called after their folder
 
@@ -15,7 +18,8 @@ def posed(given: Path, *, beside: Path) -> Path:
     `beside`; else `sfm` makes one beside `beside`.
 
     Raises:
-        StyleSplatError: If poses cannot be found, or the photos have changed since they were.
+        StyleSplatError: If poses cannot be found, the photos have changed since they were, or the
+            place of the capture is taken.
     """
     from stylesplat.io.captures.capture_folder import is_posed
 
@@ -24,44 +28,74 @@ def posed(given: Path, *, beside: Path) -> Path:
     from stylesplat.progress import say
     from stylesplat.verbs.sfm import sfm
 
+    output = place_of(given, beside=beside)
+    if output == beside.resolve():
+        raise StyleSplatError(
+            f"{beside} is where the capture of {given} is kept. Choose another name."
+        )
     found = earlier_capture(given, beside=beside)
     if found is not None:
         say(f"{given} has no camera poses: taking those in {found}.")
         return found
-    output = place_of(given, beside=beside)
+    if output.exists():
+        raise StyleSplatError(
+            f"{given} has no camera poses, and where they would be kept, {output}, is something "
+            f"else. Find them with `stylesplat sfm {given} -o CAPTURE`, and name that in its place."
+        )
     say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
     sfm(given, output)
     return output
 
 
 def place_of(given: Path, *, beside: Path) -> Path:
-    """Where the capture of photos or a video is made."""
-    own = given.resolve()
-    return beside.resolve().parent / f"{own.stem if own.is_file() else own.name}{SUFFIX}"
+    """Where the capture of photos or a video is made; never among the photos."""
+    own, folder = given.resolve(), beside.resolve().parent
+    if folder.is_relative_to(own):
+        folder = own.parent
+    return folder / f"{own.stem if own.is_file() else own.name}{SUFFIX}"
 
 
 def earlier_capture(given: Path, *, beside: Path) -> Path | None:
     """The capture that was made of photos or a video, if there is one.
 
     Raises:
-        StyleSplatError: If it was, but they have changed since.
+        StyleSplatError: If there is one, but they have changed since.
     """
     from stylesplat.io.captures.sfm_file import read_sfm
     from stylesplat.verbs.sfm import digest_of
 
+    stale = None
     for place in dict.fromkeys(place_of(given, beside=near) for near in (given, beside)):
         record = read_sfm(place)
         if record is not None and Path(record.source) == given.resolve():
             if record.digest == digest_of(given):
                 return place
-            raise StyleSplatError(
-                f"The photos in {given} have changed since {place} was made of them. Make it "
-                f"again with `stylesplat sfm {given} -o {place} --overwrite`, or use it as it is: "
-                "name it in place of the photos."
-            )
-    return None
+            stale = place
+    if stale is None:
+        return None
+    raise StyleSplatError(
+        f"The photos in {given} have changed since {stale} was made of them. Make it again with "
+        f"`stylesplat sfm {given} -o {stale} --overwrite` (its label maps are kept), or use it as "
+        "it is: name it in place of the photos."
+    )
+
+
+def view_called(name: str, record: "SfmRecord | None") -> str:
+    """What a photo is called in a capture of which the user knows its own name.
+
+    Raises:
+        StyleSplatError: If it has no pose.
+    """
+    if record is None:
+        return name
+    why = (record.left_out | record.unregistered).get(name)
+    if why is not None:
+        raise StyleSplatError(f"The photo {name} has no pose: {why}. Take another one.")
+    return {own: view for view, own in record.origins.items()}.get(name, name)
 
 
 def is_under_way(given: Path, *, beside: Path) -> bool:
     """Whether poses are being found that `posed` would go on with."""
-    return partial_of(place_of(given, beside=beside)).exists()
+    from stylesplat.io.folders import partial_of
+
+    return (partial_of(place_of(given, beside=beside)) / "sfm").exists()

@@ -49,11 +49,7 @@ class Sfm:
         )
         record = read_sfm(self.output)
         assert record is not None, SFM_FILE
-        return {
-            **record.numbers,
-            "capture": self.output,
-            "photos": record.given,
-            "registered": record.registered,
-            "left_out": record.left_out,
-            "unregistered": record.unregistered,
-        }
+        found = {"capture": self.output, "photos": record.given, "registered": record.registered}
+        if self.json:  # else they have been named
+            found |= {"left_out": record.left_out, "unregistered": record.unregistered}
+        return dict(record.numbers) | found

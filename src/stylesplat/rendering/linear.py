@@ -123,7 +123,8 @@ def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]
 
 
 def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
-    starts, firsts = linear_blocks.count_pairs(tiled.lists, numbers)
+    starts, firsts = np.zeros((2, len(tiled.lists.starts)), np.int64)
+    linear_blocks.count_pairs(tiled.lists, numbers, starts, firsts)
     gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
     weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
     kept = Kept(starts, firsts[:-1].copy(), gaussians, masks, weights)

@@ -68,16 +68,17 @@ class Cameras:
         return -torch.einsum("cji,cj->ci", rotations, self.viewmats[:, :3, 3])
 
     def index(self, name: str) -> int:
-        """The row of the camera of this file name, the extension optional.
+        """The row of the camera of this file name, without the extension or with another one.
 
         Raises:
             StyleSplatError: If no camera, or more than one, has that name.
         """
         if name in self.names:
             return self.names.index(name)
-        stems = [n for n in self.names if n.rsplit(".", 1)[0] == name]
-        if len(stems) == 1:
-            return self.names.index(stems[0])
+        stems = [n.rsplit(".", 1)[0] for n in self.names]
+        for stem in (name, name.rsplit(".", 1)[0]):
+            if stems.count(stem) == 1:
+                return stems.index(stem)
         raise StyleSplatError(
             f"No view is called {name!r}. Views: {', '.join(self.names[:8])}"
             f"{', ...' if len(self) > 8 else '.'}"

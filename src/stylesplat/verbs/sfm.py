@@ -2,19 +2,26 @@
 
 import hashlib
 import shutil
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import av
+import cv2
+
 from stylesplat.drawing.capture_picture import capture_picture
-from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.captures.capture_folder import open_capture
+from stylesplat.errors import StyleSplatError, check_choice, printable
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
+from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
 from stylesplat.io.folders import claim_directory, partial_of, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.recovery import changing
 from stylesplat.posing.capture_report import CaptureReport
+from stylesplat.posing.photo_folder import find_sources
 from stylesplat.posing.placing import place
 from stylesplat.posing.prepare import prepare
 from stylesplat.posing.prepared import Prepared
@@ -30,7 +37,6 @@ from stylesplat.verbs.load import load
 
 PICTURE = "check.jpg"  # of cameras and points, in the capture
 LISTED = 8  # photos that a line names
-LIBRARIES = ("stylesplat", "pycolmap", "av", "opencv-python-headless")
 
 
 def sfm(
@@ -53,15 +59,15 @@ def sfm(
         output: The folder of the capture to make: photos without distortion, poses and points in
             COLMAP's layout, and `sfm.json`, which says what became of each photo.
         frames: About how many frames of a video to take.
-        overwrite: Whether `output` may hold an earlier result.
+        overwrite: Whether `output` may hold an earlier result; its label maps are kept.
         settings: Fields of `SfmConfig` to change, such as `matching="sequential"`.
 
     Returns:
         The capture, as `load` reads it.
 
     Raises:
-        StyleSplatError: If there are fewer than three photos that are fit for it, or their
-            cameras cannot be found; it says why, and what would help.
+        StyleSplatError: If there are fewer than three photos that are fit for it, their cameras
+            cannot be found, or the capture cannot be made there; it says what would help.
         KeyboardInterrupt: After Ctrl-C, with what is done so far kept.
 
     Example:
@@ -71,37 +77,71 @@ def sfm(
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(SfmConfig)])
     config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
-    refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
-    if output.is_relative_to(source.resolve()):
-        raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
-    partial = partial_of(output)
-    photos = partial / "prepared"
+    _refuse_each_other(source.resolve(), output)
+    work = work_of(output)
+    photos = work / "prepared"
     with changing(output):
+        refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
         digest = digest_of(source)
         prepared = prepare(source, photos, frames=frames)
-        found = reconstruct(photos, prepared, partial, config=config)
+        found = reconstruct(photos, prepared, work, config=config)
         frame = place(found.model)
         with claim_directory(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, photos, new)
             record = _record(source, digest, prepared, found, frame, config)
             write_sfm(record, new)
             report = _checked(new, output)
-        shutil.rmtree(partial, ignore_errors=True)
+            _keep_label_maps(output, new)
+        _forget(work)
     _say_result(record)
     for line in advices(report):
         say(line)
     return load(output)
 
 
+def work_of(output: Path) -> Path:
+    """Where what an interrupted run has done so far is kept."""
+    return partial_of(output) / "sfm"
+
+
 def digest_of(source: Path) -> str:
-    """What tells photos or a video from others: the names and sizes of the files, as SHA-256."""
-    files = [source] if source.is_file() else sorted(source.rglob("*"))
+    """What tells photos or a video from others: the names and sizes of the files, as SHA-256.
+
+    Raises:
+        StyleSplatError: If a folder cannot be read.
+    """
+    folder, names = source.parent, [source.name]
+    if source.is_dir():
+        found = find_sources(source, skip=partial_of(source))
+        folder, names = source, [*found.photos, *found.videos]
     state = hashlib.sha256()
-    for file in files:
-        name = file.relative_to(source.parent if source.is_file() else source)
-        if file.is_file() and not any(part.startswith(".") for part in name.parts):
-            state.update(f"{name.as_posix()}\0{file.stat().st_size}\0".encode(errors="replace"))
+    for name in names:
+        state.update(f"{name}\0{(folder / name).stat().st_size}\0".encode(errors="replace"))
     return state.hexdigest()
+
+
+def _refuse_each_other(source: Path, output: Path) -> None:
+    """Raise a StyleSplatError if photos and capture lie in each other."""
+    if output.is_relative_to(source):
+        raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
+    if source.is_relative_to(output):
+        raise StyleSplatError(
+            f"{source} lies inside of {output}, which would be replaced. Choose another folder."
+        )
+
+
+def _keep_label_maps(output: Path, new: Path) -> None:
+    """Take the label maps of an earlier capture along: they may be handwork."""
+    if (output / OBJECT_MASK).is_dir():
+        shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
+        say(f"The label maps in {output / OBJECT_MASK} are kept.")
+
+
+def _forget(work: Path) -> None:
+    """Delete what a run has left, and nothing else that lies beside it."""
+    shutil.rmtree(work, ignore_errors=True)
+    with suppress(OSError):  # it is not empty
+        work.parent.rmdir()
 
 
 def _record(
@@ -118,9 +158,9 @@ def _record(
         digest=digest,
         given=len(prepared.names) + len(prepared.left_out),
         registered=len(prepared.names) - len(found.unregistered),
-        left_out=dict(prepared.left_out),
-        unregistered={origins.get(name, name): why for name, why in found.unregistered.items()},
-        origins={name: own for name, own in origins.items() if name != own},
+        left_out=_lines(prepared.left_out),
+        unregistered=_lines({origins.get(n, n): why for n, why in found.unregistered.items()}),
+        origins=_lines({name: own for name, own in origins.items() if name != own}),
         frame={
             "up": [0, -1, 0],
             "origin": "the centre of what the cameras look at",
@@ -133,7 +173,12 @@ def _record(
         },
         settings=asdict(config),
         numbers=dict(found.numbers),
-        libraries={name: version(name) for name in LIBRARIES},
+        libraries={
+            "stylesplat": version("stylesplat"),
+            "pycolmap": pycolmap.__version__,
+            "av": av.__version__,
+            "opencv": cv2.__version__,
+        },
     )
 
 
@@ -144,6 +189,11 @@ def _checked(folder: Path, output: Path) -> CaptureReport:
     report = check(capture)
     write_image(capture_picture(replace(capture, path=output), report), folder / PICTURE)
     return report
+
+
+def _lines(texts: Mapping[str, str]) -> dict[str, str]:
+    """The same, printable: names may hold anything."""
+    return {printable(name): printable(text) for name, text in texts.items()}
 
 
 def _say_result(record: SfmRecord) -> None:

@@ -122,6 +122,11 @@ def is_posed(folder: Path) -> bool:
 
 
 def _read_poses(folder: Path) -> PosedFiles:
+    if folder.is_file():
+        raise StyleSplatError(
+            f"{folder} is a file, not the folder of a capture. Of a video, "
+            f"`stylesplat sfm {folder} -o CAPTURE` makes one."
+        )
     if not folder.is_dir():
         raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
     sparse = find_sparse(folder)

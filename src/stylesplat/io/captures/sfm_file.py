@@ -11,7 +11,7 @@ from stylesplat.io.json_files import FilePath, read_json_as, write_json
 SFM_FILE = "sfm.json"
 FORMAT = 1
 MAX_PHOTOS = 1_000_000
-Text = Annotated[str, Meta(max_length=4096)]
+Text = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
 Reasons = Annotated[dict[Text, Text], Meta(max_length=MAX_PHOTOS)]
 Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
 

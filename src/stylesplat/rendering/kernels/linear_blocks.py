@@ -45,11 +45,12 @@ class Kept(NamedTuple):
 
 @no_type_check
 @serial_kernel
-def count_pairs(lists, picked):
-    """Entries and (entry, block) pairs of picked ranks, counted up tile by tile [tiles + 1]."""
+def count_pairs(lists, picked, entries, pairs):
+    """Count entries and (entry, block) pairs of picked ranks up, tile by tile [tiles + 1].
+
+    What is filled holds zeros.
+    """
     starts, ranks, masks = lists
-    entries = np.zeros(starts.shape[0], np.int64)
-    pairs = np.zeros(starts.shape[0], np.int64)
     for tile in range(starts.shape[0] - 1):
         entries[tile + 1], pairs[tile + 1] = entries[tile], pairs[tile]
         for entry in range(starts[tile], starts[tile + 1]):
@@ -59,7 +60,6 @@ def count_pairs(lists, picked):
                 while todo != 0:
                     todo &= todo - 1
                     pairs[tile + 1] += 1
-    return entries, pairs
 
 
 @no_type_check
