@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.half_fits import Fits
@@ -29,12 +31,23 @@ def exposed(plain: Capture) -> Capture:
     """Photos of gains between 0.4 and 1.1."""
     random = torch.Generator().manual_seed(1)
     gains = 0.4 + 0.7 * torch.rand(len(plain), 1, generator=random)
-    gains = gains * (1 + 0.05 * torch.randn(len(plain), 3, generator=random))
+    return with_gains(plain, gains * (1 + 0.05 * torch.randn(len(plain), 3, generator=random)))
+
+
+@pytest.fixture
+def tinted(plain: Capture) -> Capture:
+    """Photos as bright as each other, in turn redder and bluer."""
+    warm = torch.tensor([0.3, 0.0, -0.3])
+    gains = torch.stack([(-1) ** row * warm for row in range(len(plain))]).exp()
+    return with_gains(plain, 0.7 * gains)
+
+
+def with_gains(capture: Capture, gains: Float[Tensor, "C 3"]) -> Capture:
     photos = [
         (photo * gain).clamp(0, 255).round().to(torch.uint8)
-        for photo, gain in zip(plain.photos, gains, strict=True)
+        for photo, gain in zip(capture.photos, gains, strict=True)
     ]
-    return replace(plain, photos=photos)
+    return replace(capture, photos=photos)
 
 
 @pytest.fixture
@@ -75,6 +88,11 @@ def test_auto_corrects_where_photos_differ(
     assert "color_maps" not in fit(plain, config).params
     assert not said
     assert "color_maps" not in fit(replace(exposed, points=None, point_colors=None), config).params
+
+
+def test_auto_corrects_white_balance(tinted: Capture, config: TrainConfig, said: list[str]):
+    assert "color_maps" in fit(tinted, replace(config, steps=2)).params
+    assert any("white balance" in line for line in said)
 
 
 def test_nothing_of_a_photo_is_in_the_splat(exposed: Capture, config: TrainConfig):

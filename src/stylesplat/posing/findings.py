@@ -153,7 +153,7 @@ def on_heights(coverage: Coverage) -> Finding:
 def on_distances(coverage: Coverage) -> Finding:
     """How much nearer some photos were taken than others, and whether anybody walked at all."""
     if coverage.walk < 0.1:
-        says = f"the camera moved by {coverage.walk:.0%} of its distance only"
+        says = f"the camera moved by {100 * coverage.walk:.0f} % of its distance only"
         advice = "From one spot depth cannot be told: walk, instead of turning on the spot."
         return Finding(
             "movement", "poor" if coverage.walk < 0.05 else "fair", coverage.walk, says, advice

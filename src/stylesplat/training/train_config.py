@@ -63,7 +63,8 @@ class TrainConfig:
     color_correction: ColorCorrection = "auto"
     """Whether each photo's exposure and white balance are learned, and kept out of the splat.
 
-    `auto` learns them where points that several photos show tell that exposures differ.
+    `auto` learns them where points that several photos show tell that brightness differs, in the
+    channel that differs most.
     """
     refine_poses: bool = False
     """Whether each training photo's camera is turned and shifted a little to fit better.
