@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, ImageCms
 
 import stylesplat
 from corner_photos import (
@@ -23,6 +23,7 @@ from corner_photos import (
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.posing.keypoints import find_keypoints, keypoint_counts
 from stylesplat.posing.likeness import alike
 from stylesplat.posing.pairs import most_alike
 from stylesplat.posing.photo_groups import group_photos
@@ -43,16 +44,19 @@ class Recorder(Silence):
 
     def __init__(self, interrupted: str = ""):
         self.tasks: list[str] = []
+        self.done: list[float] = []
         self.interrupted = interrupted
 
     @contextmanager
     def task(self, what: str, total: int | float | None, unit: str, done: int | float):
         self.tasks.append(what)
+        self.done.append(done)
         yield self
 
     def advance(self, amount: int | float = 1) -> None:
         if self.tasks[-1] == self.interrupted:
             raise KeyboardInterrupt
+        self.done[-1] += amount
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +128,7 @@ def test_the_capture_is_one_of_pinhole_photos(result: Reconstruction, photos: Pa
     write_colmap(result.model, photos, tmp_path)
     capture = stylesplat.load(tmp_path)
     assert len(capture) == COUNT and capture.points is not None and len(capture.points) > 200
+    assert len(capture.points) == result.numbers["points"]
     assert capture.cameras.names[0] == "Ecke im Café/Blick 00.jpg"
     assert capture.photos[0].shape[1] > 300
     assert {p.name for p in (tmp_path / "sparse").iterdir()} == {"0"}
@@ -132,6 +137,17 @@ def test_the_capture_is_one_of_pinhole_photos(result: Reconstruction, photos: Pa
     before = model.compute_mean_reprojection_error()
     model.update_point_3d_errors()
     assert model.compute_mean_reprojection_error() == pytest.approx(before, rel=0.02)
+
+
+def test_the_capture_keeps_the_profile_of_colours(result, photos: Path, tmp_path: Path):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    for image in result.model.images.values():
+        path = tmp_path / "photos" / image.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.open(photos / image.name).save(path, icc_profile=profile)
+    write_colmap(result.model, tmp_path / "photos", tmp_path)
+    with Image.open(tmp_path / "images" / "Ecke im Café" / "Blick 00.jpg") as image:
+        assert image.info["icc_profile"] == profile
 
 
 def test_the_same_call_gives_the_same_poses_and_finds_nothing_again(
@@ -158,6 +174,33 @@ def test_other_settings_and_a_damaged_database_begin_anew(
     database.write_bytes(database.read_bytes()[:30000])
     reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=changed)
     assert len(said) == 2
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("UPDATE images SET name = 'foreign.jpg' WHERE image_id = 1")
+    place = open_workplace(tmp_path / "work", tmp_path / "photos", prepared.names, changed)
+    assert len(said) == 3
+    (tmp_path / "work" / "database.json").unlink()  # as after a kill while photos are entered
+    open_workplace(tmp_path / "work", tmp_path / "photos", prepared.names, changed)
+    assert len(said) == 3
+    database.write_bytes(b"no database " * 1000)
+    with pytest.raises(StyleSplatError, match=r"database.db: file is not a database. Run the same"):
+        place.ask("SELECT name FROM images")
+
+
+def test_photos_of_several_cameras_have_one_bar(tmp_path: Path):
+    pictures = corner(6)
+    pictures |= {f"0{i}.jpg": pictures[f"0{i}.jpg"][:200] for i in (1, 3, 5)}
+    prepared = write_photos(tmp_path / "photos", pictures)
+    place = open_workplace(tmp_path / "work", tmp_path / "photos", prepared.names, FAST)
+    with observed(recorder := Recorder()):
+        find_keypoints(place)
+    assert recorder.tasks == ["finding features"] and recorder.done == [6]
+    assert len(place.groups) == 2 and min(keypoint_counts(place).values()) > 100
+    with closing(sqlite3.connect(place.database)) as database, database:
+        for table in ("keypoints", "descriptors"):
+            database.execute(f"DELETE FROM {table} WHERE image_id = 1")
+    with observed(recorder := Recorder("finding features")), pytest.raises(KeyboardInterrupt):
+        find_keypoints(place)
+    assert recorder.done == [5]  # where the bar begins
 
 
 def test_two_photos_are_too_few(tmp_path: Path):
@@ -181,6 +224,12 @@ def test_photos_that_do_not_overlap(tmp_path: Path):
 def test_photos_of_two_places(tmp_path: Path):
     pictures = corner(4, prefix="a") | corner(4, prefix="b", seed=1)
     with pytest.raises(StyleSplatError, match="different places: they fall into groups of 4, 4"):
+        reconstruct(tmp_path, write_photos(tmp_path, pictures), tmp_path / "work", config=FAST)
+
+
+def test_a_few_photos_of_many_are_no_scene(tmp_path: Path):
+    pictures = corner(3) | {f"b{i}.jpg": photograph_corner(MATS[i], seed=i + 1) for i in range(7)}
+    with pytest.raises(StyleSplatError, match=r"Only 3 of 10 photos fit together: \d of 45 pairs"):
         reconstruct(tmp_path, write_photos(tmp_path, pictures), tmp_path / "work", config=FAST)
 
 
@@ -252,14 +301,17 @@ def test_each_size_and_lens_has_a_camera(tmp_path: Path):
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.2
     Image.open(tmp_path / "00.jpg").save(tmp_path / "03.jpg", exif=exif)
     Image.open(tmp_path / "00.jpg").resize((160, 120)).save(tmp_path / "04.jpg")
-    names = [f"0{i}.jpg" for i in range(5)]
+    Image.open(tmp_path / "00.jpg").save(tmp_path / "05.png")
+    whole = (tmp_path / "05.png").read_bytes()
+    (tmp_path / "05.png").write_bytes(whole[: len(whole) // 2])  # its header is enough
+    names = [*(f"0{i}.jpg" for i in range(5)), "05.png"]
 
     def rows(cameras: str) -> list[tuple[int, ...]]:
         return [group.rows for group in group_photos(tmp_path, names, cameras)]
 
-    assert rows("auto") == [(0, 1, 2), (3,), (4,)]
-    assert rows("one") == [(0, 1, 2, 3), (4,)]
-    assert rows("several") == [(0,), (1,), (2,), (3,), (4,)]
+    assert rows("auto") == [(0, 1, 2, 5), (3,), (4,)]
+    assert rows("one") == [(0, 1, 2, 3, 5), (4,)]
+    assert rows("several") == [(0,), (1,), (2,), (3,), (4,), (5,)]
 
 
 def test_photos_that_look_alike_are_compared(photos: Path, work: Path, result, prepared):
