@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ExifTags, Image, ImageCms
+from PIL import Image, ImageCms
 
 import stylesplat
 from corner_photos import (
@@ -23,10 +23,8 @@ from corner_photos import (
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.posing.keypoints import find_keypoints, keypoint_counts
 from stylesplat.posing.likeness import alike
 from stylesplat.posing.pairs import most_alike
-from stylesplat.posing.photo_groups import group_photos
 from stylesplat.posing.reconstruct import Reconstruction, reconstruct
 from stylesplat.posing.sfm_config import SfmConfig
 from stylesplat.posing.undistort import write_colmap
@@ -44,19 +42,16 @@ class Recorder(Silence):
 
     def __init__(self, interrupted: str = ""):
         self.tasks: list[str] = []
-        self.done: list[float] = []
         self.interrupted = interrupted
 
     @contextmanager
     def task(self, what: str, total: int | float | None, unit: str, done: int | float):
         self.tasks.append(what)
-        self.done.append(done)
         yield self
 
     def advance(self, amount: int | float = 1) -> None:
         if self.tasks[-1] == self.interrupted:
             raise KeyboardInterrupt
-        self.done[-1] += amount
 
 
 @pytest.fixture(scope="module")
@@ -174,33 +169,6 @@ def test_other_settings_and_a_damaged_database_begin_anew(
     database.write_bytes(database.read_bytes()[:30000])
     reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=changed)
     assert len(said) == 2
-    with closing(sqlite3.connect(database)) as connection, connection:
-        connection.execute("UPDATE images SET name = 'foreign.jpg' WHERE image_id = 1")
-    place = open_workplace(tmp_path / "work", tmp_path / "photos", prepared.names, changed)
-    assert len(said) == 3
-    (tmp_path / "work" / "database.json").unlink()  # as after a kill while photos are entered
-    open_workplace(tmp_path / "work", tmp_path / "photos", prepared.names, changed)
-    assert len(said) == 3
-    database.write_bytes(b"no database " * 1000)
-    with pytest.raises(StyleSplatError, match=r"database.db: file is not a database. Run the same"):
-        place.ask("SELECT name FROM images")
-
-
-def test_photos_of_several_cameras_have_one_bar(tmp_path: Path):
-    pictures = corner(6)
-    pictures |= {f"0{i}.jpg": pictures[f"0{i}.jpg"][:200] for i in (1, 3, 5)}
-    prepared = write_photos(tmp_path / "photos", pictures)
-    place = open_workplace(tmp_path / "work", tmp_path / "photos", prepared.names, FAST)
-    with observed(recorder := Recorder()):
-        find_keypoints(place)
-    assert recorder.tasks == ["finding features"] and recorder.done == [6]
-    assert len(place.groups) == 2 and min(keypoint_counts(place).values()) > 100
-    with closing(sqlite3.connect(place.database)) as database, database:
-        for table in ("keypoints", "descriptors"):
-            database.execute(f"DELETE FROM {table} WHERE image_id = 1")
-    with observed(recorder := Recorder("finding features")), pytest.raises(KeyboardInterrupt):
-        find_keypoints(place)
-    assert recorder.done == [5]  # where the bar begins
 
 
 def test_two_photos_are_too_few(tmp_path: Path):
@@ -266,7 +234,6 @@ from stylesplat.progress import Silence, listen
 from stylesplat.posing.prepared import Prepared
 from stylesplat.posing.likeness import alike
 from stylesplat.posing.pairs import most_alike
-from stylesplat.posing.photo_groups import group_photos
 from stylesplat.posing.reconstruct import reconstruct
 from stylesplat.posing.sfm_config import SfmConfig
 
@@ -293,25 +260,6 @@ def test_after_a_kill_the_next_call_goes_on(tmp_path: Path):
         result = reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=FAST)
     assert again.tasks == ["matching photos", "finding poses"]
     assert result.numbers["registered"] == 4
-
-
-def test_each_size_and_lens_has_a_camera(tmp_path: Path):
-    write_photos(tmp_path, corner(3))
-    exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.2
-    Image.open(tmp_path / "00.jpg").save(tmp_path / "03.jpg", exif=exif)
-    Image.open(tmp_path / "00.jpg").resize((160, 120)).save(tmp_path / "04.jpg")
-    Image.open(tmp_path / "00.jpg").save(tmp_path / "05.png")
-    whole = (tmp_path / "05.png").read_bytes()
-    (tmp_path / "05.png").write_bytes(whole[: len(whole) // 2])  # its header is enough
-    names = [*(f"0{i}.jpg" for i in range(5)), "05.png"]
-
-    def rows(cameras: str) -> list[tuple[int, ...]]:
-        return [group.rows for group in group_photos(tmp_path, names, cameras)]
-
-    assert rows("auto") == [(0, 1, 2, 5), (3,), (4,)]
-    assert rows("one") == [(0, 1, 2, 3, 5), (4,)]
-    assert rows("several") == [(0,), (1,), (2,), (3,), (4,), (5,)]
 
 
 def test_photos_that_look_alike_are_compared(photos: Path, work: Path, result, prepared):
