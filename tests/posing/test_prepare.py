@@ -1,4 +1,6 @@
+import json
 import os
+import struct
 from pathlib import Path
 
 import cv2
@@ -146,6 +148,38 @@ def test_an_interrupted_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert (out / "1.jpg").stat() == kept
 
 
+def test_a_record_writes_and_reads_nothing_outside(tmp_path: Path):
+    source, out = walk(tmp_path / "in"), tmp_path / "a" / "b" / "out"
+    prepared = prepare(source, out)
+    record = out / ".prepared.json"
+    whole = record.read_text()
+    record.write_text(whole.replace('"IMG_9.jpg":', '"../../../victim.jpg":'))
+    assert prepare(source, out) == prepared  # made again
+    assert {path.name for path in tmp_path.iterdir()} == {"in", "a"}
+    hostile = json.loads(whole)
+    hostile["prepared"]["origins"]["IMG_9.jpg"] = "../secret.jpg"
+    record.write_text(json.dumps(hostile))
+    (out / "IMG_9.jpg").unlink()
+    save(tmp_path / "secret.jpg", view(0))
+    with pytest.raises(StyleSplatError, match=r"secret.jpg' leads out of the folder"):
+        prepare(source, out)
+
+
+def test_numbers_that_no_camera_has_are_left_behind(tmp_path: Path):
+    source = walk(tmp_path / "in", 3)
+    entry = struct.pack("<HHHLLL", 1, 0x8769, 4, 1, 26, 0)  # a pointer to the next
+    huge = struct.pack("<HHHQLL", 1, 0xA405, 16, 1, 0, 0)[:6] + struct.pack("<LLL", 1, 44, 0)
+    exif = b"Exif\0\0II*\0" + struct.pack("<L", 8) + entry + huge + struct.pack("<Q", 2**40)
+    with Image.open(source / "IMG_9.jpg") as image:
+        assert image.mode == "RGB"
+        image.convert("L").save(source / "IMG_9.jpg", exif=exif)
+    with Image.open(source / "IMG_9.jpg") as image:
+        assert image.getexif().get_ifd(0x8769) == {0xA405: 2**40}
+    assert len(prepare(source, tmp_path / "out").names) == 3
+    with Image.open(tmp_path / "out" / "IMG_9.jpg") as image:
+        assert not image.getexif()
+
+
 def test_what_changed_is_written_again_and_what_went_is_removed(tmp_path: Path):
     source, out = walk(tmp_path / "in", 6), tmp_path / "out"
     (source / "sub").mkdir()
@@ -225,3 +259,5 @@ def test_videos_among_photos_are_listed(tmp_path: Path):
     film(source / "IMG_8.mov", [view(0)])
     assert find_sources(source, skip=tmp_path).videos == ("IMG_8.mov",)
     assert prepare(source, tmp_path / "out").left_out == {"IMG_8.mov": "a video among photos"}
+    (source / "IMG_8.mov").unlink()
+    assert not prepare(source, tmp_path / "out").left_out

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ExifTags, Image
+from PIL import Image, ImageCms
 
 import stylesplat
 from corner_photos import (
@@ -25,7 +25,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.likeness import alike
 from stylesplat.posing.pairs import most_alike
-from stylesplat.posing.photo_groups import group_photos
 from stylesplat.posing.reconstruct import Reconstruction, reconstruct
 from stylesplat.posing.sfm_config import SfmConfig
 from stylesplat.posing.undistort import write_colmap
@@ -124,6 +123,7 @@ def test_the_capture_is_one_of_pinhole_photos(result: Reconstruction, photos: Pa
     write_colmap(result.model, photos, tmp_path)
     capture = stylesplat.load(tmp_path)
     assert len(capture) == COUNT and capture.points is not None and len(capture.points) > 200
+    assert len(capture.points) == result.numbers["points"]
     assert capture.cameras.names[0] == "Ecke im Café/Blick 00.jpg"
     assert capture.photos[0].shape[1] > 300
     assert {p.name for p in (tmp_path / "sparse").iterdir()} == {"0"}
@@ -132,6 +132,17 @@ def test_the_capture_is_one_of_pinhole_photos(result: Reconstruction, photos: Pa
     before = model.compute_mean_reprojection_error()
     model.update_point_3d_errors()
     assert model.compute_mean_reprojection_error() == pytest.approx(before, rel=0.02)
+
+
+def test_the_capture_keeps_the_profile_of_colours(result, photos: Path, tmp_path: Path):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    for image in result.model.images.values():
+        path = tmp_path / "photos" / image.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.open(photos / image.name).save(path, icc_profile=profile)
+    write_colmap(result.model, tmp_path / "photos", tmp_path)
+    with Image.open(tmp_path / "images" / "Ecke im Café" / "Blick 00.jpg") as image:
+        assert image.info["icc_profile"] == profile
 
 
 def test_the_same_call_gives_the_same_poses_and_finds_nothing_again(
@@ -184,6 +195,12 @@ def test_photos_of_two_places(tmp_path: Path):
         reconstruct(tmp_path, write_photos(tmp_path, pictures), tmp_path / "work", config=FAST)
 
 
+def test_a_few_photos_of_many_are_no_scene(tmp_path: Path):
+    pictures = corner(3) | {f"b{i}.jpg": photograph_corner(MATS[i], seed=i + 1) for i in range(7)}
+    with pytest.raises(StyleSplatError, match=r"Only 3 of 10 photos fit together: \d of 45 pairs"):
+        reconstruct(tmp_path, write_photos(tmp_path, pictures), tmp_path / "work", config=FAST)
+
+
 def test_a_panorama(tmp_path: Path):
     pictures = {f"{i}.jpg": photograph_corner(m) for i, m in enumerate(turned(7))}
     with pytest.raises(StyleSplatError, match=r"taken from one place.*Walk around"):
@@ -217,7 +234,6 @@ from stylesplat.progress import Silence, listen
 from stylesplat.posing.prepared import Prepared
 from stylesplat.posing.likeness import alike
 from stylesplat.posing.pairs import most_alike
-from stylesplat.posing.photo_groups import group_photos
 from stylesplat.posing.reconstruct import reconstruct
 from stylesplat.posing.sfm_config import SfmConfig
 
@@ -244,22 +260,6 @@ def test_after_a_kill_the_next_call_goes_on(tmp_path: Path):
         result = reconstruct(tmp_path / "photos", prepared, tmp_path / "work", config=FAST)
     assert again.tasks == ["matching photos", "finding poses"]
     assert result.numbers["registered"] == 4
-
-
-def test_each_size_and_lens_has_a_camera(tmp_path: Path):
-    write_photos(tmp_path, corner(3))
-    exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.2
-    Image.open(tmp_path / "00.jpg").save(tmp_path / "03.jpg", exif=exif)
-    Image.open(tmp_path / "00.jpg").resize((160, 120)).save(tmp_path / "04.jpg")
-    names = [f"0{i}.jpg" for i in range(5)]
-
-    def rows(cameras: str) -> list[tuple[int, ...]]:
-        return [group.rows for group in group_photos(tmp_path, names, cameras)]
-
-    assert rows("auto") == [(0, 1, 2), (3,), (4,)]
-    assert rows("one") == [(0, 1, 2, 3), (4,)]
-    assert rows("several") == [(0,), (1,), (2,), (3,), (4,)]
 
 
 def test_photos_that_look_alike_are_compared(photos: Path, work: Path, result, prepared):

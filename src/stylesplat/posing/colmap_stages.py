@@ -18,13 +18,13 @@ from statistics import median
 from typing import Any
 
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.posing.prepared import LEAST
 
 INTERVAL = 0.2  # seconds between two looks into the database
 FATAL = 3  # the level of what is logged before the process ends
 # Features in a typical photo at its own size: fox (1250) then has poses within 0.05 degrees, desk
 # (440) has a fifth to a half more error than with the 1360 of twice the size
 FEW = 800
-SMALLEST_MODEL = 3  # photos: smaller groups are said to be left out one by one
 FEATURES = "SELECT count(*) FROM descriptors"
 PAIRS = "SELECT count(*) FROM two_view_geometries"
 
@@ -44,24 +44,28 @@ def import_photos(task: dict[str, Any]) -> None:
 
 
 def find_features(task: dict[str, Any]) -> None:
-    """Find the features of photos that have none yet."""
+    """Find the features of photos that have none yet, group by group."""
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = task["max_size"]
     options.num_threads = task["threads"]
     options.sift.max_num_features = task["max_features"]
-    options.sift.first_octave = _first_octave(task, options)
-    with _counted(task["database"], FEATURES):
-        pycolmap.extract_features(
-            task["database"], task["photos"], task["names"], extraction_options=options
-        )
+    for group in task["groups"]:
+        options.sift.first_octave = _first_octave(task, group["sample"], options)
+        # Anew for each: once COLMAP has closed the database, an older connection reads no news
+        with _counted(task["database"], FEATURES):
+            pycolmap.extract_features(
+                task["database"], task["photos"], group["names"], extraction_options=options
+            )
 
 
-def _first_octave(task: dict[str, Any], options: pycolmap.FeatureExtractionOptions) -> int:
+def _first_octave(
+    task: dict[str, Any], sample: list[str], options: pycolmap.FeatureExtractionOptions
+) -> int:
     """-1, which looks at photos twice as large and takes four times as long, or 0 if that does."""
     options.sift.first_octave = 0
     extractor = pycolmap.FeatureExtractor.create(options)
     counts = []
-    for file in task["sample"]:
+    for file in sample:
         bitmap = pycolmap.Bitmap.read(Path(task["photos"]) / file, as_rgb=False)
         if bitmap is None:
             continue
@@ -89,7 +93,7 @@ def map_photos(task: dict[str, Any]) -> None:
     options.num_threads = task["threads"]
     options.random_seed = options.mapper.random_seed = task["seed"]
     options.triangulation.random_seed = task["seed"]
-    options.min_model_size = SMALLEST_MODEL
+    options.min_model_size = LEAST  # smaller groups are said to be left out one by one
     done = 0
 
     def registered(amount: int = 1) -> None:

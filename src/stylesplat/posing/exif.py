@@ -1,11 +1,10 @@
 """What a photo's EXIF data tell of its lens and its time."""
 
-import math
 from pathlib import Path
 
 from PIL import ExifTags, Image
 
-from stylesplat.io.captures.decoding import opened
+from stylesplat.io.captures.decoding import exif_of, opened
 
 Base = ExifTags.Base
 # What COLMAP finds a focal length by, and what identifies the camera. Places are left behind
@@ -16,25 +15,22 @@ LENS = (
 )
 TAKEN = (Base.DateTimeOriginal, Base.SubsecTimeOriginal)
 LONGEST = 64  # characters of a camera's name or a time
+MOST = 1e6  # millimetres or pixels in an inch: no camera has so many, and few formats hold all
 
 
 def lens_exif(path: Path) -> bytes:
-    """EXIF data with the camera, its lens and the time, without rotation; empty if unknown.
+    """EXIF data with the camera, its lens and the time, without rotation.
+
+    They are empty if unknown, or damaged: the photo itself may be whole.
 
     Raises:
         StyleSplatError: If there is no such file or it is no readable picture.
     """
     with opened(path) as image:
-        found, kept = image.getexif(), Image.Exif()
-        of_lens = found.get_ifd(ExifTags.IFD.Exif)
-        for tag in CAMERA:
-            if _is_sane(found.get(tag)):
-                kept[tag] = found[tag]
-        lens = kept.get_ifd(ExifTags.IFD.Exif)
-        for tag in (*LENS, *TAKEN):
-            if _is_sane(of_lens.get(tag)):
-                lens[tag] = of_lens[tag]
-        return kept.tobytes() if kept or lens else b""
+        try:
+            return _of_lens(exif_of(image))
+        except Exception:  # Pillow raises all kinds
+            return b""
 
 
 def taken_at(path: Path) -> str | None:
@@ -44,13 +40,23 @@ def taken_at(path: Path) -> str | None:
         StyleSplatError: If there is no such file or it is no picture.
     """
     with opened(path) as image:
-        if image.format == "PNG" and "exif" not in image.info:  # to look, Pillow decodes it all
-            return None
-        found = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        found = exif_of(image).get_ifd(ExifTags.IFD.Exif)
         day, part = (found.get(tag) for tag in TAKEN)
         if not isinstance(day, str) or not day[:4].isdigit():
             return None
         return f"{day[:LONGEST]}.{part}" if isinstance(part, str) else day[:LONGEST]
+
+
+def _of_lens(found: Image.Exif) -> bytes:
+    kept, more = Image.Exif(), found.get_ifd(ExifTags.IFD.Exif)
+    for tag in CAMERA:
+        if _is_sane(found.get(tag)):
+            kept[tag] = found[tag]
+    lens = kept.get_ifd(ExifTags.IFD.Exif)
+    for tag in (*LENS, *TAKEN):
+        if _is_sane(more.get(tag)):
+            lens[tag] = more[tag]
+    return kept.tobytes() if kept or lens else b""
 
 
 def _is_sane(value: object) -> bool:
@@ -60,4 +66,4 @@ def _is_sane(value: object) -> bool:
         number = float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, ZeroDivisionError):
         return False
-    return math.isfinite(number) and number > 0
+    return 0 < number <= MOST

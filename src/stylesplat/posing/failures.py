@@ -8,10 +8,11 @@ import numpy as np
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.match_table import MatchTable
+from stylesplat.posing.prepared import LEAST
 from stylesplat.posing.unregistered import FEW_FEATURES
 from stylesplat.scene.sampling import evenly
 
-FEWEST = 3  # photos
+POSED = 1 / 3  # of the photos: of fewer the scene is hardly to be recognised
 MOSTLY_FLAT = 0.75  # of the matched pairs; fox has 5 % of them
 NARROW = 3.0  # degrees between the rays to a typical point, below which depth is a guess
 LOOKED_AT = 1000  # points
@@ -20,9 +21,9 @@ WALK = "Walk around what you want to show, so that each photo is taken from anot
 
 def check_number(count: int) -> None:
     """Raise a StyleSplatError for too few photos."""
-    if count < FEWEST:
+    if count < LEAST:
         raise StyleSplatError(
-            f"Poses need at least {FEWEST} photos, there {'is' if count == 1 else 'are'} {count}. "
+            f"Poses need at least {LEAST} photos, there {'is' if count == 1 else 'are'} {count}. "
             "Take 30 to 100, from all sides."
         )
 
@@ -40,7 +41,7 @@ def check_features(counts: Mapping[str, int], total: int) -> None:
 
 def check_matches(table: MatchTable) -> None:
     """Raise a StyleSplatError if too few pairs match to connect even three photos."""
-    if table.matched < FEWEST - 1:
+    if table.matched < LEAST - 1:
         raise StyleSplatError(
             f"The photos do not overlap: {table.matched} of {table.compared} pairs match. Take "
             "photos of one thing, each sharing two thirds of its picture with the next."
@@ -48,14 +49,16 @@ def check_matches(table: MatchTable) -> None:
 
 
 def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
-    """Raise a StyleSplatError unless one model has most photos, from more than one place.
+    """Raise a StyleSplatError unless one model shows the scene, from more than one place.
+
+    It has a third of the photos at least, and if there are others, more than half.
 
     Args:
         models: The largest first.
         table: What was compared.
         total: How many photos there are.
     """
-    sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= FEWEST]
+    sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= LEAST]
     if _is_turn(models, table):
         raise StyleSplatError(
             f"The photos were taken from one place, or show only something flat: in {table.flat} "
@@ -71,6 +74,12 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
             f"The photos show different places: they fall into groups of "
             f"{', '.join(map(str, sizes))} of {total}. Put each place into a folder of its own, "
             "or take photos that connect them."
+        )
+    if sizes[0] < POSED * total:
+        raise StyleSplatError(
+            f"Only {sizes[0]} of {total} photos fit together: {table.matched} of {table.compared} "
+            f"pairs match. {WALK}, at small steps, each sharing two thirds of its picture with "
+            "the next."
         )
 
 

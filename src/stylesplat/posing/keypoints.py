@@ -15,17 +15,16 @@ def find_keypoints(place: Workplace) -> None:
         StyleSplatError: If the disk is full.
     """
     found = {file for (file,) in place.ask(WITH_FEATURES)}
-    for number, group in enumerate(place.groups, start=1):
-        files = [place.files[row] for row in group.rows]
-        if found.issuperset(files):
-            continue
+    groups = [[place.files[row] for row in group.rows] for group in place.groups]
+    missing = [files for files in groups if not found.issuperset(files)]
+    if missing:
         place.run(
             "find_features",
-            "finding features" if len(place.groups) == 1 else f"finding features, camera {number}",
-            len(files),
+            "finding features",
+            len(place.files),
             "photo",
-            names=files,
-            sample=evenly(files, SAMPLE),
+            done=len(found),
+            groups=[{"names": files, "sample": evenly(files, SAMPLE)} for files in missing],
             max_size=place.config.max_size,
             max_features=place.config.max_features,
         )

@@ -21,7 +21,9 @@ NOISE = re.compile(r"^(\s*@|\*\*\*|PC:|terminate called)")  # around what glog h
 PLACE = re.compile(r"^(failed: |\s*what\(\):\s*|\[[\w.]+:\d+\] )+")
 
 
-def run_stage(stage: str, settings: dict[str, Any], what: str, total: int, unit: str) -> None:
+def run_stage(
+    stage: str, settings: dict[str, Any], what: str, total: int, unit: str, done: int = 0
+) -> None:
     """Run one of `colmap_stages` in a process that ends if this one ends or is interrupted.
 
     What the database held is not lost by that: SQLite keeps a log.
@@ -32,6 +34,7 @@ def run_stage(stage: str, settings: dict[str, Any], what: str, total: int, unit:
         what: What is done, for the bar.
         total: How much there is to do.
         unit: What is counted.
+        done: How much of it an earlier call did.
 
     Raises:
         StyleSplatError: If the disk is full, or COLMAP gives up.
@@ -52,8 +55,8 @@ def run_stage(stage: str, settings: dict[str, Any], what: str, total: int, unit:
         with suppress(BrokenPipeError):  # it ended at once, and says below why
             process.stdin.write(json.dumps(settings) + "\n")
             process.stdin.flush()
-        with task(what, total, unit=unit) as bar:
-            _follow(process, bar, total, last)
+        with task(what, total, unit=unit, done=done) as bar:
+            _follow(process, bar, total, done, last)
         status = process.wait()
     finally:
         process.kill()
@@ -62,9 +65,10 @@ def run_stage(stage: str, settings: dict[str, Any], what: str, total: int, unit:
         raise _failure(what, Path(settings["database"]), [*last], status)
 
 
-def _follow(process: "subprocess.Popen[str]", bar: Task, total: int, last: "deque[str]") -> None:
+def _follow(
+    process: "subprocess.Popen[str]", bar: Task, total: int, done: int, last: "deque[str]"
+) -> None:
     """Advance the bar by the numbers that a process prints, and keep its other lines."""
-    done = 0
     assert process.stdout is not None
     for line in process.stdout:
         if not line.strip().isdecimal():
@@ -76,9 +80,14 @@ def _follow(process: "subprocess.Popen[str]", bar: Task, total: int, last: "dequ
             done = now
 
 
+def is_full(text: str) -> bool:
+    """Whether COLMAP or SQLite says that there is no room on the disk."""
+    return bool(FULL.search(text))
+
+
 def _failure(what: str, database: Path, lines: list[str], status: int) -> StyleSplatError:
     said = [PLACE.sub("", line) for line in lines if line.strip() and not NOISE.match(line)]
-    if any(FULL.search(line) for line in lines):
+    if any(is_full(line) for line in lines):
         return cannot_write(database, OSError(ENOSPC, ""))
     words = said[0] if said else f"it ended with status {status}"
     return StyleSplatError(f"{what}: COLMAP gave up: {words}. Run the same command again.")

@@ -16,11 +16,10 @@ from stylesplat.posing.duplicates import near_duplicates
 from stylesplat.posing.exif import taken_at
 from stylesplat.posing.ordering import is_series, neighbours_overlap
 from stylesplat.posing.photo_folder import Found, written_names
-from stylesplat.posing.prepared import Prepared
+from stylesplat.posing.prepared import LEAST, Prepared
 from stylesplat.posing.sharpness import ALL_BLURRED, BLURRED, SIDE, relative, sharpness
 from stylesplat.progress import track
 
-LEAST = 3  # photos from which anything can be reconstructed
 THREADS = 2  # of decoders, which need 100 MB for a photo of 12 megapixels
 CUT_OUT = 0.2  # of a photo that may be transparent: less is a rim
 CUT_OUTS = 0.5  # of all photos that are cut out: more is no mistake

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PIL import ExifTags, Image
 
-from stylesplat.io.captures.decoding import opened
+from stylesplat.io.captures.decoding import exif_of, opened
 from stylesplat.io.files import inside
 
 # Photos of one camera that hold OPENCV's two focal lengths and four numbers of distortion; of
@@ -23,8 +23,6 @@ LENS_TAGS = (
 class PhotoGroup:
     """Photos that share a camera."""
 
-    size: tuple[int, int]
-    """Width and height of each."""
     rows: tuple[int, ...]
     """Their places in the list of all."""
 
@@ -50,11 +48,11 @@ def group_photos(photos: Path, names: Sequence[str], cameras: str) -> tuple[Phot
         with opened(inside(photos, name), reduced=False) as image:
             lens = (row,) if cameras == "several" else _lens(image) if cameras == "auto" else ()
             rows.setdefault((image.size, lens), []).append(row)
-    return tuple(PhotoGroup(size, tuple(found)) for (size, _), found in rows.items())
+    return tuple(PhotoGroup(tuple(found)) for found in rows.values())
 
 
 def _lens(image: Image.Image) -> tuple[str, ...]:
     """What EXIF data tell of the lens and its zoom."""
-    exif = image.getexif()
+    exif = exif_of(image)
     more = exif.get_ifd(ExifTags.IFD.Exif)
     return str(exif.get(ExifTags.Base.Model)), *(str(more.get(tag)) for tag in LENS_TAGS)

@@ -27,10 +27,18 @@ def write_photo(source: Path, target: Path) -> None:
         with atomic_path(target) as temporary:
             _link(source.resolve(), temporary)
         return
-    with opened(source) as image:
-        rgb = image.mode in ("RGB", "RGBA")
-        profile = image.info.get("icc_profile") if rgb else None
-    write_jpeg(read_image(source).numpy(), target, exif=lens_exif(source), icc_profile=profile)
+    pixels, profile = read_image(source).numpy(), color_profile(source)
+    write_jpeg(pixels, target, exif=lens_exif(source), icc_profile=profile)
+
+
+def color_profile(path: Path) -> bytes | None:
+    """The ICC profile that the colours of an RGB picture are to be read by, if it has one.
+
+    Raises:
+        StyleSplatError: If there is no such file or it is no picture.
+    """
+    with opened(path, reduced=False) as image:
+        return image.info.get("icc_profile") if image.mode in ("RGB", "RGBA") else None
 
 
 def write_jpeg(

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import require_regular
+from stylesplat.io.files import inside, require_regular
 from stylesplat.posing.photo_choice import THREADS, choose_photos, too_few
 from stylesplat.posing.photo_folder import PHOTOS, RAW, Found, find_sources
 from stylesplat.posing.photo_writing import write_photo
-from stylesplat.posing.prepared import Prepared
+from stylesplat.posing.prepared import LEAST, Prepared
 from stylesplat.posing.record import Record, clear, digest, read_record, stamp, write_record
-from stylesplat.posing.video_frames import LEAST, choose_frames, write_frames
+from stylesplat.posing.video_frames import choose_frames, write_frames
 from stylesplat.progress import track
 
 
@@ -46,7 +46,7 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> Prepared:
     clear(folder, record, earlier)
     if record is not earlier:
         write_record(record, folder)
-    done = {name for name in record.stamps if (folder / name).is_file()}
+    done = {name for name in record.stamps if inside(folder, name).is_file()}
     found.write(
         {n: origin for n, origin in record.prepared.origins.items() if n not in done}, folder
     )
@@ -80,17 +80,18 @@ class _Photos:
     found: Found
 
     def identity(self) -> str:
-        return digest(*map(self.stamp, self.found.photos), *self.found.left_out)
+        return digest(*map(self.stamp, self.found.photos), *self.found.left_out, *self.found.videos)
 
     def choose(self) -> Prepared:
         return choose_photos(self.folder, self.found)
 
     def stamp(self, origin: str) -> str:
-        return f"{origin} {stamp(self.folder / origin)}"
+        return f"{origin} {stamp(inside(self.folder, origin))}"
 
     def write(self, origins: dict[str, str], folder: Path) -> None:
         def one(item: tuple[str, str]) -> None:
-            write_photo(self.folder / item[1], folder / item[0])
+            name, origin = item
+            write_photo(inside(self.folder, origin), inside(folder, name))
 
         # Python's own filters are of the process: those that threads set would get mixed up
         with warnings.catch_warnings(action="ignore"), ThreadPoolExecutor(THREADS) as pool:

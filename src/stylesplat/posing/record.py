@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import cannot_write
-from stylesplat.io.json_files import read_json_as, write_json
+from stylesplat.io.files import cannot_write, inside
+from stylesplat.io.json_files import PhotoName, read_json_as, write_json
 from stylesplat.posing.prepared import Prepared
 
 RECORD = ".prepared.json"
@@ -22,7 +22,7 @@ class Record:
     """What identifies the source as a whole, and the settings."""
     prepared: Prepared
     """What came of it."""
-    stamps: dict[str, str]
+    stamps: dict[PhotoName, str]
     """By name, what identifies the file that a photo is made of."""
     version: int = VERSION
     """Of the code that chose and wrote them."""
@@ -40,7 +40,9 @@ def read_record(folder: Path) -> Record | None:
         return None
     try:
         record = read_json_as(folder / RECORD, Record, "It is made again.")
-    except StyleSplatError:  # half a file, or one of another version
+        for name in (*record.prepared.names, *record.prepared.origins, *record.stamps):
+            inside(folder, name)
+    except StyleSplatError:  # half a file, one of another version, or none of ours
         return None
     return record if record.version == VERSION else None
 

@@ -14,6 +14,7 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import atomic_path, cannot_write, inside, mark
+from stylesplat.posing.photo_writing import color_profile
 from stylesplat.progress import track
 
 QUALITY = 95  # of JPEG files, which are compressed a second time
@@ -60,7 +61,7 @@ def _write(job: tuple[Photo, Path]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as temporary:
         Image.fromarray(photo.read_with_alpha().numpy()).save(
-            temporary, quality=QUALITY, subsampling=0
+            temporary, quality=QUALITY, subsampling=0, icc_profile=color_profile(photo.path)
         )
 
 
@@ -77,7 +78,7 @@ def _pinhole_model(
         kept = [
             row
             for row, point in enumerate(image.points2D)
-            if point.has_point3D() and _is_firm(model, point.point3D_id)
+            if point.has_point3D() and is_firm(model, point.point3D_id)
         ]
         rows |= {(image.image_id, old): new for new, old in enumerate(kept)}
         lens = lenses[image.camera_id]
@@ -90,7 +91,7 @@ def _pinhole_model(
         )
         pinholes.add_image_with_trivial_frame(posed, image.cam_from_world())
     for key, point in sorted(model.points3D.items()):
-        if not _is_firm(model, key):
+        if not is_firm(model, key):
             continue
         views = [(e.image_id, rows[e.image_id, e.point2D_idx]) for e in point.track.elements]
         elements = [pycolmap.TrackElement(*view) for view in views]
@@ -99,7 +100,8 @@ def _pinhole_model(
     return pinholes
 
 
-def _is_firm(model: pycolmap.Reconstruction, key: int) -> bool:
+def is_firm(model: pycolmap.Reconstruction, key: int) -> bool:
+    """Whether a point is one that is written."""
     return model.point3D(key).track.length() >= LEAST_TRACK
 
 

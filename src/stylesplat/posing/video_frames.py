@@ -10,12 +10,11 @@ import numpy as np
 from stylesplat.errors import StyleSplatError
 from stylesplat.posing.displacement import Tracker
 from stylesplat.posing.photo_writing import write_jpeg
-from stylesplat.posing.prepared import Prepared
+from stylesplat.posing.prepared import LEAST, Prepared
 from stylesplat.posing.sharpness import ALL_BLURRED, BLURRED, SIDE, relative, sharpness
 from stylesplat.posing.video_reading import Frame, opened_video
 from stylesplat.progress import say, task
 
-LEAST = 3  # frames from which anything can be reconstructed
 # Of the longer side, between neighbours: less is hardly a new view. In fox and desk half of the
 # neighbours are more than 3 % apart
 STEP = 0.015

@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import cannot_write, inside
+from stylesplat.io.files import cannot_write, inside, reason
 from stylesplat.io.folders import link_file
 from stylesplat.io.json_files import read_json, write_json
-from stylesplat.posing.long_calls import run_stage
+from stylesplat.posing.long_calls import is_full, run_stage
 from stylesplat.posing.photo_groups import PhotoGroup, group_photos
 from stylesplat.posing.sfm_config import SfmConfig
 from stylesplat.progress import say
+
+NAMES = "SELECT name FROM images"
 
 
 @dataclass(frozen=True)
@@ -51,17 +54,30 @@ class Workplace:
         """What the mapper writes."""
         return self.folder / "models"
 
-    def run(self, stage: str, what: str, total: int, unit: str, **settings: Any) -> None:
+    def run(
+        self, stage: str, what: str, total: int, unit: str, *, done: int = 0, **settings: Any
+    ) -> None:
         """Run a stage of COLMAP on this database; see `run_stage`."""
         known = {"database": str(self.database), "photos": str(self.photos)}
         threads = torch.get_num_threads()
         also = {"threads": threads, "seed": self.config.seed}
-        run_stage(stage, known | also | settings, what, total, unit)
+        run_stage(stage, known | also | settings, what, total, unit, done)
 
     def ask(self, query: str) -> list[tuple[Any, ...]]:
-        """What the database answers."""
-        with closing(sqlite3.connect(self.database)) as database:
-            return database.execute(query).fetchall()
+        """What the database answers.
+
+        Raises:
+            StyleSplatError: If it is damaged, or the disk is full.
+        """
+        try:
+            with closing(sqlite3.connect(self.database)) as database:
+                return database.execute(query).fetchall()
+        except sqlite3.Error as error:
+            if is_full(str(error)):
+                raise cannot_write(self.database, OSError(ENOSPC, "")) from error
+            raise StyleSplatError(
+                f"Cannot read {self.database}: {reason(error)}. Run the same command again."
+            ) from error
 
 
 def open_workplace(
@@ -76,10 +92,10 @@ def open_workplace(
     groups = group_photos(photos, names, config.cameras)
     place = Workplace(folder, tuple(names), files, groups, config)
     basis = _basis(photos, names, config)
-    if place.database.exists() and not _goes_on(place, basis):
+    if place.database.exists() and _basis_file(place).exists():  # else it is unfinished
+        if _goes_on(place, basis):
+            return place
         say(f"{place.database} is of other photos or settings, or damaged: features are new.")
-    elif place.database.exists():
-        return place
     _begin(place, photos, basis)
     return place
 
@@ -102,9 +118,10 @@ def _goes_on(place: Workplace, basis: dict[str, Any]) -> bool:
         return (
             read_json(_basis_file(place)) == basis
             and place.ask("PRAGMA quick_check") == [("ok",)]
+            and {file for (file,) in place.ask(NAMES)} <= {*place.files}
             and all((place.photos / file).is_file() for file in place.files)
         )
-    except (StyleSplatError, sqlite3.Error):
+    except StyleSplatError:
         return False
 
 

@@ -66,6 +66,13 @@ def reading(path: Path) -> Iterator[None]:
         raise _unreadable(path, error) from error
 
 
+def exif_of(image: Image.Image) -> Image.Exif:
+    """EXIF data, of a PNG only if they precede the pixels: to look behind, Pillow decodes all."""
+    if image.format == "PNG" and "exif" not in image.info:
+        return Image.Exif()
+    return image.getexif()
+
+
 def in_bands(
     image: Image.Image, make: Callable[[Image.Image], Shaped[np.ndarray, "h W *D"]]
 ) -> Shaped[np.ndarray, "H W *D"]:

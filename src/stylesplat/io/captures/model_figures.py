@@ -14,8 +14,6 @@ from stylesplat.io.files import reason
 class ModelFigures:
     """Figures of a model whose points know the photos that they were found in."""
 
-    photos: int
-    """How many photos it knows, posed or not."""
     error: float
     """Mean distance in pixels between where a photo shows a point and where it should."""
     track_length: float
@@ -39,7 +37,6 @@ def read_figures(folder: Path) -> ModelFigures | None:
         if not model.compute_num_observations():
             return None
         return ModelFigures(
-            photos=model.num_images(),
             error=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
             shared={i.name: i.num_points3D for i in model.images.values() if i.has_pose},

@@ -13,7 +13,7 @@ from PIL import ExifTags, Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import MAX_PIXELS, in_bands, opened, reading
+from stylesplat.io.captures.decoding import MAX_PIXELS, exif_of, in_bands, opened, reading
 from stylesplat.io.captures.lens import Lens, bands
 
 UPRIGHT = 1  # EXIF's orientation of a photo to be shown as it is stored
@@ -218,10 +218,7 @@ def _decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
 
 
 def _orientation(image: Image.Image) -> int:
-    """Of a PNG only if it precedes the pixels: to look behind them, Pillow decodes them all."""
-    if image.format == "PNG" and "exif" not in image.info:
-        return UPRIGHT
-    return image.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+    return exif_of(image).get(ExifTags.Base.Orientation, UPRIGHT)
 
 
 def _pixels(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
