@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 
 import stylesplat as ss
 from corner_photos import corner, places_around, write_photos
@@ -112,14 +113,6 @@ def test_inside_of_the_photos(photos: Path):
         ss.sfm(photos, photos / "capture")
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"frames": 2}, "Cannot choose 2 frames"),
-        ({"matchin": "auto"}, "setting"),
-        ({"matching": "all"}, "matching"),
-    ],
-)
 def test_photos_inside_of_the_capture(photos: Path, tmp_path: Path):
     inside = tmp_path / "garden" / "images"
     shutil.copytree(photos, inside)
@@ -132,14 +125,23 @@ def test_another_time_label_maps_and_what_lies_beside_stay(photos: Path, tmp_pat
     output = tmp_path / "capture"
     shutil.copytree(photos.with_name("capture"), output)
     (output / "object_mask").mkdir()
-    (output / "object_mask" / "00.png").write_bytes(b"by hand")
+    Image.new("L", (320, 240), 3).save(output / "object_mask" / "00.png")
+    by_hand = (output / "object_mask" / "00.png").read_bytes()
     (tmp_path / "capture.partial").mkdir()
     (tmp_path / "capture.partial" / "diary.txt").write_text("dear")
     assert len(ss.sfm(photos, output, overwrite=True)) == COUNT
-    assert (output / "object_mask" / "00.png").read_bytes() == b"by hand"
+    assert (output / "object_mask" / "00.png").read_bytes() == by_hand
     assert [p.name for p in (tmp_path / "capture.partial").iterdir()] == ["diary.txt"]
 
 
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"frames": 2}, "Cannot choose 2 frames"),
+        ({"matchin": "auto"}, "setting"),
+        ({"matching": "all"}, "matching"),
+    ],
+)
 def test_settings(settings: dict, message: str, photos: Path, tmp_path: Path):
     with pytest.raises(ss.StyleSplatError, match=message):
         ss.sfm(photos, tmp_path / "capture", **settings)
