@@ -1,10 +1,8 @@
 import os
-import resource
 import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from corner_photos import (
     turned,
     write_photos,
 )
+from small_files import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.likeness import alike
@@ -205,17 +204,6 @@ def test_a_panorama(tmp_path: Path):
     pictures = {f"{i}.jpg": photograph_corner(m) for i, m in enumerate(turned(7))}
     with pytest.raises(StyleSplatError, match=r"taken from one place.*Walk around"):
         reconstruct(tmp_path, write_photos(tmp_path, pictures), tmp_path / "work", config=FAST)
-
-
-@contextmanager
-def no_room(bytes_a_file: int) -> Iterator[None]:
-    """Within the block files cannot grow larger, neither ours nor those of processes we start."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_a_file, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_full_disk_is_called_so_and_the_next_call_goes_on(tmp_path: Path):

@@ -1,11 +1,8 @@
 """Checkpoints that cannot be written cost a line, and nothing else."""
 
 import os
-import resource
 import signal
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +10,7 @@ import pytest
 import torch
 
 from scenes import random_splats
+from small_files import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.capture import Capture
 from stylesplat.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -23,22 +21,10 @@ from stylesplat.training.train_config import TrainConfig
 
 CPU = torch.device("cpu")
 MARK = "names=1 size=2 poses=3 points=4 labels=5 objects=6 photos=7"
-NO_ROOM = 4096  # bytes that a file may have
 
 
 def state(step: int = 4) -> State:
     return replace(first_state(replace(random_splats(20), identities=None)), step=step)
-
-
-@contextmanager
-def no_room() -> Iterator[None]:
-    """Within the block files cannot grow."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (NO_ROOM, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.fixture

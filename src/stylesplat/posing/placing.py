@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from stylesplat.io.captures.colmap import posed_images, viewmats_of
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.frame import working_frame
 from stylesplat.scene.cameras import Cameras
@@ -22,12 +23,10 @@ def place(model: pycolmap.Reconstruction) -> Frame:
 
 def _cameras(model: pycolmap.Reconstruction) -> Cameras:
     """Its cameras, as pinholes."""
-    images = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
-    viewmats = torch.eye(4).repeat(len(images), 1, 1)
-    viewmats[:, :3] = torch.tensor(np.stack([i.cam_from_world().matrix() for i in images]))
+    images = posed_images(model)
     lenses = [model.cameras[image.camera_id] for image in images]
     return Cameras(
-        viewmats=viewmats,
+        viewmats=viewmats_of(images).float(),
         Ks=torch.tensor(np.stack([lens.calibration_matrix() for lens in lenses])).float(),
         sizes=torch.tensor([(lens.width, lens.height) for lens in lenses]),
         names=tuple(image.name for image in images),

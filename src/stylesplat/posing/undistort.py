@@ -9,15 +9,15 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap import posed_images
 from stylesplat.io.captures.colmap_check import check_complete
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import atomic_path, cannot_write, inside, mark
-from stylesplat.posing.photo_writing import color_profile
+from stylesplat.posing.photo_writing import QUALITY, color_profile
 from stylesplat.progress import track
 
-QUALITY = 95  # of JPEG files, which are compressed a second time
 LEAST_TRACK = 3  # photos that see a point: those of two are off several times as much
 
 
@@ -35,7 +35,7 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
     Raises:
         StyleSplatError: If a photo cannot be read, or the disk is full.
     """
-    images = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
+    images = posed_images(model)
     lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
     jobs = [
         (

@@ -1,10 +1,11 @@
 """COLMAP reconstructions, binary or text."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float64, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -45,23 +46,33 @@ def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
         ) from error
 
 
+def posed_images(model: pycolmap.Reconstruction) -> list[pycolmap.Image]:
+    """The images that have a pose, sorted by name."""
+    return sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
+
+
+def viewmats_of(images: Sequence[pycolmap.Image]) -> Float64[Tensor, "C 4 4"]:
+    """World to camera, of images that have a pose."""
+    viewmats = torch.eye(4, dtype=torch.float64).repeat(len(images), 1, 1)
+    viewmats[:, :3] = torch.from_numpy(np.stack([i.cam_from_world().matrix() for i in images]))
+    return viewmats
+
+
 def _posed(model: pycolmap.Reconstruction, sparse: Path, folder: Path) -> PosedFiles:
-    images = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
+    images = posed_images(model)
     if not images:
         raise StyleSplatError(
             f"{sparse} has {model.num_cameras()} cameras and {model.num_images()} images, none of "
             "them posed. Run the reconstruction again."
         )
     lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
-    viewmats = torch.eye(4, dtype=torch.float64).repeat(len(images), 1, 1)
-    viewmats[:, :3] = torch.from_numpy(np.stack([i.cam_from_world().matrix() for i in images]))
     points, point_colors = _points(model)
     photos = find_photos(folder)
     return PosedFiles(
         names=tuple(image.name for image in images),
         paths=tuple(photos / image.name for image in images),
         lenses=tuple(lenses[image.camera_id] for image in images),
-        viewmats=viewmats,
+        viewmats=viewmats_of(images),
         points=points,
         point_colors=point_colors,
     )
