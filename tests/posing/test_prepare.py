@@ -230,6 +230,25 @@ def test_cut_out_photos(tmp_path: Path):
         prepare(tmp_path / "in", tmp_path / "out")
 
 
+@pytest.mark.parametrize("level", [0, 255, 90])
+def test_masked_photos(tmp_path: Path, level: int):
+    called = {0: "black", 255: "white", 90: "of one colour"}[level]
+    for index in range(4):
+        masked = np.full((480, 640, 3), level, np.uint8)
+        masked[120:480, 200:440] = cv2.resize(view(index * 24), (240, 360))  # to the lower edge
+        save(tmp_path / "in" / f"{index}.jpg", masked)
+    with pytest.raises(StyleSplatError, match=rf"4 of 4 photos .*: it is {called}\. The back"):
+        prepare(tmp_path / "in", tmp_path / "out")
+
+
+def test_a_burnt_out_sky_is_a_background(tmp_path: Path):
+    for index in range(4):
+        photo = view(index * 24)
+        photo[: len(photo) * 2 // 5] = 255
+        save(tmp_path / "in" / f"{index}.jpg", photo)
+    assert len(prepare(tmp_path / "in", tmp_path / "out").names) == 4
+
+
 def test_sources_that_are_none(tmp_path: Path):
     posed, films, out = tmp_path / "posed", tmp_path / "films", tmp_path / "out"
     walk(posed / "images")

@@ -36,6 +36,15 @@ def test_frames_lie_at_even_motion_and_are_sharp(tmp_path: Path):
     assert np.abs(seen - truth).mean() < 6  # H.264 and JPEG
 
 
+def test_a_gap_is_better_than_soft_frames(tmp_path: Path):
+    shaky = range(20, 25)
+    frames = [view(i * 8, blur=4 * (i in shaky)) for i in range(60)]
+    prepared = prepare(film(tmp_path / "a.mp4", frames), tmp_path / "out", frames=60)
+    assert not {*shaky} & {*numbers(prepared.names)}
+    assert len(prepared.names) == 60 - len(shaky)
+    assert {*prepared.left_out.values()} == {"blurred"}
+
+
 def test_a_camera_that_moves_little_gives_fewer_frames(tmp_path: Path):
     video = film(tmp_path / "a.mp4", [view(i * 0.5) for i in range(60)])  # 9 % of the width
     assert 4 <= len(prepare(video, tmp_path / "out").names) <= 8

@@ -12,6 +12,7 @@ import numpy as np
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.files import reason
+from stylesplat.posing.backgrounds import missing_background
 from stylesplat.posing.duplicates import near_duplicates
 from stylesplat.posing.exif import taken_at
 from stylesplat.posing.ordering import is_series, neighbours_overlap
@@ -21,7 +22,6 @@ from stylesplat.posing.sharpness import ALL_BLURRED, BLURRED, SIDE, relative, sh
 from stylesplat.progress import track
 
 THREADS = 2  # of decoders, which need 100 MB for a photo of 12 megapixels
-CUT_OUT = 0.2  # of a photo that may be transparent: less is a rim
 CUT_OUTS = 0.5  # of all photos that are cut out: more is no mistake
 MOST_NAMED = 3  # reasons that a message gives
 
@@ -130,13 +130,15 @@ def _cause(error: StyleSplatError) -> Exception:
 
 
 def _without_cut_outs(source: Path, looks: list[Look], left_out: dict[str, str]) -> list[Look]:
-    cut = [look.name for look in looks if look.small.transparent > CUT_OUT]
+    found = {look.name: missing_background(look.small) for look in looks}
+    cut = {name: f"its background is {kind}" for name, kind in found.items() if kind}
     if len(cut) > CUT_OUTS * len(looks):
+        kind = Counter(found[name] for name in cut).most_common(1)[0][0]
         raise StyleSplatError(
-            f"{len(cut)} of {len(looks)} photos of {source} have no background: it is transparent. "
+            f"{len(cut)} of {len(looks)} photos of {source} have no background: it is {kind}. "
             "The background is needed to find the cameras; give the photos as they were taken."
         )
-    left_out.update(dict.fromkeys(cut, "its background is transparent"))
+    left_out.update(cut)
     return [look for look in looks if look.name not in left_out]
 
 

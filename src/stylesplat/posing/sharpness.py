@@ -11,6 +11,7 @@ FLOOR = 1.0  # grey levels squared: what rounding adds to the variance
 AROUND = 10  # neighbours that tell what is usual
 # Of what is usual. Real photos (fox, desk) have 0.40 or more; blur of 1 % of the width 0.17 or less
 BLURRED = 0.2
+SOFT = 0.5  # of what is usual: too little where there are others, and when nothing matches
 # Of most photos, for none to be of use. Fox and desk have 0.015 and 0.007, and 0.0005 when blurred
 # by a Gaussian of 0.3 % of their width
 ALL_BLURRED = 0.0007

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.mapper import registered
 from stylesplat.posing.match_table import MatchTable
+from stylesplat.posing.sharpness import SOFT
 
-BLURRED = 0.5  # of the sharpness that is usual among the neighbours
 FEW_FEATURES = 150  # such a photo is nearly a blank wall; ordinary ones have over a thousand
 
 
@@ -37,7 +37,7 @@ def _quality(name: str, counts: Mapping[str, int], sharpness: Mapping[str, float
     """What is wrong with the photo itself."""
     if name not in counts:
         return "it cannot be decoded"
-    if sharpness.get(name, 1.0) < BLURRED:
+    if sharpness.get(name, 1.0) < SOFT:
         return f"blurred: {sharpness[name]:.0%} as sharp as its neighbours"
     if counts[name] < FEW_FEATURES:
         return f"too little texture: {counts[name]} features"

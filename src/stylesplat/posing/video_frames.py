@@ -11,7 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.posing.displacement import Tracker
 from stylesplat.posing.photo_writing import write_jpeg
 from stylesplat.posing.prepared import LEAST, Prepared
-from stylesplat.posing.sharpness import ALL_BLURRED, BLURRED, SIDE, relative, sharpness
+from stylesplat.posing.sharpness import ALL_BLURRED, SIDE, SOFT, relative, sharpness
 from stylesplat.posing.video_reading import Frame, opened_video
 from stylesplat.progress import say, task
 
@@ -52,7 +52,7 @@ def choose_frames(path: Path, most: int) -> Prepared:
     chosen = pick_frames(seen, most)
     _refuse(path, len(seen), chosen)
     sharp = dict(zip(chosen, relative([frame.sharp for frame in chosen]), strict=True))
-    kept = {frame_name(frame.number): frame for frame in chosen if sharp[frame] >= BLURRED}
+    kept = {frame_name(frame.number): frame for frame in chosen if sharp[frame] >= SOFT}
     return Prepared(
         names=tuple(kept),
         ordered=True,
