@@ -18,6 +18,7 @@ from jaxtyping import UInt8
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.files import reason, require_regular
+from stylesplat.io.video import SMOOTH_COLOR
 
 # Of FFmpeg: no playlists, which name files and addresses, and no lists of pictures
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,h264,hevc,mjpeg,ivf,mxf"
@@ -56,7 +57,9 @@ class Frame:
             pixel_width: Of one of its pixels, by its height.
         """
         width = max(1, round(self.image.width * pixel_width))
-        rgb = self.image.reformat(width, self.image.height, "rgb24").to_ndarray()
+        rgb = self.image.reformat(
+            width, self.image.height, "rgb24", interpolation=SMOOTH_COLOR
+        ).to_ndarray()
         return np.ascontiguousarray(np.rot90(rgb, round(self.image.rotation / QUARTER)))
 
 
