@@ -27,7 +27,7 @@ class _Element(NamedTuple):
     """Rows of one kind, as the header announces them."""
 
     name: str
-    count: int
+    rows: int
     columns: list[tuple[str, str]]
     """Names of properties, and numpy's types; of a list the type of its length."""
     lists: list[str]
@@ -53,8 +53,8 @@ def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
             rows, left = _ascii_rows(body, vertices, later)
             say_left_over(path, left, "line")
             return rows
-        order = "<" if encoding == LITTLE_ENDIAN else ">"
-        rows, left = _binary_rows(body, vertices, later, order)
+        dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
+        rows, left = _binary_rows(body, vertices.rows, dtype, later)
         say_left_over(path, left)
         return rows
     except (ValueError, OverflowError) as error:
@@ -112,10 +112,10 @@ def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
                 pass
             case _:
                 raise ValueError(f"its header has {line!r}, which is not of a PLY of vertices")
-    negative = [element for element in elements if element.count < 0]
+    negative = [element for element in elements if element.rows < 0]
     if negative:
-        raise ValueError(f"its header claims {negative[0].count} rows of {negative[0].name}")
-    filled = [element for element in elements if element.count or element.name == VERTEX]
+        raise ValueError(f"its header claims {negative[0].rows} rows of {negative[0].name}")
+    filled = [element for element in elements if element.rows or element.name == VERTEX]
     if not encoding or not filled or not filled[0].columns:
         raise ValueError("its header names no format or no vertices")
     return encoding, _plain_vertices(filled), filled[1:]
@@ -132,16 +132,13 @@ def _plain_vertices(elements: list[_Element]) -> _Element:
 
 
 def _binary_rows(
-    body: memoryview, vertices: _Element, later: list[_Element], order: str
+    body: memoryview, count: int, dtype: np.dtype, later: list[_Element]
 ) -> tuple[Shaped[np.ndarray, " N"], int]:
     """The vertices, and how many bytes nobody announced."""
-    dtype = np.dtype(vertices.columns).newbyteorder(order)
-    first = vertices.count * dtype.itemsize
+    first = count * dtype.itemsize
     if len(body) < first:
-        raise ValueError(
-            f"it is truncated: {vertices.count} vertices take {first} bytes, got {len(body)}"
-        )
-    least = sum(element.count * np.dtype(element.columns).itemsize for element in later)
+        raise ValueError(f"it is truncated: {count} vertices take {first} bytes, got {len(body)}")
+    least = sum(element.rows * np.dtype(element.columns).itemsize for element in later)
     if len(body) - first < least:
         raise ValueError(
             f"it is truncated: {later[0].name!r} and what follows take {least} bytes or more, got "
@@ -157,12 +154,12 @@ def _ascii_rows(
     """The vertices, and how many lines nobody announced."""
     lines = bytes(body).decode("ascii", errors="replace").splitlines()
     lines = [line for line in lines if line.strip()]
-    if len(lines) < vertices.count:
-        raise ValueError(f"the header claims {vertices.count} vertices, got {len(lines)} lines")
-    left = len(lines) - vertices.count - sum(element.count for element in later)
+    if len(lines) < vertices.rows:
+        raise ValueError(f"the header claims {vertices.rows} vertices, got {len(lines)} lines")
+    left = len(lines) - vertices.rows - sum(element.rows for element in later)
     if left < 0:
         raise ValueError(f"it is truncated: {-left} lines after the vertices are missing")
     dtype = np.dtype(vertices.columns)
-    if not vertices.count:
+    if not vertices.rows:
         return np.empty(0, dtype), left
-    return np.loadtxt(lines[: vertices.count], dtype, ndmin=1), left
+    return np.loadtxt(lines[: vertices.rows], dtype, ndmin=1), left
