@@ -93,6 +93,11 @@ def test_an_object_cut_out(scene: Path, tmp_path: Path, capsys):
     assert line.endswith("Use transparent, black, white, or a colour as #rrggbb.")
 
 
+def numbers(path: Path) -> np.ndarray:
+    """As another library reads them."""
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+
+
 def test_depths_as_numbers(scene: Path, tmp_path: Path, capsys):
     made = ("render", scene, "-o")
     assert run(*made, tmp_path / "float", "--what", "depth-float") == 0
@@ -100,8 +105,7 @@ def test_depths_as_numbers(scene: Path, tmp_path: Path, capsys):
     scale = json.loads((tmp_path / "steps" / "depth.json").read_text())["world_units_per_step"]
     assert steps["world_units_per_step"] == scale and steps["views"] == len(CAMERAS)
     for path in (tmp_path / "float").iterdir():
-        depths = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        counted = cv2.imread(str(tmp_path / "steps" / f"{path.stem}.png"), cv2.IMREAD_UNCHANGED)
+        depths, counted = numbers(path), numbers(tmp_path / "steps" / f"{path.stem}.png")
         assert ((depths > 0) == (counted > 0)).all()
         assert np.abs(counted * scale - depths).max() <= 0.51 * scale
     line = complaint(capsys, *made, tmp_path / "x.mp4", "--what", "depth-float")
