@@ -10,6 +10,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path
 from stylesplat.io.video import frames_differ
+from stylesplat.progress import track
 
 LONGEST_SIDE = 640  # pixels; a GIF of six seconds has some ten megabytes then
 DELAY = 70  # milliseconds a frame, about 14 a second; browsers slow down below 20
@@ -36,7 +37,8 @@ def write_gif(frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str) -> Non
     if len({picture.size for picture in pictures}) > 1:
         raise frames_differ(path)
     palette = _palette(pictures)
-    first, *others = (picture.quantize(palette=palette) for picture in pictures)
+    counted = track(pictures, "reducing colours", unit="frame")
+    first, *others = (picture.quantize(palette=palette) for picture in counted)
     with atomic_path(path) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=others, duration=DELAY, loop=0)
 
