@@ -16,7 +16,7 @@ import tyro
 from bench import OUT, STYLES, style_network, trained_scene
 
 import stylesplat as ss
-from stylesplat.drawing.pictures import to_uint8
+from stylesplat.drawing.compositing import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras

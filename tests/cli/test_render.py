@@ -1,13 +1,17 @@
 """The verb `render`."""
 
+import json
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import torch
+from PIL import Image
 
 from balls import CAMERAS
-from command_line import complaint, run
+from command_line import complaint, result, run
+from stylesplat.drawing.pictures import label_colors
 from stylesplat.io.captures.photos import read_image
 from stylesplat.io.label_maps import read_label_map
 
@@ -36,3 +40,81 @@ def test_an_object_has_names_and_an_id(scene: Path, tmp_path: Path, capsys):
         assert torch.equal(read_image(file), read_image(tmp_path / "3" / file.name))
     known = complaint(capsys, "render", scene, "-o", tmp_path / "cat", "--what", "object:cat")
     assert "'cat'" in known and ": ball, 3, 7, 300." in known
+
+
+def test_one_view_into_one_picture(scene: Path, tmp_path: Path, capsys):
+    assert run("render", scene, "-o", tmp_path / "all") == 0
+    made = result(capsys, "render", scene, "-o", tmp_path / "a.png", "--view", "0002.png")
+    assert made == {"output": str(tmp_path / "a.png"), "views": 1}
+    expected = read_image(tmp_path / "all" / "0002.png")
+    assert torch.equal(read_image(tmp_path / "a.png"), expected)
+    two = ("--view", "0002", "--view", "0001")
+    assert run("render", scene, "-o", tmp_path / "two", *two) == 0
+    assert sorted(p.name for p in (tmp_path / "two").iterdir()) == ["0001.png", "0002.png"]
+    assert "2 views" in complaint(capsys, "render", scene, "-o", tmp_path / "b.png", *two)
+    line = complaint(capsys, "render", scene, "-o", tmp_path / "b.png", "--views", "orbit")
+    assert line.endswith("180 views. Choose one with --view NAME, or name a folder.")
+    line = complaint(capsys, "render", scene, "-o", tmp_path / "b", "--views", "orbit", *two)
+    assert line.endswith("--view chooses views by name. Leave --views out.")
+    assert "'cat'" in complaint(capsys, "render", scene, "-o", tmp_path / "b", "--view", "cat")
+    assert not [*tmp_path.glob("b*")]
+
+
+def test_a_round_trip_as_gif_has_half_the_frames(scene: Path, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("stylesplat.verbs.render.ORBIT_FRAMES", 6)
+    for name, count in (("o.gif", 3), ("o.webm", 6)):
+        assert run("render", scene, "-o", tmp_path / name, "--views", "orbit") == 0
+        with av.open(str(tmp_path / name)) as video:
+            assert sum(1 for _ in video.decode(video=0)) == count
+
+
+def test_an_object_cut_out(scene: Path, tmp_path: Path, capsys):
+    alone = ("render", scene, "--view", "0000", "--what", "object:7", "-o")
+    assert run(*alone, tmp_path / "cut.png", "--background", "transparent") == 0
+    with Image.open(tmp_path / "cut.png") as image:
+        cut = torch.from_numpy(np.array(image)).float()
+    assert cut.shape == (36, 48, 4)
+    alpha = cut[..., 3:] / 255
+    assert (cut[cut[..., 3] == 0] == 0).all() and alpha.max() > 0.9
+    for name, color in (("white", 255), ("#336699", torch.tensor([0x33, 0x66, 0x99]))):
+        assert run(*alone, tmp_path / f"{name}.png", "--background", name) == 0
+        composed = cut[..., :3] * alpha + color * (1 - alpha)
+        # Rounded twice: alpha and, weighted by it, the colours
+        assert (composed - read_image(tmp_path / f"{name}.png")).abs().max() <= 1.51
+    assert run(*alone, tmp_path / "plain.png") == 0
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "white.png").read_bytes()
+    video = ("render", scene, "--what", "object:7", "-o", tmp_path / "v.mp4")
+    assert "no transparency" in complaint(capsys, *video, "--background", "transparent")
+    assert run(*video, "--background", "#336699") == 0
+    with av.open(str(tmp_path / "v.mp4")) as found:
+        corner = next(found.decode(video=0)).to_ndarray(format="rgb24")[0, 0]
+    assert np.abs(corner - np.array([0x33, 0x66, 0x99])).max() <= 4
+    line = complaint(capsys, *alone, tmp_path / "x.png", "--background", "blue-ish")
+    assert line.endswith("Use transparent, black, white, or a colour as #rrggbb.")
+
+
+def numbers(path: Path) -> np.ndarray:
+    """As another library reads them."""
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+
+
+def test_depths_as_numbers(scene: Path, tmp_path: Path, capsys):
+    made = ("render", scene, "-o")
+    assert run(*made, tmp_path / "float", "--what", "depth-float") == 0
+    steps = result(capsys, *made, tmp_path / "steps", "--what", "depth-16bit")
+    scale = json.loads((tmp_path / "steps" / "depth.json").read_text())["world_units_per_step"]
+    assert steps["world_units_per_step"] == scale and steps["views"] == len(CAMERAS)
+    for path in (tmp_path / "float").iterdir():
+        depths, counted = numbers(path), numbers(tmp_path / "steps" / f"{path.stem}.png")
+        assert ((depths > 0) == (counted > 0)).all()
+        assert np.abs(counted * scale - depths).max() <= 0.51 * scale
+    line = complaint(capsys, *made, tmp_path / "x.mp4", "--what", "depth-float")
+    assert "not into .mp4" in line
+
+
+def test_labels_in_colours(scene: Path, tmp_path: Path):
+    assert run("render", scene, "-o", tmp_path / "ids", "--what", "labels") == 0
+    assert run("render", scene, "-o", tmp_path / "colors", "--what", "label-colors") == 0
+    for path in (tmp_path / "ids").iterdir():
+        expected = label_colors(read_label_map(path).long())
+        assert torch.equal(read_image(tmp_path / "colors" / path.name), expected)

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import pytest
@@ -6,12 +7,14 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.drawing.pictures import (
     depth_range,
+    depth_step,
     identity_colors,
     label_colors,
     render_pictures,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import expected_depth
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick
 
@@ -105,3 +108,58 @@ def test_needs_identities(what):
     splats = replace(SPLATS, identities=None, classifier=None)
     with pytest.raises(StyleSplatError, match="no identities"):
         render_pictures(splats, CAMERAS, what)
+
+
+@pytest.mark.parametrize("what", IMAGES)
+def test_transparent_pictures_are_the_same_on_any_background(what):
+    """Straight alpha: what is composited later is what would have been rendered."""
+
+    def picture(background: str) -> torch.Tensor:
+        (found,) = render_pictures(SPLATS, CAMERAS[0], what, picked=GREEN, background=background)
+        return found.float()
+
+    cut = picture("transparent")
+    colors, alpha = cut[..., :3], cut[..., 3:] / 255
+    assert 0 < alpha.mean() < 0.9 and ((alpha > 0.1) & (alpha < 0.9)).any()
+    for name, color in (("black", 0), ("white", 255)):
+        expected = picture(name)
+        assert (colors * alpha + color * (1 - alpha) - expected).abs().max() <= 1.51  # roundings
+    # At the rim colours are as bright as within: no dark fringe
+    if what == "object":
+        rim, inside = (alpha[..., 0] > 0.1) & (alpha[..., 0] < 0.5), alpha[..., 0] > 0.9
+        assert colors[rim].amax(dim=1).mean() > 0.8 * colors[inside].amax(dim=1).mean()
+
+
+@pytest.mark.parametrize("what", ["labels", "label-colors", "depth-float", "depth-16bit"])
+def test_what_has_no_background(what):
+    with pytest.raises(StyleSplatError, match=rf"{what} has no background\. Leave --background"):
+        render_pictures(SPLATS, CAMERAS, what, background="white")
+
+
+def test_depths_in_world_units():
+    (depths,) = render_pictures(SPLATS, CAMERAS[2], "depth-float")
+    expected, alphas = expected_depth(SPLATS, CAMERAS[2])
+    assert (depths[alphas < 0.5] == 0).all() and (alphas >= 0.5).any()
+    assert torch.equal(depths[alphas >= 0.5], expected[alphas >= 0.5])
+    camera = replace(CAMERAS[2], viewmats=CAMERAS[2].viewmats.clone())
+    camera.viewmats[:, :3, 3] *= 2
+    larger = replace(SPLATS, means=2 * SPLATS.means, scales=SPLATS.scales + math.log(2))
+    (twice,) = render_pictures(larger, camera, "depth-float")
+    torch.testing.assert_close(twice, 2 * depths, rtol=1e-3, atol=1e-3)
+
+
+def test_steps_reach_the_farthest_but_floaters():
+    many = SPLATS[torch.arange(len(SPLATS)).repeat(10)]
+    step = depth_step(many, CAMERAS)
+    many.means[0] = 1e6 * CAMERAS.viewmats[0, 2, :3]
+    assert depth_step(many, CAMERAS) < 1.01 * step
+    (steps,) = render_pictures(many, CAMERAS[0], "depth-16bit")
+    assert steps.dtype == torch.uint16 and 20000 < steps.int().max() <= 65535
+
+
+def test_nothing_in_front():
+    behind = replace(CAMERAS[0], viewmats=CAMERAS[0].viewmats.clone())
+    behind.viewmats[:, 2] *= -1
+    for what in ("depth", "depth-16bit"):
+        with pytest.raises(StyleSplatError, match="No Gaussian lies in front"):
+            render_pictures(SPLATS, behind, what)

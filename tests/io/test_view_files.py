@@ -1,9 +1,14 @@
 """Rendered views on disk: under the photos' names, whatever these are."""
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.photos import read_image
@@ -71,3 +76,91 @@ def test_a_video_that_is_there(tmp_path: Path):
         refuse_taken(tmp_path / "a.MP4", overwrite=False)
     refuse_taken(tmp_path / "a.MP4", overwrite=True)
     refuse_taken(tmp_path / "b.mp4", overwrite=False)
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a.EXR", "a.bmp", "a.m4v"])
+def test_no_folder_has_the_name_of_a_picture_or_video(name: str, tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"not among the formats\. Use \.mp4, .*folder"):
+        refuse_taken(tmp_path / name, overwrite=False)
+
+
+@pytest.mark.parametrize("name", ["garden.v2", "at_0.5", "views", "object.vase"])
+def test_folders_may_have_dots(name: str, tmp_path: Path):
+    refuse_taken(tmp_path / name, overwrite=False)
+    write_views(["a.jpg"], pictures(1), tmp_path / name)
+    assert (tmp_path / name / "a.png").is_file()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".JPEG", ".webp"])
+def test_one_view_is_one_picture(suffix: str, tmp_path: Path):
+    write_views(["cam0/a.jpg"], [pictures(200)[199]], tmp_path / f"view{suffix}")
+    assert (read_image(tmp_path / f"view{suffix}") == 199).all()
+    assert len([*tmp_path.iterdir()]) == 1
+    with pytest.raises(StyleSplatError, match="exists"):
+        refuse_taken(tmp_path / f"view{suffix}", overwrite=False)
+    refuse_taken(tmp_path / f"view{suffix}", overwrite=True)
+
+
+def never() -> Iterator[torch.Tensor]:
+    raise AssertionError("nothing is rendered for this")
+    yield
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_several_views_are_not_one_picture(count: int, tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=rf"there are {count} views\. Choose one with --view"):
+        write_views(["a", "b"][:count], never(), tmp_path / "view.png")
+    assert not any(tmp_path.iterdir())
+
+
+def numbers(path: Path) -> np.ndarray:
+    """As another library reads them."""
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+
+
+def test_depths_are_numbers_in_their_files(tmp_path: Path):
+    depths = torch.tensor([[0.0, 1.25, 1e-3], [7.5, 1234.567, 3.0]])
+    write_views(["b/a.jpg"], [depths], tmp_path / "float")
+    found = numbers(tmp_path / "float" / "b" / "a.tif")
+    assert found.dtype == np.float32 and torch.equal(torch.from_numpy(found), depths)
+    write_views(["a.jpg"], [depths], tmp_path / "a.tiff")
+    assert (numbers(tmp_path / "a.tiff") == found).all()
+    steps = torch.tensor([[0, 3, 65535]]).to(torch.uint16)
+    write_views(["a.jpg"], [steps], tmp_path / "steps", scale=0.25)
+    found = numbers(tmp_path / "steps" / "a.png")
+    assert found.dtype == np.uint16 and found.tolist() == [[0, 3, 65535]]
+    written = json.loads((tmp_path / "steps" / "depth.json").read_text())
+    assert written == {"world_units_per_step": 0.25, "nothing": 0}
+
+
+CLEAR = torch.full((4, 6, 4), 128, dtype=torch.uint8)
+DEPTHS, STEPS = torch.rand(4, 6), torch.zeros(4, 6, dtype=torch.uint16)
+IDS = torch.zeros(4, 6, dtype=torch.int64)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp"])
+def test_transparency_is_kept(suffix: str, tmp_path: Path):
+    write_views(["a"], [CLEAR], tmp_path / f"a{suffix}")
+    with Image.open(tmp_path / f"a{suffix}") as image:
+        assert image.mode == "RGBA" and image.getchannel("A").getextrema() == (128, 128)
+
+
+@pytest.mark.parametrize(
+    ("picture", "suffix", "match"),
+    [
+        (CLEAR, ".jpg", r"\.jpg has no transparency here\. Choose a --background"),
+        (CLEAR, ".mp4", r"\.mp4 has no transparency"),
+        (CLEAR, ".gif", r"\.gif has no transparency"),
+        (STEPS, ".png", r"go into a folder, beside what a step is \(depth\.json\)"),
+        (STEPS, ".mp4", "go into a folder"),
+        (DEPTHS, ".png", r"Depths in world units go into \.tif files, not into \.png"),
+        (DEPTHS, ".webm", r"not into \.webm\. Name a folder or a \.tif"),
+        (IDS, ".jpg", r"Label ids go into \.png files, not into \.jpg"),
+        (IDS, ".mp4", r"or choose depth or label-colors"),
+        (pictures(1)[0], ".tif", r"\.tif is for depth-float\. Write colours into a \.png"),
+    ],
+)
+def test_pictures_that_a_file_cannot_hold(picture, suffix: str, match: str, tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=match):
+        write_views(["a"], [picture], tmp_path / f"a{suffix}")
+    assert not any(tmp_path.iterdir())

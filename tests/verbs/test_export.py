@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import sh_basis
@@ -126,7 +127,7 @@ def test_splat_rows(tmp_path: Path):
     np.testing.assert_allclose(rows["quat"] / 128.0 - 1, quats, atol=1 / 128)
 
 
-@pytest.mark.parametrize("suffix", ["ply", "spz", "splat"])
+@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "splat"])
 def test_empty_splats(tmp_path: Path, suffix: str):
     export(random_splats(0), tmp_path / f"a.{suffix}")
     assert (tmp_path / f"a.{suffix}").is_file()
@@ -134,7 +135,7 @@ def test_empty_splats(tmp_path: Path, suffix: str):
 
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.ply.gz"])
 def test_unknown_suffix(tmp_path: Path, name: str):
-    with pytest.raises(StyleSplatError, match=r"unknown suffix .*Use \.ply, \.spz, \.splat\."):
+    with pytest.raises(StyleSplatError, match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat\."):
         export(random_splats(), tmp_path / name)
 
 
@@ -146,6 +147,38 @@ def test_files_are_replaced_unless_told_otherwise(tmp_path: Path):
     assert path.read_text() == "old"
     export(random_splats(), path)
     assert len(read_splat_ply(path)) == 50
+
+
+@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz"])
+@pytest.mark.parametrize("degree", range(4))
+def test_degrees_that_are_asked_for(tmp_path: Path, suffix: str, degree: int):
+    splats, path = random_splats(), tmp_path / f"a.{suffix}"
+    export(splats, path, sh_degree=degree)
+    found, bands = read_splats(path), (degree + 1) ** 2 - 1
+    assert found.sh_degree == degree
+    if suffix == "ply":
+        assert torch.equal(found.shN, splats.shN[:, :bands])
+    # Bands that nobody has are 0
+    export(replace(splats, shN=splats.shN[:, :0]), path, sh_degree=degree)
+    assert read_splats(path).shN.shape[1] == bands
+
+
+@pytest.mark.parametrize(("used", "degree"), [(0, 0), (1, 1), (3, 1), (4, 2), (8, 2), (9, 3)])
+def test_bands_of_zeros_are_left_out_where_space_counts(tmp_path: Path, used: int, degree: int):
+    splats = random_splats()
+    splats.shN[:, used:] = 0
+    for name, expected in (("a.spz", degree), ("a.compressed.ply", degree), ("a.ply", 3)):
+        export(splats, tmp_path / name)
+        assert read_splats(tmp_path / name).sh_degree == expected
+
+
+def test_degrees_that_cannot_be(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"a \.splat has one colour .*Leave the degree out"):
+        export(random_splats(), tmp_path / "a.splat", sh_degree=1)
+    with pytest.raises(StyleSplatError, match=r"no degree of colour 4\. Use 0, 1, 2, 3"):
+        export(random_splats(), tmp_path / "a.ply", sh_degree=4)
+    assert not any(tmp_path.iterdir())
+    export(random_splats(), tmp_path / "a.splat", sh_degree=0)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the developers' data")

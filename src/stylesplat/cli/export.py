@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tyro.conf import Positional
 
@@ -19,7 +19,9 @@ class Export:
     scene: Positional[Path]
     """Folder of the scene."""
     file: Positional[Path]
-    """File to make: .ply keeps every bit, .spz and .splat are smaller."""
+    """File to make: .ply keeps every bit; .compressed.ply, .spz and .splat are smaller."""
+    sh_degree: Literal[0, 1, 2, 3] | None = None
+    """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     overwrite: Overwrite = False
     json: Json = False
 
@@ -29,5 +31,5 @@ class Export:
         from stylesplat.verbs.export import export
 
         scene = open(self.scene)
-        export(scene, self.file, overwrite=self.overwrite)
+        export(scene, self.file, overwrite=self.overwrite, sh_degree=self.sh_degree)
         return {"file": self.file, "gaussians": len(scene.splats)}

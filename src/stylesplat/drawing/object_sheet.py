@@ -17,7 +17,7 @@ from stylesplat.drawing.best_views import (
     small,
     visibility,
 )
-from stylesplat.drawing.pictures import to_uint8
+from stylesplat.drawing.compositing import to_uint8
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.shares import colors_and_coverage

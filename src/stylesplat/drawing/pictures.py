@@ -4,22 +4,39 @@ from collections.abc import Callable, Iterator
 
 import cv2
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from torch import Tensor
 
+from stylesplat.drawing.compositing import (
+    BLACK,
+    WHITE,
+    Background,
+    over,
+    parse_background,
+    to_uint8,
+)
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.images import ColorPicture, ViewPicture
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels, require_identities
+from stylesplat.selection.identities import MIN_COVERAGE, render_labels, require_identities
 
-Painter = Callable[[Cameras], UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]
+Painter = Callable[[Cameras], ViewPicture]
 
-WHITE = (1.0, 1.0, 1.0)
+# What is behind pictures unless somebody chooses; ids and distances have nothing behind them
+BEHIND: dict[str, Background] = {
+    "color": BLACK,
+    "identities": WHITE,
+    "depth": WHITE,
+    "object": WHITE,
+}
 PERCENTILES = (0.02, 0.98)  # what is spread over the whole range of colours; the rest clips
 MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
 TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
+FARTHEST = 0.999  # of the Gaussians' depths that 16 bits reach to: floaters may be beyond
+STEPS = 2**16 - 1
 HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
 
 
@@ -29,25 +46,39 @@ def render_pictures(
     what: str = "color",
     *,
     picked: Bool[Tensor, " N"] | None = None,
-) -> Iterator[UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]:
+    background: str | None = None,
+) -> Iterator[ViewPicture]:
     """Render one picture per camera; colours mean the same in all of them.
 
     Args:
         splats: The Gaussians.
         cameras: The views; sizes may differ.
-        what: `color`; `labels`, the label ids themselves; `identities`, their first three
-            principal components (the paper's Figure 3); `depth`, near is bright; or `object`,
-            some Gaussians alone on white.
+        what: `color`; `labels`, the label ids themselves; `label-colors`, a colour for each;
+            `identities`, their first three principal components (the paper's Figure 3); `depth`,
+            near is bright; `depth-float`, along the view in world units, 0 where nothing is;
+            `depth-16bit`, the same in steps of `depth_step`; or `object`, some Gaussians alone.
         picked: Which these are.
+        background: What is behind: `transparent`, `black`, `white` or `#rrggbb`. By default black
+            behind `color` and white behind other pictures.
 
     Yields:
-        An image, or for `labels` a label map, on the CPU.
+        An image, with alpha if it is transparent; or ids of labels, or depths; on the CPU.
 
     Raises:
-        StyleSplatError: If `what` is unknown, or needs identities that are not there.
+        StyleSplatError: If `what` or the background is unknown, or needs identities that are not
+            there.
     """
-    paint = _painter(splats.detach(), cameras, what, picked)
+    paint = _painter(splats.detach(), cameras, what, picked, _behind(what, background))
     return (paint(cameras[row]).cpu() for row in range(len(cameras)))
+
+
+def depth_step(splats: Splats, cameras: Cameras) -> float:
+    """World units that a depth of 16 bits counts in, so that these views reach all but floaters.
+
+    Raises:
+        StyleSplatError: If no Gaussian is in front of the cameras.
+    """
+    return _depths_in_front(splats, cameras).quantile(FARTHEST).item() / STEPS
 
 
 def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
@@ -59,25 +90,46 @@ def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
     return to_uint8(torch.where(labels[..., None] == 0, 0, rgb))
 
 
+def _behind(what: str, background: str | None) -> Background:
+    if background is None:
+        return BEHIND.get(what)
+    if what not in BEHIND:
+        raise StyleSplatError(f"{what} has no background. Leave --background out.")
+    return parse_background(background)
+
+
 def _painter(
-    splats: Splats, cameras: Cameras, what: str, picked: Bool[Tensor, " N"] | None
+    splats: Splats,
+    cameras: Cameras,
+    what: str,
+    picked: Bool[Tensor, " N"] | None,
+    behind: Background,
 ) -> Painter:
     if what == "color":
-        return lambda camera: _paint_color(splats, camera, None)
+        return lambda camera: _paint_color(splats, camera, behind)
     if what == "labels":
         require_identities(splats)
         return lambda camera: render_labels(splats, camera)
+    if what == "label-colors":
+        require_identities(splats)
+        return lambda camera: label_colors(render_labels(splats, camera))
     if what == "identities":
         colors = identity_colors(splats)
-        return lambda camera: to_uint8(_composite(splats, camera, colors))
+        return lambda camera: over(*_composite(splats, camera, colors), behind)
     if what == "depth":
         near_far = depth_range(splats, cameras)
-        return lambda camera: _paint_depth(splats, camera, near_far)
+        return lambda camera: _paint_depth(splats, camera, near_far, behind)
+    if what == "depth-float":
+        return lambda camera: depth_map(splats, camera)
+    if what == "depth-16bit":
+        step = depth_step(splats, cameras)
+        return lambda camera: _in_steps(depth_map(splats, camera), step)
     if what == "object" and picked is not None:
         alone = splats[picked.to(splats.device)]
-        return lambda camera: _paint_color(alone, camera, WHITE)
+        return lambda camera: _paint_color(alone, camera, behind)
     raise StyleSplatError(
-        f"Cannot render {what!r}. Choose color, labels, identities, depth or object:NAME."
+        f"Cannot render {what!r}. Choose color, labels, label-colors, identities, depth, "
+        "depth-float, depth-16bit or object:NAME."
     )
 
 
@@ -96,41 +148,60 @@ def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
 
 
 def depth_range(splats: Splats, cameras: Cameras) -> tuple[float, float]:
-    """Depths between which nearly all Gaussians lie, seen from these cameras."""
-    means = _sample(splats.means)
-    viewmats = cameras.viewmats.to(means)
-    depths = torch.einsum("cj,nj->cn", viewmats[:, 2, :3], means) + viewmats[:, 2, 3:]
-    depths = depths.flatten()
-    low, high = _robust_range(depths[depths > 0][:, None])
+    """Depths between which nearly all Gaussians lie, seen from these cameras.
+
+    Raises:
+        StyleSplatError: If no Gaussian is in front of the cameras.
+    """
+    low, high = _robust_range(_depths_in_front(splats, cameras)[:, None])
     return low.item(), high.item()
 
 
-def _paint_color(
-    splats: Splats, camera: Cameras, background: tuple[float, ...] | None
-) -> UInt8[Tensor, "H W 3"]:
-    behind = None if background is None else splats.means.new_tensor(background)
-    image, _, _ = rasterize(splats, camera, background=behind)
-    return to_uint8(image[0])
+def depth_map(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+    """Depths along the view, in world units; 0 where less than half of a pixel is covered."""
+    depths, alphas = expected_depth(splats, camera)
+    return torch.where(alphas < MIN_COVERAGE, 0, depths)
+
+
+def _depths_in_front(splats: Splats, cameras: Cameras) -> Float[Tensor, " M"]:
+    means = _sample(splats.means)
+    viewmats = cameras.viewmats.to(means)
+    depths = torch.einsum("cj,nj->cn", viewmats[:, 2, :3], means) + viewmats[:, 2, 3:]
+    depths = depths[depths > 0]
+    if not len(depths):
+        raise StyleSplatError("No Gaussian lies in front of these views. Choose other views.")
+    return _sample(depths[:, None])[:, 0]
+
+
+def _in_steps(depths: Float[Tensor, "H W"], step: float) -> UInt16[Tensor, "H W"]:
+    """Whole steps; 0 stays nothing, and what is nearer than a step is one away."""
+    steps = (depths / step).round().clamp(1, STEPS)
+    return torch.where(depths > 0, steps, 0).cpu().to(torch.uint16)
+
+
+def _paint_color(splats: Splats, camera: Cameras, behind: Background) -> ColorPicture:
+    image, alphas, _ = rasterize(splats, camera)
+    return over(image[0], alphas[0], behind)
 
 
 def _composite(
     splats: Splats, camera: Cameras, colors: Float[Tensor, "N 3"]
-) -> Float[Tensor, "H W 3"]:
-    """Composite other colours than the splats' own, over white."""
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
+    """Composite other colours than the splats' own, on black; and how much is covered."""
     image, alphas, _ = rasterize(splats, camera, features=colors, sh_degree=0)
-    return image[0, ..., 3:] + (1 - alphas[0])
+    return image[0, ..., 3:], alphas[0]
 
 
 def _paint_depth(
-    splats: Splats, camera: Cameras, near_far: tuple[float, float]
-) -> UInt8[Tensor, "H W 3"]:
+    splats: Splats, camera: Cameras, near_far: tuple[float, float], behind: Background
+) -> ColorPicture:
     depths, alphas = expected_depth(splats, camera)
     depth, alpha = depths[..., None], alphas[..., None]
     near, far = near_far
     nearness = (1 / depth.clamp(min=near) - 1 / far) / (1 / near - 1 / far)
     values = to_uint8(nearness)[..., 0].cpu().numpy()
     bgr = torch.from_numpy(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS)).to(alpha.device)
-    return to_uint8(bgr.flip(-1) / 255 * alpha + (1 - alpha))
+    return over(bgr.flip(-1) / 255 * alpha, alpha, behind)
 
 
 def _robust_range(
@@ -143,8 +214,3 @@ def _robust_range(
 
 def _sample(values: Float[Tensor, "M D"]) -> Float[Tensor, "_ D"]:
     return values[:: max(1, len(values) // MAX_SAMPLE)]
-
-
-def to_uint8(image: Float[Tensor, "H W D"]) -> UInt8[Tensor, "H W D"]:
-    """An image in 0..1 as bytes; what is out of range is clamped."""
-    return (image.clamp(0, 1) * 255).round().to(torch.uint8)

@@ -10,9 +10,9 @@ from PIL import Image
 from torch import Tensor
 
 from stylesplat.drawing.best_views import Shown, find_views
+from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import CAPTION, write_line
 from stylesplat.drawing.object_sheet import MARGIN, PAPER, TITLE_SIZE
-from stylesplat.drawing.pictures import to_uint8
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from jaxtyping import UInt8
 from torch import Tensor
 
+from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import Row
-from stylesplat.drawing.pictures import to_uint8
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style import Picture, Style
 

@@ -62,9 +62,9 @@ def require_regular(path: Path | str) -> None:
     try:
         other = Path(path).exists() and not Path(path).is_file()
     except OSError as error:
-        raise StyleSplatError(f"Cannot read {brief(str(path))}: {error.strerror}.") from error
+        raise cannot_read(brief(str(path)), error) from error
     except ValueError as error:  # of a name with NUL or half a character
-        raise StyleSplatError(f"Cannot read {str(path)!r}: it is no name of a file.") from error
+        raise _no_name(path) from error
     if other:
         raise StyleSplatError(f"Cannot read {path}: it is no plain file. Check the name.")
 
@@ -91,10 +91,14 @@ def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) ->
             )
         with path.open("rb") as file:
             return file.read(first)
+    except ValueError as error:
+        raise _no_name(path) from error
     except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+        raise cannot_read(path, error) from error
     except MemoryError as error:
-        raise StyleSplatError(f"Cannot read {path}: it is larger than the free memory.") from error
+        raise StyleSplatError(
+            f"Cannot read {path}: it is larger than the free memory. Close other programs."
+        ) from error
 
 
 def file_stem(name: str) -> str:
@@ -151,4 +155,18 @@ def cannot_write(path: Path, error: OSError) -> StyleSplatError:
     """What to tell the user about a place that could not be written to."""
     if error.errno in DISK_FULL:
         return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
-    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.")
+    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}. Choose another place.")
+
+
+def _no_name(path: Path | str) -> StyleSplatError:
+    return StyleSplatError(f"Cannot read {str(path)!r}: it is no name of a file. Check the name.")
+
+
+def cannot_read(path: Path | str, error: OSError) -> StyleSplatError:
+    """What to tell the user about a file that could not be read."""
+    remedy = {
+        errno.ENOENT: "Check the name.",
+        errno.ENAMETOOLONG: "Check the name.",
+        errno.EACCES: "Let its owner allow it to this user.",
+    }.get(error.errno or 0, "Copy it to another place.")
+    return StyleSplatError(f"Cannot read {path}: {error.strerror or error}. {remedy}")

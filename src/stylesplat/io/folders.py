@@ -126,7 +126,10 @@ def _refuse_unwritable(path: Path) -> None:
     if not there.is_dir():
         raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
     if not any(os.access(place, os.W_OK | os.X_OK) for place in (there, path)):
-        raise StyleSplatError(f"Cannot make {path}: {there} may not be written to by this user.")
+        raise StyleSplatError(
+            f"Cannot make {path}: {there} may not be written to by this user. "
+            "Choose another folder."
+        )
 
 
 def _entries(path: Path) -> Iterator[Path]:

@@ -23,6 +23,7 @@ PhotoName = Annotated[
 ]
 """In one line, sub-folders included."""
 
+RESTORE = "Mend it, or copy it again."
 MAX_DEPTH = 100  # of lists and objects in each other: ours have 6; writing recurses
 MAX_JSON = 2**26  # bytes of a file of a scene: 100,000 cameras
 MAX_BYTES = 2**30  # COCO's annotations of 118,000 photos have half of it
@@ -37,11 +38,15 @@ def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
     try:
         content = json.loads(read_bytes(path, most=most).decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise StyleSplatError(f"Cannot read {path}: it is not valid JSON ({error}).") from error
+        raise StyleSplatError(
+            f"Cannot read {path}: it is not valid JSON ({error}). {RESTORE}"
+        ) from error
     if not isinstance(content, dict):
-        raise StyleSplatError(f"Cannot read {path}: expected a JSON object.")
+        raise StyleSplatError(f"Cannot read {path}: expected a JSON object. {RESTORE}")
     if _is_deep(content):
-        raise StyleSplatError(f"Cannot read {path}: it is nested more than {MAX_DEPTH} deep.")
+        raise StyleSplatError(
+            f"Cannot read {path}: it is nested more than {MAX_DEPTH} deep. {RESTORE}"
+        )
     return content
 
 

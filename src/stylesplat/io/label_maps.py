@@ -48,7 +48,9 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         StyleSplatError: If an id is negative or above 2**24 - 1, or the file cannot be written.
     """
     if labels.numel() and not 0 <= labels.min() <= labels.max() <= MAX_ID:
-        raise StyleSplatError(f"Cannot write {path}: label ids go from 0 to {MAX_ID}.")
+        raise StyleSplatError(
+            f"Cannot write {path}: label ids go from 0 to {MAX_ID}. Give the objects other ids."
+        )
     ids = labels.cpu().numpy()
     if ids.max(initial=0) < 2**8:
         pixels = ids.astype(np.uint8)

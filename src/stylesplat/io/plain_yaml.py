@@ -36,14 +36,16 @@ def parse_yaml(text: str | bytes) -> Any:
         StyleSplatError: If it is neither, or has what recipes have no use for.
     """
     if len(text) > MAX_YAML:
-        raise StyleSplatError(f"it is longer than recipes are: {MAX_YAML} bytes at most.")
+        raise StyleSplatError(
+            f"it is longer than recipes are: {MAX_YAML} bytes at most. Check the name."
+        )
     try:
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else "?"
-        raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}.") from error
+        raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}. Mend it.") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # the last of "\\U99999999"
-        raise StyleSplatError(f"it is no YAML text: {reason(error)}.") from error
+        raise StyleSplatError(f"it is no YAML text: {reason(error)}. Mend it.") from error
 
 
 class _Loader(yaml.SafeLoader):

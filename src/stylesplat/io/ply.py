@@ -2,12 +2,14 @@
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Shaped
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, read_bytes, reason
+from stylesplat.progress import say
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -17,29 +19,56 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar"}
 ASCII, LITTLE_ENDIAN, BIG_ENDIAN = "ascii", "binary_little_endian", "binary_big_endian"
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
+REMEDY = "Copy or export it again, as a PLY of vertices."
+VERTEX = "vertex"
+
+
+class _Element(NamedTuple):
+    """Rows of one kind, as the header announces them."""
+
+    name: str
+    rows: int
+    columns: list[tuple[str, str]]
+    """Names of properties, and numpy's types; of a list the type of its length."""
+    lists: list[str]
+    """Names of the properties that are lists."""
 
 
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
     """Read the vertices of a PLY file into a structured array.
 
-    The count that the header claims is checked against the file's size before any memory is
-    taken.
+    The counts that the header claims are checked against the file's size before any memory is
+    taken. Elements that follow the vertices, such as faces, are skipped; so are bytes that the
+    header does not announce, which the user is told.
 
     Raises:
-        StyleSplatError: If the file is missing, no PLY, truncated, too long, or holds lists or
-            elements other than vertices.
+        StyleSplatError: If the file is missing, no PLY or truncated, or its vertices hold lists or
+            come after other elements.
     """
     content = read_bytes(path)
     try:
         header, body = _split(content)
-        encoding, count, dtype = _parse(header)
+        encoding, vertices, later = _parse(header)
         if encoding == ASCII:
-            return _ascii_rows(body, count, dtype)
-        return _binary_rows(
-            body, count, dtype.newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
-        )
+            rows, left = _ascii_rows(body, vertices, later)
+            say_left_over(path, left, "line")
+            return rows
+        dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
+        rows, left = _binary_rows(body, vertices.rows, dtype, later)
+        say_left_over(path, left)
+        return rows
     except (ValueError, OverflowError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {reason(error)}.") from error
+        raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error
+
+
+def say_left_over(path: Path | str, count: int, what: str = "byte") -> None:
+    """Tell the user that a file holds more than its header announces, if it does."""
+    if count:
+        plural = "" if count == 1 else "s"
+        say(
+            f"{path} goes on for {count} {what}{plural} after what its header announces: left "
+            "unread. If anything is missing, export it again."
+        )
 
 
 def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
@@ -65,40 +94,72 @@ def _split(content: bytes) -> tuple[list[str], memoryview]:
     return lines, memoryview(content)[end.end() :]
 
 
-def _parse(header: list[str]) -> tuple[str, int, np.dtype]:
-    encoding, counts, columns = "", {}, []
+def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
+    """The encoding, the vertices, and what follows them."""
+    encoding, elements = "", list[_Element]()
     for line in header:
         match line.split():
             case ["format", name, "1.0"] if name in (ASCII, LITTLE_ENDIAN, BIG_ENDIAN):
                 encoding = name
-            case ["element", name, number] if number == "0" or name == "vertex":
-                counts[name] = int(number)
-            case ["property", kind, name] if kind in PLY_TYPES and [*counts][-1:] == ["vertex"]:
-                columns.append((name, PLY_TYPES[kind]))
-            case ["property", *_] if counts and "vertex" not in [*counts][-1:]:
-                pass  # of an element without rows
+            case ["element", name, number]:
+                elements.append(_Element(name, int(number), [], []))
+            case ["property", kind, name] if elements and kind in PLY_TYPES:
+                elements[-1].columns.append((name, PLY_TYPES[kind]))
+            case ["property", "list", kind, _, name] if elements and kind in PLY_TYPES:
+                elements[-1].columns.append((name, PLY_TYPES[kind]))
+                elements[-1].lists.append(name)
             case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
                 pass
             case _:
-                raise ValueError(f"expected plain vertices only, but the header has {line!r}")
-    if not encoding or not columns:
-        raise ValueError("the PLY header names no format or no vertices")
-    return encoding, counts["vertex"], np.dtype(columns)
+                raise ValueError(f"its header has {line!r}, which is not of a PLY of vertices")
+    negative = [element for element in elements if element.rows < 0]
+    if negative:
+        raise ValueError(f"its header claims {negative[0].rows} rows of {negative[0].name}")
+    filled = [element for element in elements if element.rows or element.name == VERTEX]
+    if not encoding or not filled or not filled[0].columns:
+        raise ValueError("its header names no format or no vertices")
+    return encoding, _plain_vertices(filled), filled[1:]
 
 
-def _binary_rows(body: memoryview, count: int, dtype: np.dtype) -> Shaped[np.ndarray, " N"]:
-    expected = count * dtype.itemsize
-    if len(body) != expected:
-        fault = "truncated" if len(body) < expected else "followed by something else"
-        raise ValueError(f"it is {fault}: {count} vertices take {expected} bytes, got {len(body)}")
-    return np.frombuffer(body, dtype)
+def _plain_vertices(elements: list[_Element]) -> _Element:
+    """The first element, if it is of vertices that have a fixed size."""
+    first = elements[0]
+    if first.name != VERTEX:
+        raise ValueError(f"expected vertices first, but its header has 'element {first.name}'")
+    if first.lists:
+        raise ValueError(f"expected plain vertices, but their {first.lists[0]!r} is a list")
+    return first
 
 
-def _ascii_rows(body: memoryview, count: int, dtype: np.dtype) -> Shaped[np.ndarray, " N"]:
+def _binary_rows(
+    body: memoryview, count: int, dtype: np.dtype, later: list[_Element]
+) -> tuple[Shaped[np.ndarray, " N"], int]:
+    """The vertices, and how many bytes nobody announced."""
+    first = count * dtype.itemsize
+    if len(body) < first:
+        raise ValueError(f"it is truncated: {count} vertices take {first} bytes, got {len(body)}")
+    least = sum(element.rows * np.dtype(element.columns).itemsize for element in later)
+    if len(body) - first < least:
+        raise ValueError(
+            f"it is truncated: {later[0].name!r} and what follows take {least} bytes or more, got "
+            f"{len(body) - first}"
+        )
+    sized = not any(element.lists for element in later)
+    return np.frombuffer(body[:first], dtype), len(body) - first - least if sized else 0
+
+
+def _ascii_rows(
+    body: memoryview, vertices: _Element, later: list[_Element]
+) -> tuple[Shaped[np.ndarray, " N"], int]:
+    """The vertices, and how many lines nobody announced."""
     lines = bytes(body).decode("ascii", errors="replace").splitlines()
     lines = [line for line in lines if line.strip()]
-    if len(lines) != count:
-        raise ValueError(f"the header claims {count} vertices, got {len(lines)} lines")
-    if not lines:
-        return np.empty(0, dtype)
-    return np.loadtxt(lines, dtype, ndmin=1)
+    if len(lines) < vertices.rows:
+        raise ValueError(f"the header claims {vertices.rows} vertices, got {len(lines)} lines")
+    left = len(lines) - vertices.rows - sum(element.rows for element in later)
+    if left < 0:
+        raise ValueError(f"it is truncated: {-left} lines after the vertices are missing")
+    dtype = np.dtype(vertices.columns)
+    if not vertices.rows:
+        return np.empty(0, dtype), left
+    return np.loadtxt(lines[: vertices.rows], dtype, ndmin=1), left

@@ -1,24 +1,35 @@
-"""Rendered views on disk: a folder of PNGs under the photos' names, or a video."""
+"""Rendered views on disk: a folder under the photos' names, a video, or one picture."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import chain, islice
 from pathlib import Path, PurePosixPath
 
-from jaxtyping import Int, UInt8
-from torch import Tensor
+import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import inside
 from stylesplat.io.folders import claim_directory, refuse_occupied
-from stylesplat.io.images import write_image
+from stylesplat.io.gif import write_gif
+from stylesplat.io.images import ViewPicture, write_image, write_numbers
+from stylesplat.io.json_files import write_json
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.recovery import changing
-from stylesplat.io.video import write_video
+from stylesplat.io.video import KINDS, write_video
 
-VIDEO = ".mp4"
+GIF, TIFF, PNG = ".gif", (".tif", ".tiff"), ".png"
+VIDEOS = (*KINDS, GIF)
+COLORS = (PNG, ".jpg", ".jpeg", ".webp")  # one picture
+WITH_ALPHA = (PNG, ".webp")
+# Names of media that nobody means as a folder
+FOREIGN = (
+    *(".avi", ".m4v", ".wmv", ".flv", ".mpg", ".mpeg", ".ogv", ".apng", ".avif", ".bmp", ".exr"),
+    *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip"),
+)
+SCALE = "depth.json"  # beside depths of 16 bits: what a step is
 
 
-def png_names(names: Sequence[str]) -> list[str]:
+def png_names(names: Sequence[str], suffix: str = PNG) -> list[str]:
     """The photos' names as PNGs inside a folder; those that would be the same keep their suffixes.
 
     Example:
@@ -26,8 +37,8 @@ def png_names(names: Sequence[str]) -> list[str]:
         ['cam0/1.png', 'cam1/1.png', 'a.jpg.png', 'a.png.png', '_/b.png']
     """
     inside = [_inside(name) for name in names]
-    plain = [path.with_suffix(".png").as_posix() for path in inside]
-    whole = [f"{path.as_posix()}.png" for path in inside]
+    plain = [path.with_suffix(suffix).as_posix() for path in inside]
+    whole = [f"{path.as_posix()}{suffix}" for path in inside]
     pairs = list(zip(plain, whole, strict=True))
     wanted = Counter(name for pair in pairs for name in {*pair})
     return [short if wanted[short] == 1 else long for short, long in pairs]
@@ -37,9 +48,17 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
     """Check that views may be written, before the work that renders them.
 
     Raises:
-        StyleSplatError: If there is something in the place, and it may not be replaced.
+        StyleSplatError: If the name is of a file that we cannot make, or there is something in the
+            place, and it may not be replaced.
     """
-    if not is_video(output):
+    suffix = output.suffix.lower()
+    if suffix in FOREIGN and not output.is_dir():
+        raise StyleSplatError(
+            f"Cannot render into {output}: {suffix} is not among the formats. Use "
+            f"{', '.join(VIDEOS)} for a video, {', '.join((*COLORS, *TIFF))} for one picture, or "
+            "the name of a folder."
+        )
+    if not _is_file(output):
         refuse_occupied(output, marker="", overwrite=overwrite)
     elif output.is_dir() or (output.exists() and not overwrite):
         raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")
@@ -47,35 +66,106 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
 
 def write_views(
     names: Sequence[str],
-    pictures: Iterable[UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]],
+    pictures: Iterable[ViewPicture],
     output: Path,
     *,
     overwrite: bool = False,
+    scale: float | None = None,
 ) -> None:
-    """Write a PNG per view under the photo's name, sub-folders kept; or all as a video.
+    """Write each view under the photo's name, sub-folders kept; or all as a video; or one.
+
+    In a folder colours and ids are PNGs and depths in world units TIFFs.
 
     Args:
         names: Of the photos.
-        pictures: Images, or label ids; taken one by one.
-        output: A folder, or a file that ends in .mp4, which takes images only.
+        pictures: Images, label ids or depths; taken one by one.
+        output: A folder; a video, which takes images only; or a picture, if there is one view.
         overwrite: Whether what is there may be replaced.
+        scale: World units that depths of 16 bits count in; written beside them.
 
     Raises:
-        StyleSplatError: If the place is taken or cannot be written to.
+        StyleSplatError: If the place is taken or cannot be written to, or views of this kind, or
+            as many, cannot be written in that form.
     """
-    if is_video(output):
+    if output.suffix.lower() in (*COLORS, *TIFF) and len(names) != 1:
+        raise StyleSplatError(
+            f"{output} is one picture, and there are {len(names)} views. Choose one with "
+            "--view NAME, or name a folder."
+        )
+    rest = iter(pictures)
+    some = [*islice(rest, 1)]
+    if some:
+        _refuse_unfit(some[0], output)
+    pictures = chain(some, rest)
+    if _is_file(output):
         with changing(output):
-            write_video(pictures, output)
+            _write_file(pictures, output)
         return
     with claim_directory(output, overwrite=overwrite, marker="") as folder:
-        for name, picture in zip(png_names(names), pictures, strict=True):
-            write = write_label_map if picture.ndim == 2 else write_image
-            write(picture, inside(folder, name))
+        suffix = TIFF[0] if some and some[0].is_floating_point() else PNG
+        for name, picture in zip(png_names(names, suffix), pictures, strict=True):
+            _write_picture(picture, inside(folder, name))
+        if scale is not None:
+            write_json({"world_units_per_step": scale, "nothing": 0}, folder / SCALE)
 
 
 def is_video(output: Path) -> bool:
     """Whether views are written as a video there."""
-    return output.suffix.lower() == VIDEO
+    return output.suffix.lower() in VIDEOS
+
+
+def is_gif(output: Path) -> bool:
+    """Whether that video is a GIF."""
+    return output.suffix.lower() == GIF
+
+
+def _is_file(output: Path) -> bool:
+    """Whether views are written into one file there."""
+    return is_video(output) or output.suffix.lower() in (*COLORS, *TIFF)
+
+
+def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
+    """Refuse files that cannot hold such pictures."""
+    suffix = output.suffix.lower()
+    colors, transparent = picture.ndim == 3, picture.ndim == 3 and picture.shape[-1] == 4
+    if transparent and _is_file(output) and suffix not in WITH_ALPHA:
+        raise StyleSplatError(
+            f"{suffix} has no transparency here. Choose a --background, such as white, or write "
+            "a folder or a .png."
+        )
+    if picture.dtype == torch.uint16 and _is_file(output):
+        raise StyleSplatError(
+            f"Depths of 16 bits go into a folder, beside what a step is ({SCALE}). Name a folder, "
+            "or write depth-float into a .tif."
+        )
+    wanted = TIFF if picture.is_floating_point() else (PNG,)
+    if not colors and _is_file(output) and suffix not in wanted:
+        what = "Depths in world units" if wanted == TIFF else "Label ids"
+        raise StyleSplatError(
+            f"{what} go into {wanted[0]} files, not into {suffix}. Name a folder or a {wanted[0]}, "
+            "or choose depth or label-colors, which are colours."
+        )
+    if colors and suffix in TIFF:
+        raise StyleSplatError(f"{suffix} is for depth-float. Write colours into a .png.")
+
+
+def _write_file(pictures: Iterable[ViewPicture], output: Path) -> None:
+    if is_gif(output):
+        write_gif(pictures, output)
+    elif is_video(output):
+        write_video(pictures, output)
+    else:
+        for picture in pictures:
+            _write_picture(picture, output)
+
+
+def _write_picture(picture: ViewPicture, path: Path) -> None:
+    if picture.ndim == 3:
+        write_image(picture, path)
+    elif picture.is_floating_point() or picture.dtype == torch.uint16:
+        write_numbers(picture, path)
+    else:
+        write_label_map(picture, path)
 
 
 def _inside(name: str) -> PurePosixPath:

@@ -11,9 +11,8 @@ from PIL import Image
 from stylesplat.io.captures.decoding import opened
 from stylesplat.io.captures.photos import plain_suffix, read_image
 from stylesplat.io.files import atomic_path
+from stylesplat.io.images import QUALITY
 from stylesplat.posing.exif import lens_exif
-
-QUALITY = 95  # of JPEG, with colours at full size: losses are hardly visible
 
 
 def write_photo(source: Path, target: Path) -> None:

@@ -15,7 +15,8 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import atomic_path, cannot_write, inside, mark
-from stylesplat.posing.photo_writing import QUALITY, color_profile
+from stylesplat.io.images import QUALITY
+from stylesplat.posing.photo_writing import color_profile
 from stylesplat.progress import track
 
 LEAST_TRACK = 3  # photos that see a point: those of two are off several times as much

@@ -4,17 +4,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from jaxtyping import Int, UInt8
-from torch import Tensor
-
 from stylesplat.drawing.orbit import orbit_cameras
-from stylesplat.drawing.pictures import render_pictures
+from stylesplat.drawing.pictures import depth_step, render_pictures
+from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 
 Which = Literal["test", "train", "all", "orbit"]
+Names = list[str] | tuple[str, ...]
 ORBIT_FRAMES = 180  # six seconds at 30 frames a second
 
 
@@ -24,53 +24,68 @@ class Views:
 
     names: tuple[str, ...]
     """Of the cameras: the photos' file names."""
-    pictures: Iterator[UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]
-    """What each sees, on the CPU: an image, or the ids of labels."""
+    pictures: Iterator[ViewPicture]
+    """What each sees, on the CPU: an image, or the ids of labels, or depths."""
+    scale: float | None = None
+    """World units in a step of `depth-16bit`."""
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def __iter__(self) -> Iterator[tuple[str, UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]]:
+    def __iter__(self) -> Iterator[tuple[str, ViewPicture]]:
         return zip(self.names, self.pictures, strict=True)
 
 
 def render(
     scene: Scene,
-    views: Which = "all",
+    views: Which | Names = "all",
     *,
     what: str = "color",
+    background: str | None = None,
     downscale: float = 1.0,
+    frames: int | None = None,
     device: str = "auto",
 ) -> Views:
     """Render views of a scene.
 
     Args:
         scene: What to look at.
-        views: Held-out (test), training or all views, or a round trip of 180 frames.
-        what: `color`; `labels`, the ids of label maps; `identities`, their principal components
-            as colours; `depth`; or `object:NAME`, one object alone.
+        views: Held-out (test), training or all views, a round trip (orbit); or names of photos.
+        what: `color`; `labels`, the ids of label maps; `label-colors`, a colour for each;
+            `identities`, their principal components as colours; `depth` as colours, near is
+            bright; `depth-float`, along the view in world units, 0 where nothing is;
+            `depth-16bit`, whole steps of that; or `object:NAME`, one object alone.
+        background: What is behind: `transparent`, which gives images an alpha channel, `black`,
+            `white` or `#rrggbb`. By default black behind `color`, white behind other images.
         downscale: How many times smaller than the photos.
+        frames: How many a round trip has, 180 by default.
         device: Where to render.
 
     Returns:
         Names and pictures; the latter are rendered as they are asked for.
 
     Raises:
-        StyleSplatError: If the scene has no such views or objects.
+        StyleSplatError: If the scene has no such views or objects, or there is no such picture or
+            background.
 
     Example:
         >>> for name, picture in render(scene, "test"):  # doctest: +SKIP
         ...     Image.fromarray(picture.numpy()).save(name)
     """
-    if views == "orbit":
-        cameras = orbit_cameras(scene.cameras, ORBIT_FRAMES)
-    else:
-        cameras = scene.views(views)
-    cameras = cameras.downscale(downscale)
+    cameras = _cameras(scene, views, frames).downscale(downscale)
     splats = scene.splats.to(pick_device(device))
     picked = None
     if what.startswith("object:"):
         picked, what = find_object(scene, what.removeprefix("object:")), "object"
-    pictures = render_pictures(splats, cameras, what, picked=picked)
+    pictures = render_pictures(splats, cameras, what, picked=picked, background=background)
     counted = track(pictures, "rendering", total=len(cameras))
-    return Views(cameras.names, counted)
+    scale = depth_step(splats, cameras) if what == "depth-16bit" else None
+    return Views(cameras.names, counted, scale)
+
+
+def _cameras(scene: Scene, views: Which | Names, frames: int | None) -> Cameras:
+    if views == "orbit":
+        return orbit_cameras(scene.cameras, ORBIT_FRAMES if frames is None else frames)
+    if isinstance(views, str):
+        return scene.views(views)
+    return scene.cameras[[scene.cameras.index(name) for name in views]]

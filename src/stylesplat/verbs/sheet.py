@@ -9,9 +9,9 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import draw_grid
 from stylesplat.drawing.object_sheet import close_up
-from stylesplat.drawing.pictures import to_uint8
 from stylesplat.drawing.style_sheet import Place, captioned, plan_sheet
 from stylesplat.progress import Task, task
 from stylesplat.rendering.device import pick_device

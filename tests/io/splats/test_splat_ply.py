@@ -123,13 +123,19 @@ def test_ascii_and_empty_elements(tmp_path: Path):
     assert table["x"].tolist() == [0.5, np.float32(-1e-3)] and table["red"].tolist() == [255, 7]
 
 
+FACES = b"element face 2\nproperty list uchar int vertex_indices\nproperty double area\n"
+EDGES = b"element edge 2\nproperty int a\nproperty int b\n"
+
+
 def damage(content: bytes, how: str) -> bytes:
     body = content.index(b"end_header\n") + 11
     return {
         "one byte short": content[:-1],
         "no rows": content[:body],
         "cut in the header": content[: body // 2],
-        "trailing": content + b"\0",
+        "faces cut off": content.replace(b"end_header", FACES + b"end_header") + b"\1" * 9,
+        "edges cut off": content.replace(b"end_header", EDGES + b"end_header") + bytes(15),
+        "cameras first": content.replace(b"element vertex", EDGES + b"element vertex"),
         "huge count": content.replace(b"vertex 7", b"vertex 999999999999"),
         "negative count": content.replace(b"vertex 7", b"vertex -7"),
         "no opacity": content.replace(b" opacity\n", b" opacitx\n"),
@@ -137,7 +143,6 @@ def damage(content: bytes, how: str) -> bytes:
         "gap in f_rest": content.replace(b" f_rest_44\n", b" f_rest_45\n"),
         "odd f_rest": content.replace(b" f_rest_44\n", b" other\n"),
         "twice": content.replace(b" rot_3\n", b" rot_2\n"),
-        "faces": content.replace(b"end_header", b"element face 2\nend_header"),
         "list": content.replace(b"property float x\n", b"property list uchar int x\n"),
         "no picture": b"\x89PNG",
         "empty": b"",
@@ -152,16 +157,17 @@ def damage(content: bytes, how: str) -> bytes:
         ("one byte short", "truncated: 7 vertices take 1736 bytes, got 1735"),
         ("no rows", "truncated: 7 vertices take 1736 bytes, got 0"),
         ("cut in the header", "not a PLY file"),
-        ("trailing", "followed by something else"),
+        ("faces cut off", "truncated: 'face' and what follows take 18 bytes or more, got 9"),
+        ("edges cut off", "truncated: 'edge' and what follows take 16 bytes or more, got 15"),
+        ("cameras first", "expected vertices first, but its header has 'element edge'"),
         ("huge count", "truncated: 999999999999 vertices"),
-        ("negative count", "-7 vertices"),
+        ("negative count", "-7 rows of vertex"),
         ("no opacity", "no column opacity"),
         ("no rotation", "no column rot_3"),
         ("gap in f_rest", "no column f_rest_44"),
         ("odd f_rest", "44 f_rest columns fit no degree"),
         ("twice", "'rot_2' occurs more than once"),
-        ("faces", "plain vertices only, .*'element face 2'"),
-        ("list", "plain vertices only, .*'property list uchar int x'"),
+        ("list", "expected plain vertices, but their 'x' is a list"),
         ("no picture", "not a PLY file"),
         ("empty", "not a PLY file"),
         ("NaN", "1 values of quats are not finite"),
@@ -172,8 +178,60 @@ def test_damaged_files(tmp_path: Path, how: str, match: str):
     path = tmp_path / "a.ply"
     write_splat_ply(random_splats(), path)
     path.write_bytes(damage(path.read_bytes(), how))
-    with pytest.raises(StyleSplatError, match=rf"Cannot read .*a\.ply.*{match}"):
+    with pytest.raises(StyleSplatError, match=rf"Cannot read .*a\.ply.*{match}.*\. [A-Z].*\."):
         read_splat_ply(path)
+
+
+def test_bytes_after_the_vertices_are_left_with_a_word(tmp_path: Path, said: list[str]):
+    splats = random_splats()
+    write_splat_ply(splats, tmp_path / "a.ply")
+    with (tmp_path / "a.ply").open("ab") as file:
+        file.write(b"\0\0\0")
+    assert same(read_splat_ply(tmp_path / "a.ply"), splats)
+    assert len(said) == 1 and "a.ply goes on for 3 bytes after what its header" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "left"),
+    [
+        (EDGES, bytes(16), 0),
+        (EDGES, bytes(18), 2),
+        (FACES, b"\3" + bytes(20) + b"\4" + bytes(24), 0),
+        (EDGES + FACES, bytes(16) + b"\3" + bytes(20) + b"\4" + bytes(24), 0),
+    ],
+)
+def test_what_follows_the_vertices_is_skipped(
+    tmp_path: Path, said: list[str], header: bytes, rows: bytes, left: int
+):
+    splats, path = random_splats(), tmp_path / "a.ply"
+    write_splat_ply(splats, path)
+    path.write_bytes(path.read_bytes().replace(b"end_header", header + b"end_header") + rows)
+    assert same(read_splat_ply(path), splats)
+    assert [f"goes on for {left} bytes" in line for line in said] == [True] * bool(left)
+
+
+def test_lines_after_the_vertices(tmp_path: Path, said: list[str]):
+    lines = ["ply", "format ascii 1.0", "element vertex 2", "property float x"]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    path = tmp_path / "a.ply"
+    path.write_text("\n".join([*lines, "1", "2", "3 0 1 1", ""]))
+    assert read_ply_table(path)["x"].tolist() == [1, 2] and not said
+    path.write_text("\n".join([*lines, "1", "2", "3 0 1 1", "and more", ""]))
+    assert read_ply_table(path)["x"].tolist() == [1, 2]
+    assert ["goes on for 1 line after" in line for line in said] == [True]
+    path.write_text("\n".join([*lines, "1", "2", ""]))
+    with pytest.raises(StyleSplatError, match="1 lines after the vertices are missing"):
+        read_ply_table(path)
+
+
+@pytest.mark.parametrize("bands", [0, 3, 8, 15])
+def test_fewer_columns_where_they_are_asked_for(tmp_path: Path, bands: int):
+    splats = random_splats(bands=bands)
+    write_splat_ply(splats, tmp_path / "a.ply", bands=bands)
+    names = [line.split()[-1] for line in header((tmp_path / "a.ply").read_bytes())[3:]]
+    rest = [f"f_rest_{i}" for i in range(3 * bands)]
+    assert names == [*INRIA[:9], *rest, *INRIA[-8:]]
+    assert same(read_splat_ply(tmp_path / "a.ply"), splats)
 
 
 def test_wrong_ascii_counts(tmp_path: Path):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import require_regular
+from stylesplat.io.files import cannot_read, require_regular
 
 # The records of COLMAP's binary format (src/colmap/scene/reconstruction_io_binary.cc)
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters, float64
@@ -53,7 +53,7 @@ def _holds(path: Path, skip: Callable[[mmap, int], int]) -> bool:
     except ValueError:  # an empty file
         return False
     except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+        raise cannot_read(path, error) from error
 
 
 def _is_complete(content: mmap, skip: Callable[[mmap, int], int]) -> bool:

@@ -1,4 +1,4 @@
-"""What gsply reads, as splats that were checked."""
+"""What gsply reads and writes: splats in PLY's conventions."""
 
 from pathlib import Path
 
@@ -28,6 +28,18 @@ def from_gsply(data: gsply.GSData, path: Path | str) -> Splats:
             shN=_tensor(higher),
         ),
         path,
+    )
+
+
+def to_gsply(splats: Splats) -> gsply.GSData:
+    """Splats as gsply's container, their rotations as they are."""
+    return gsply.GSData(
+        means=splats.means.numpy(),
+        scales=splats.scales.numpy(),
+        quats=splats.quats.numpy(),
+        opacities=splats.opacities.numpy(),
+        sh0=splats.sh0[:, 0].numpy(),
+        shN=splats.shN.numpy(),
     )
 
 

@@ -3,13 +3,31 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.files import read_bytes
-from stylesplat.io.splats.compressed_ply import MAX_HEADER, is_compressed, read_compressed_ply
+from stylesplat.io.splats.compressed_ply import (
+    MAX_HEADER,
+    is_compressed,
+    read_compressed_ply,
+    write_compressed_ply,
+)
 from stylesplat.io.splats.dot_splat import read_dot_splat, write_dot_splat
-from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
+from stylesplat.io.splats.splat_ply import (
+    needed_degree,
+    of_degree,
+    read_splat_ply,
+    write_splat_ply,
+)
 from stylesplat.io.splats.spz import read_spz, write_spz
 from stylesplat.scene.splats import Splats
+
+COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
+SMALLER: dict[str, Callable[[Splats, Path], None]] = {
+    COMPRESSED: write_compressed_ply,
+    ".spz": write_spz,
+    ".splat": write_dot_splat,
+}
+MAX_DEGREE = 3
 
 
 def read_splats(path: Path | str) -> Splats:
@@ -39,31 +57,65 @@ def read_splats(path: Path | str) -> Splats:
     return splats
 
 
-def write_splats(splats: Splats, path: Path | str, *, overwrite: bool = True) -> None:
+def write_splats(
+    splats: Splats, path: Path | str, *, overwrite: bool = True, sh_degree: int | None = None
+) -> None:
     """Write splats for a viewer, in the format that the file's suffix names.
 
-    `.ply` keeps every bit. `.spz` is about ten times smaller: positions, colours and rotations
-    are rounded. `.splat` has one colour per Gaussian, seen the same from everywhere.
+    `.ply` keeps every bit. `.spz` is about ten times smaller, `.compressed.ply` about four times:
+    positions, colours and rotations are rounded. `.splat` has one colour per Gaussian, seen the
+    same from everywhere.
 
     Args:
         splats: What to write.
-        path: A file name ending in `.ply`, `.spz` or `.splat`.
+        path: A file name ending in `.ply`, `.compressed.ply`, `.spz` or `.splat`.
         overwrite: Whether a file of that name may be replaced.
+        sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
+            is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
+            INRIA's, the smaller ones have as many as are not all zero.
 
     Raises:
-        StyleSplatError: If the suffix is none of these, the file exists and may not be replaced,
-            it cannot be written, or the splats reach farther than `.spz` can express.
+        StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
+            may not be replaced, it cannot be written, or the splats reach farther than `.spz` can
+            express.
     """
     path = Path(path)
-    writers = {".ply": write_splat_ply, ".spz": write_spz, ".splat": write_dot_splat}
-    writer = writers.get(path.suffix.lower())
-    if writer is None:
-        raise StyleSplatError(
-            f"Cannot export to {path}: unknown suffix {path.suffix!r}. Use {', '.join(writers)}."
-        )
+    _refuse_unwritable(path, sh_degree)
     if path.exists() and not overwrite:
         raise StyleSplatError(f"{path} exists already. Replace it with `--overwrite`.")
-    writer(splats.detach().to("cpu"), path)
+    splats = splats.detach().to("cpu")
+    suffix = _suffix(path)
+    if sh_degree is None:
+        sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
+    splats = of_degree(splats, sh_degree)
+    if suffix == ".ply":
+        write_splat_ply(splats, path, bands=splats.shN.shape[1])
+    else:
+        SMALLER[suffix](splats, path)
+
+
+def _refuse_unwritable(path: Path, sh_degree: int | None) -> None:
+    """Raise a StyleSplatError if the name is of no format, or of one without that degree."""
+    suffix = _suffix(path)
+    if suffix not in (".ply", *SMALLER):
+        raise StyleSplatError(
+            f"Cannot export to {path}: unknown suffix {path.suffix!r}. "
+            f"Use .ply, {', '.join(SMALLER)}."
+        )
+    if sh_degree is None:
+        return
+    check_choice(sh_degree, "degree of colour", range(MAX_DEGREE + 1))
+    if suffix == ".splat" and sh_degree:
+        raise StyleSplatError(
+            f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
+            "Leave the degree out, or choose a .ply or .spz."
+        )
+
+
+def _suffix(path: Path) -> str:
+    """What tells the format."""
+    name = path.name.lower()
+    return COMPRESSED if name.endswith(COMPRESSED) else path.suffix.lower()
 
 
 def _read_ply(path: Path) -> Splats:

@@ -1,5 +1,7 @@
 """Splats as PLY files with exactly the columns of the INRIA code, which every viewer opens."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,13 +71,19 @@ def splat_fault(splats: Splats) -> str | None:
     return f"the rotations of {unturned} Gaussians are 0" if unturned else None
 
 
-def write_splat_ply(splats: Splats, path: Path | str) -> None:
-    """Write the values as they are, bit by bit, with `shN` padded by zeros to degree 3.
+def write_splat_ply(splats: Splats, path: Path | str, *, bands: int = FULL_BANDS) -> None:
+    """Write the values as they are, bit by bit, with `shN` padded by zeros.
+
+    Args:
+        splats: What to write.
+        path: The file to make.
+        bands: How many higher bands of colour it has, no fewer than the splats; by default as
+            many as INRIA's code demands, those of degree 3.
 
     Raises:
         StyleSplatError: If the file cannot be written.
     """
-    rest = _rest(3 * FULL_BANDS)
+    rest = _rest(3 * bands)
     names = (*MEANS, *NORMALS, *SH0, *rest, *OPACITY, *SCALES, *QUATS)
     blocks = {
         MEANS: splats.means,
@@ -85,7 +93,7 @@ def write_splat_ply(splats: Splats, path: Path | str) -> None:
         QUATS: splats.quats,
     }
     for channel in range(3):
-        first = channel * FULL_BANDS
+        first = channel * bands
         blocks[rest[first : first + splats.shN.shape[1]]] = splats.shN[:, :, channel]
     rows = np.zeros((len(splats), len(names)), "<f4")  # one copy of it all, and no more
     for columns, values in blocks.items():
@@ -100,6 +108,18 @@ def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
     """Higher colour bands of degree 3, those beyond the splats' own degree being 0."""
     missing = FULL_BANDS - shN.shape[1]
     return torch.nn.functional.pad(shN, (0, 0, 0, missing)) if missing else shN
+
+
+def of_degree(splats: Splats, degree: int) -> Splats:
+    """The splats with the bands of a degree: higher ones are left out, missing ones are 0."""
+    padded = pad_bands(splats.shN)
+    return replace(splats, shN=padded[:, : (degree + 1) ** 2 - 1])
+
+
+def needed_degree(splats: Splats) -> int:
+    """The lowest degree of colour bands that leaves out zeros only."""
+    used = splats.shN.ne(0).any(dim=2).any(dim=0).nonzero()
+    return math.isqrt(int(used.max()) + 1) if len(used) else 0
 
 
 def _rest(count: int) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import gsply
@@ -10,7 +11,7 @@ import zstandard
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, read_bytes
-from stylesplat.io.splats.gsply_data import from_gsply
+from stylesplat.io.splats.gsply_data import from_gsply, to_gsply
 from stylesplat.scene.splats import Splats
 
 POSITION = 2**23 - 1  # largest fixed-point coordinate
@@ -60,14 +61,7 @@ def write_spz(splats: Splats, path: Path | str) -> None:
             "SPZ cannot express. Export a .ply."
         )
     flipped = _flipped(splats)
-    data = gsply.GSData(
-        means=flipped.means.numpy(),
-        scales=flipped.scales.numpy(),
-        quats=flipped.quats.numpy(),
-        opacities=flipped.opacities.clamp(-SURE, SURE).numpy(),
-        sh0=flipped.sh0[:, 0].numpy(),
-        shN=flipped.shN.numpy(),
-    )
+    data = to_gsply(replace(flipped, opacities=flipped.opacities.clamp(-SURE, SURE)))
     with atomic_path(path) as temporary:
         gsply.write_spz(temporary, data, fractional_bits=max(bits))
 
