@@ -52,7 +52,9 @@ def known(scene: Scene) -> Painted:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "metrics.json"}
+    return {
+        path.name: path.read_bytes() for path in folder.iterdir() if path.name != "metrics.json"
+    }
 
 
 def of(scene: Scene, name: str) -> torch.Tensor:

@@ -18,6 +18,7 @@ from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Objects
 from stylesplat.cli.render import Render
+from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
@@ -72,15 +73,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(command: Any) -> None:
     """Do it, and print what came of it."""
     from stylesplat.io.json_files import strict_json
-    from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
-    announce_compilation()
     with closing(Bars()) as bars, observed(bars):
         result = command.run()
     if command.json:
         print(strict_json(result), flush=True)
     else:
         print(*_lines(result), sep="\n", file=sys.stderr)
+    if isinstance(result, Answer):
+        with closing(Bars()) as bars, observed(bars):
+            result.rest()
 
 
 def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:
