@@ -10,6 +10,7 @@ import tyro
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
 from stylesplat.cli.check import Check
+from stylesplat.cli.delete import Delete
 from stylesplat.cli.demo import Demo
 from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
@@ -17,6 +18,7 @@ from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Objects
+from stylesplat.cli.rename import Rename
 from stylesplat.cli.render import Render
 from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select
@@ -37,6 +39,8 @@ VERBS = {
     "import": Import,
     "objects": Objects,
     "select": Select,
+    "rename": Rename,
+    "delete": Delete,
     "stylize": Stylize,
     "adjust": Adjust,
     "sheet": Sheet,

@@ -18,6 +18,17 @@ if TYPE_CHECKING:
 PICTURES = "selections"  # the folder inside a scene
 
 
+def picture_of(scene: Path, name: str) -> Path:
+    """Where the picture of a selection lies.
+
+    Raises:
+        StyleSplatError: If the folder of pictures leads out of the scene.
+    """
+    from stylesplat.io.files import file_stem, inside
+
+    return inside(scene, f"{PICTURES}/{file_stem(name)}.png")
+
+
 @dataclass(frozen=True)
 class Select:
     """Name an object of a scene, by label id, places in photos, words, or a shape in the world.
@@ -69,13 +80,12 @@ class Select:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.files import file_stem, inside
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
 
         if self.model is not None and self.text is None:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-        target = inside(self.scene, f"{PICTURES}/{file_stem(self.name)}.png")
+        target = picture_of(self.scene, self.name)
         with changing(self.scene):  # from reading on, so that no other's selection is lost
             before = open(self.scene)
             after = self._selected(before)
