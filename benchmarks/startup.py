@@ -21,7 +21,6 @@ import torch
 imported_torch = time.perf_counter()
 import stylesplat as ss
 from stylesplat.demo.still_life import dome_cameras
-from stylesplat.rendering.kernels.compiling import announce_compilation
 from stylesplat.progress import Silence, listen
 from stylesplat.scene.capture import Capture
 from stylesplat.training.train_config import TrainConfig
@@ -33,7 +32,6 @@ class Lines(Silence):
         print(line, file=sys.stderr)
 
 listen(Lines())
-announce_compilation()
 capture = Capture(
     cameras=dome_cameras(2, 128, 96),
     photos=[torch.zeros(96, 128, 3, dtype=torch.uint8)] * 2,

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.paintings import Colors, Painted, Painting, Source
+from stylesplat.scene.paintings import Colors, Gone, Painted, Painting, Source
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -83,7 +83,8 @@ def painted() -> Painted:
     )
     before = Colors(random(COUNT, 1, 3), random(COUNT, 15, 3))
     full = Colors(random(COUNT, 1, 3) + 1, random(COUNT, 15, 3) + 1)
-    return Painted((fox, other), before, full, origin=Path("/scenes/trained"))
+    gone = (Gone(replace(other, name="fox", picked=other.picked[:0], upon={}), 0),)
+    return Painted((fox, other), before, full, origin=Path("/scenes/trained"), gone=gone)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -10,12 +10,14 @@ from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust
 from .verbs.check import check as check
+from .verbs.delete import delete as delete
 from .verbs.evaluate import evaluate as evaluate
 from .verbs.export import export as export
 from .verbs.import_ import import_ as import_
 from .verbs.load import load as load
 from .verbs.mask import mask as mask
 from .verbs.objects import objects as objects
+from .verbs.rename import rename as rename
 from .verbs.render import render as render
 from .verbs.select import select as select
 from .verbs.sfm import sfm as sfm

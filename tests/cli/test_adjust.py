@@ -48,5 +48,7 @@ def test_adjust_one_object_into_a_new_scene(styled: Path, tmp_path: Path, capsys
     assert changed.any() and not (changed & ~pick(half, object_id=3, remove_outliers=False)).any()
     assert run("adjust", out, "--intensity", 0.5) == 0
     assert torch.allclose(ss.open(out).splats.sh0, half.sh0, atol=1e-6)
+    undone = result(capsys, "adjust", out, "--object", 3, "--undo", "-o", tmp_path / "undone")
+    assert undone["intensity"] == {"7": 0.5}, "the other one stays"
     unstyled = ("adjust", out, "--object", 300, "--intensity", 1)
     assert "Styled objects: 3, 7" in complaint(capsys, *unstyled)

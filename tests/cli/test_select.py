@@ -52,3 +52,13 @@ def test_select_by_text_with_a_real_detector(scene: Path, tiny_model, capsys, mo
     folder = tiny_model("grounding-dino")
     asked = ("select", scene, "--name", "it", "--text", "red ball", "--model", folder)
     assert "what fits 'red ball'. By id, with scores: 3 (0." in complaint(capsys, *asked)
+
+
+def test_select_everything_and_the_background(scene: Path, capsys):
+    assert result(capsys, "select", scene, "--name", "red", "--id", 3)["gaussians"] <= 80
+    everything = result(capsys, "select", scene, "--name", "everything", "--all")
+    assert everything["gaussians"] == 440 and everything["all"] is True
+    table = result(capsys, "select", scene, "--name", "table", "--background")
+    assert table["gaussians"] == 200 and table["background"] is True
+    rest = ("select", scene, "--name", "rest", "--all", "--minus", "table")
+    assert result(capsys, *rest)["gaussians"] == 240

@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from command_line import result
+from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
@@ -22,7 +24,38 @@ def scene(tmp_path: Path) -> Path:
 
 
 def selected(folder: Path, name: str, *ids: int) -> dict[str, Any]:
-    return Select(folder, name, id=ids).run()
+    """What is answered; and then the rest is done."""
+    found = Select(folder, name, id=ids).run()
+    if isinstance(found, Answer):
+        found.rest()
+    return found
+
+
+def test_the_answer_comes_before_the_picture(scene: Path):
+    found = Select(scene, "red", id=(3,)).run()
+    assert isinstance(found, Answer)
+    assert scene_folder.open(scene).objects.keys() == {"red"}, "it is selected"
+    assert found["picture"] == scene / "selections" / "red.png"
+    assert not found["picture"].exists()
+    found.rest()
+    assert read_image(found["picture"]).shape[1] > 3 * 480
+
+
+def test_a_picture_that_cannot_be_written(scene: Path, capsys):
+    """What was asked for is done and told all the same."""
+    (scene / "selections").write_text("mine")
+    found = result(capsys, "select", scene, "--name", "red", "--id", 3)
+    assert found["ids"] == [3] and scene_folder.open(scene).objects.keys() == {"red"}
+    assert (scene / "selections").read_text() == "mine"
+
+
+def test_no_picture(scene: Path, capsys):
+    """Nor that of what was called so before."""
+    red = ("select", scene, "--name", "it", "--id", 3)
+    old = Path(result(capsys, *red)["picture"])
+    assert old.exists()
+    assert result(capsys, *red, "--no-picture")["picture"] is None
+    assert not old.exists()
 
 
 def test_a_picture_of_it(scene: Path):

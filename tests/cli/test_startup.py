@@ -12,7 +12,7 @@ import contextlib, sys
 from stylesplat.cli import main
 with contextlib.suppress(SystemExit):
     main({arguments!r})
-print(*sorted({{"torch", "numba", "cv2", "viser"}} & sys.modules.keys()))
+print(*sorted({{"torch", "numba", "cv2", "torchvision", "viser"}} & sys.modules.keys()))
 """
 
 
@@ -30,6 +30,13 @@ def loaded(*arguments: str) -> list[str]:
 def test_help_does_not_load_torch():
     assert loaded("--help") == []
     assert loaded("stylize", "--help") == []
+
+
+def test_select_waits_for_nothing_but_torch(scene: Path):
+    """Not for kernels, nor for what only detectors need: seconds, before the answer."""
+    ids = ("select", str(scene), "--name", "red", "--id", "3")
+    assert loaded(*ids, "--no-picture") == ["torch"]
+    assert "numba" in loaded(*ids)
 
 
 def test_a_verb_does():

@@ -14,7 +14,7 @@ from torch import Tensor
 
 import seeds
 import stylesplat as ss
-from scenes import two_cameras
+from scenes import random_splats, two_cameras
 from stylesplat.io.captures.label_folder import write_label_maps
 from stylesplat.io.captures.photos import read_image
 from stylesplat.io.captures.sfm_file import read_sfm
@@ -58,6 +58,8 @@ def use_scene(folder: Path, out: Path) -> None:
     if scene.painted is not None:
         look_at(ss.adjust(scene, 0.5))
         look_at(ss.adjust(scene, undo=True))
+        for name in scene.painted.names:
+            look_at(ss.adjust(scene, objects=name, undo=True))
     ss.save(scene, out / "scene")
     ss.open(out / "scene")
 
@@ -89,6 +91,13 @@ def check_finite(what: str, tensor: Tensor) -> None:
     """Raise a ValueError, which is no answer, if something is not."""
     if not tensor.isfinite().all():
         raise ValueError(f"the {what} is not finite")
+
+
+def use_row_labels(folder: Path, out: Path) -> None:
+    for path in sorted(folder.iterdir()):
+        scene = ss.import_(random_splats(seeds.COUNT), labels=path, device="cpu")
+        ss.objects(scene)
+        ss.save(scene, out / path.suffix)
 
 
 def use_capture(folder: Path, out: Path) -> None:
@@ -166,6 +175,7 @@ def use_weights(folder: Path, out: Path) -> None:
 READERS = {
     "scene": Reader(seeds.scene, ("scene/*",), use_scene),
     "splats": Reader(seeds.splats, ("*",), use_splats),
+    "labels": Reader(seeds.row_labels, ("*",), use_row_labels),
     "colmap": Reader(seeds.colmap, ("sparse/0/*", "images/*", "object_mask/*"), use_capture),
     "colmap_text": Reader(seeds.colmap_text, ("sparse/0/*",), use_capture),
     "sfm": Reader(seeds.sfm, ("sfm.json",), use_sfm),

@@ -17,10 +17,11 @@ from pictures_of_walks import walk
 from scenes import random_splats, two_cameras
 from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
 from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State
 from stylesplat.posing.prepare import prepare
-from stylesplat.scene.paintings import Colors, Painted, Painting, Source, Unsplit
+from stylesplat.scene.paintings import Colors, Gone, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.features.weights import PACKAGED
 from stylesplat.training.loop import fit
@@ -60,7 +61,9 @@ def _painted(picked: torch.Tensor) -> Painted:
     pot = Painting("pot", ~picked, (wave, Source(None)), settings, 1.0, "vgg19", upon={"fox": 0.5})
     before, full = random_splats(COUNT, seed=1), random_splats(COUNT, seed=2)
     unsplit = Unsplit(COUNT - 1, torch.tensor([1]), torch.full((1, 3), -2.0), torch.tensor([0.5]))
-    return Painted((fox, pot), Colors.of(before), Colors.of(full), unsplit, Path("trained"))
+    gone = (Gone(replace(fox, name="cup", picked=picked[:0]), 1),)
+    colors = Colors.of(before), Colors.of(full)
+    return Painted((fox, pot), *colors, unsplit, Path("trained"), gone)
 
 
 def splats(folder: Path) -> None:
@@ -79,6 +82,18 @@ def splats(folder: Path) -> None:
     )
     gsply.plywrite(folder / "b.ply", data, compressed=True)
     (folder / "b.compressed.ply").replace(folder / "b.ply")
+
+
+def row_labels(folder: Path) -> None:
+    """Labels of six Gaussians in each format."""
+    folder.mkdir(parents=True)
+    labels = np.arange(COUNT) % 3
+    np.save(folder / "a.npy", labels)
+    np.savez(folder / "a.npz", labels=labels, scores=np.ones(COUNT))
+    (folder / "a.json").write_text(json.dumps({"labels": labels.tolist()}))
+    table = np.zeros(COUNT, [("x", "f4"), ("label", "u1")])
+    table["label"] = labels
+    write_ply_table(table, folder / "a.ply")
 
 
 def colmap(folder: Path) -> None:
@@ -164,7 +179,7 @@ def recipe(folder: Path) -> None:
     shutil.copy(folder / "scene/recipe.json", folder / "recipe.json")
     shutil.rmtree(folder / "scene")
     content = json.loads((folder / "recipe.json").read_text())
-    for entry in content["objects"]:
+    for entry in (*content["objects"], *content["gone"]):
         entry |= {"style": "wave.png", "sha256": None}
     (folder / "recipe.json").write_text(json.dumps(content))
     (folder / "recipe.yaml").write_text(

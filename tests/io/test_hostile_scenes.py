@@ -102,6 +102,10 @@ JSON_MUTANTS: list[tuple[str, Change]] = [
     *(("recipe.json", painting("features", value)) for value in (3, [], "a\nb")),
     *(("recipe.json", painting("weights", value)) for value in (3, [], "\0")),
     *(("recipe.json", painting("upon", value)) for value in (None, [], {"a": "x"}, {"a": -1})),
+    *(("recipe.json", put("gone", value=value)) for value in (None, 3, {}, [3], [{}])),
+    *(("recipe.json", put("gone", 0, "name", value=name)) for name in ("a/b", 3, "")),
+    *(("recipe.json", put("gone", 0, "place", value=value)) for value in (-1, 0.5, 2**40, "x")),
+    *(("recipe.json", put("gone", 0, "style", value=value)) for value in (3, {}, ["a"])),
 ]
 
 

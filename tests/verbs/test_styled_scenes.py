@@ -151,11 +151,6 @@ def test_the_recipe_of_a_styled_scene_makes_it_again(folder: Path, tmp_path: Pat
     assert (tmp_path / "again/recipe.json").read_bytes() == (styled / "recipe.json").read_bytes()
 
 
-def test_an_object_is_styled_once(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"red is styled in .*once already.*--undo"):
-        painted(opened(folder / "once"), "red", folder / "wave.png")
-
-
 def test_every_object_can_be_adjusted_afterwards(folder: Path, tmp_path: Path):
     twice = opened(folder / "twice")
     save(adjust(twice, 0.0, objects="red"), tmp_path / "one")

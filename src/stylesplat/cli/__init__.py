@@ -10,6 +10,7 @@ import tyro
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
 from stylesplat.cli.check import Check
+from stylesplat.cli.delete import Delete
 from stylesplat.cli.demo import Demo
 from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
@@ -17,7 +18,9 @@ from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Objects
+from stylesplat.cli.rename import Rename
 from stylesplat.cli.render import Render
+from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
@@ -36,6 +39,8 @@ VERBS = {
     "import": Import,
     "objects": Objects,
     "select": Select,
+    "rename": Rename,
+    "delete": Delete,
     "stylize": Stylize,
     "adjust": Adjust,
     "sheet": Sheet,
@@ -72,15 +77,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(command: Any) -> None:
     """Do it, and print what came of it."""
     from stylesplat.io.json_files import strict_json
-    from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
-    announce_compilation()
     with closing(Bars()) as bars, observed(bars):
         result = command.run()
     if command.json:
         print(strict_json(result), flush=True)
     else:
         print(*_lines(result), sep="\n", file=sys.stderr)
+    if isinstance(result, Answer):
+        with closing(Bars()) as bars, observed(bars):
+            result.rest()
 
 
 def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:

@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 
 @dataclass(frozen=True)
 class Adjust:
-    """Change how strong a style is, at once and without optimising, or undo it all.
+    """Change how strong a style is, at once and without optimising, or undo it.
 
     Example: stylesplat adjust garden-wave --intensity 0.6
     """
@@ -22,9 +22,10 @@ class Adjust:
     intensity: float | None = None
     """0 for the colours before, 1 for the style's, up to 1.5 to exaggerate."""
     undo: FlagCreatePairsOff[bool] = False
-    """Write the scene as it was before it was styled, to the bit, to the --output folder."""
+    """Write the scene as it was before it was styled, to the bit, to the --output folder; with
+    --object only these are as before."""
     object: UseAppendAction[tuple[str, ...]] = ()
-    """Adjust this object only. May be repeated."""
+    """Adjust or undo this object only. May be repeated."""
     output: OptionalOutput = None
     """Folder of a scene to make; without it the scene itself is changed."""
     overwrite: Overwrite = False

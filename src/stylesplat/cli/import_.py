@@ -27,6 +27,9 @@ class Import:
     it the scene gets views on circles around the content."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
+    labels: Path | None = None
+    """File of one label id per Gaussian, in the splat's order: .npy, .npz, .json, or a .ply with
+    the column label or object_id. It takes the place of label maps."""
     frame: Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"] = "capture"
     """World frame of the splat; an import that does not fit says which one does."""
     up: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
@@ -42,6 +45,8 @@ class Import:
 
         if self.capture is None and (self.masks is not None or self.frame != "capture"):
             raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
+        if self.labels is not None and self.masks is not None:
+            raise StyleSplatError("--labels and --masks both say what is what. Pass one of them.")
         with changing(self.output):
             return self._import()
 
@@ -55,6 +60,13 @@ class Import:
         capture = None
         if self.capture is not None:
             capture = load(self.capture, masks=self.masks)
-        scene = import_(self.splat, capture, frame=self.frame, up=self.up, device=self.device)
+        scene = import_(
+            self.splat,
+            capture,
+            frame=self.frame,
+            up=self.up,
+            labels=self.labels,
+            device=self.device,
+        )
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
         return dict(scene.metrics)

@@ -2,13 +2,23 @@
 
 import shutil
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
     from stylesplat.scene.scene import Scene
+
+
+class Answer(dict[str, Any]):
+    """A result that is printed before all is done, so that nobody waits for the rest."""
+
+    def __init__(self, result: Mapping[str, Any], rest: Callable[[], None]) -> None:
+        super().__init__(result)
+        self.rest = rest
+        """What is left to do."""
 
 
 def save_or_rescue(scene: "Scene", output: Path, *, overwrite: bool) -> None:

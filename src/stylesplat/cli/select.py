@@ -1,6 +1,7 @@
 """`stylesplat select`."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,12 +9,24 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.options import Json
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
+from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
     from stylesplat.scene.scene import Scene
 
 PICTURES = "selections"  # the folder inside a scene
+
+
+def picture_of(scene: Path, name: str) -> Path:
+    """Where the picture of a selection lies.
+
+    Raises:
+        StyleSplatError: If the folder of pictures leads out of the scene.
+    """
+    from stylesplat.io.files import file_stem, inside
+
+    return inside(scene, f"{PICTURES}/{file_stem(name)}.png")
 
 
 @dataclass(frozen=True)
@@ -49,6 +62,10 @@ class Select:
     """Names of earlier selections that belong to it."""
     minus: tuple[str, ...] = ()
     """Names of earlier selections that do not."""
+    all: FlagCreatePairsOff[bool] = False
+    """Everything."""
+    background: FlagCreatePairsOff[bool] = False
+    """What belongs to no object: a table, a wall. Take parts of it away with --minus."""
     grow: float | None = None
     """Take in what lies close by: 0.05 reaches 5 % of the object's extent."""
     shrink: float | None = None
@@ -57,41 +74,50 @@ class Select:
     """Probability of the object above which a Gaussian belongs to it."""
     keep_outliers: FlagCreatePairsOff[bool] = False
     """Keep Gaussians that lie apart from the rest of the object."""
+    picture: FlagCreatePairsOff[bool] = True
+    """Draw no picture of it. Else it is drawn into the scene, after the answer."""
     json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.files import file_stem, inside
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
-        from stylesplat.verbs.select import select
 
         if self.model is not None and self.text is None:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-        target = inside(self.scene, f"{PICTURES}/{file_stem(self.name)}.png")
+        target = picture_of(self.scene, self.name)
         with changing(self.scene):  # from reading on, so that no other's selection is lost
             before = open(self.scene)
-            after = select(
-                before,
-                self.name,
-                id=self.id,
-                box=[(view, *numbers) for view, numbers in map(parse_box, self.box)],
-                point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
-                not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
-                text=self.text,
-                box3d=parse_box3d(self.box3d) if self.box3d else (),
-                sphere=self._sphere(),
-                plus=self.plus,
-                minus=self.minus,
-                grow=self.grow,
-                shrink=self.shrink,
-                threshold=self.threshold,
-                remove_outliers=not self.keep_outliers,
-                model=self.model,
-            )
+            after = self._selected(before)
             revise(before, after, self.scene)
-            picture = self._draw(after, target)
-        return {"name": self.name, **after.objects[self.name].how, "picture": picture}
+            shows = self._may_show(after, target)
+        result = {"name": self.name, **after.objects[self.name].how}
+        result["picture"] = target if shows else None
+        return Answer(result, partial(self._draw, after, target)) if shows else result
+
+    def _selected(self, scene: "Scene") -> "Scene":
+        from stylesplat.verbs.select import select
+
+        return select(
+            scene,
+            self.name,
+            id=self.id,
+            box=[(view, *numbers) for view, numbers in map(parse_box, self.box)],
+            point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
+            not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
+            text=self.text,
+            box3d=parse_box3d(self.box3d) if self.box3d else (),
+            sphere=self._sphere(),
+            plus=self.plus,
+            minus=self.minus,
+            all=self.all,
+            background=self.background,
+            grow=self.grow,
+            shrink=self.shrink,
+            threshold=self.threshold,
+            remove_outliers=not self.keep_outliers,
+            model=self.model,
+        )
 
     def _sphere(self) -> tuple[Any, ...] | None:
         if not self.sphere:
@@ -99,7 +125,18 @@ class Select:
         view, numbers = parse_sphere(self.sphere)
         return (view, *numbers) if view else numbers
 
-    def _draw(self, scene: "Scene", target: Path) -> Path | None:
+    def _may_show(self, scene: "Scene", target: Path) -> bool:
+        """Whether there is a picture to draw; if not, that of an earlier selection goes."""
+        from stylesplat.selection.in_images import in_any_image
+
+        shows = in_any_image(scene.splats, scene.cameras, scene.objects[self.name].picked)
+        if not (self.picture and shows):
+            target.unlink(missing_ok=True)
+        if self.picture and not shows:
+            self._say_hidden()
+        return self.picture and shows
+
+    def _draw(self, scene: "Scene", target: Path) -> None:
         from stylesplat.drawing.selection_picture import selection_picture
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
@@ -107,10 +144,17 @@ class Select:
 
         picked = scene.objects[self.name].picked
         picture = selection_picture(scene.splats, scene.cameras, picked)
-        if picture is None:
-            say(f"{self.name} shows in none of the views, so there is no picture of it.")
-            target.unlink(missing_ok=True)
-            return None
-        with changing(target):
-            write_image(picture, target)
-        return target
+        try:
+            with changing(self.scene), changing(target):
+                if picture is None:
+                    self._say_hidden()
+                    target.unlink(missing_ok=True)
+                else:
+                    write_image(picture, target)
+        except StyleSplatError as error:  # the selection is saved
+            say(f"There is no picture of {self.name}: {error}")
+
+    def _say_hidden(self) -> None:
+        from stylesplat.progress import say
+
+        say(f"{self.name} shows in none of the views, so there is no picture of it.")

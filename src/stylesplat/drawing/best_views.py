@@ -12,17 +12,16 @@ from torch.nn.functional import normalize
 from stylesplat.progress import track
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import shown
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
+from stylesplat.selection.in_images import in_images
 from stylesplat.selection.margins import solid
 from stylesplat.stylization.object_views import SURVEY_SIZE
 
 VIEWS = 3  # of an object
 SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
 MOST = 0.5  # of what the fullest image has of an object, from which others are searched too
-SAMPLE = 1000  # points of an object that are projected into every image
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,6 @@ def small(camera: Cameras) -> Cameras:
 
 def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:
     """Some of the cameras that have an object in their image, though something may hide it."""
-    points = surface[:: max(1, len(surface) // SAMPLE)].to(cameras.viewmats)
-    rows = range(len(cameras))
-    shares = torch.stack([shown(points, cameras[row]).float().mean() for row in rows])
+    shares = in_images(surface, cameras)
     good = (shares > 0) & (shares >= MOST * shares.max())
     return evenly(good.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)

@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.declared import GAUSSIANS, PICKED, Declared
 from stylesplat.io.json_files import write_json
-from stylesplat.io.recipe_files import AGAIN, paintings_in, read_recipe_json, recipe_of
+from stylesplat.io.recipe_files import AGAIN, gone_in, paintings_in, read_recipe_json, recipe_of
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import read_named, read_tensors, write_tensors
 from stylesplat.scene.paintings import Colors, Painted, Unsplit
@@ -70,13 +70,14 @@ def read_painted(folder: Path, picks: Mapping[str, Tensor], count: int) -> Paint
     else:  # as scenes were before they remembered what was painted
         rows = [picks[each.name] for each in recipe.objects if each.name in picks]
     with within(f"Cannot read {folder / RECIPE}"):
-        paintings = paintings_in(recipe, rows)
+        paintings, gone = paintings_in(recipe, rows), gone_in(recipe)
     return Painted(
         paintings=paintings,
         before=Colors(**read_tensors(folder / BASE_COLORS, COLORS, N=count)),
         full=Colors(**read_tensors(folder / STYLE_COLORS, COLORS, N=count)),
         unsplit=_read_unsplit(folder / UNSPLIT, count),
         origin=Path(recipe.scene) if recipe.scene else None,
+        gone=gone,
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import torch
 from jaxtyping import Bool
 from msgspec import UNSET, Meta, UnsetType
 from torch import Tensor
@@ -12,10 +13,11 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.json_files import FilePath, fitting, read_json_as
 from stylesplat.scene.intensity import MAX_INTENSITY
-from stylesplat.scene.paintings import Painted, Painting, Source
+from stylesplat.scene.paintings import Gone, Painted, Painting, Source
 from stylesplat.scene.scene import check_name_or_id
 
 AGAIN = "Style the scene again."
+MAX_PLACE = 0xFFFF  # paintings of a scene
 Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
 Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
 
@@ -34,6 +36,12 @@ class RecipeEntry(msgspec.Struct):
     upon: dict[str, Intensity] = {}
 
 
+class GoneEntry(RecipeEntry):
+    """One that was taken back, but that others were painted upon."""
+
+    place: Annotated[int, Meta(ge=0, le=MAX_PLACE)] = 0
+
+
 class RecipeJson(msgspec.Struct):
     """A `recipe.json`; see `recipe_of`."""
 
@@ -42,20 +50,24 @@ class RecipeJson(msgspec.Struct):
     features: Word | None = None
     weights: FilePath | None = None
     scene: FilePath | None = None
+    gone: tuple[GoneEntry, ...] = ()
 
 
 def recipe_of(painted: Painted) -> dict[str, Any]:
     """The content of `recipe.json`: what was painted, in order, and how.
 
     Settings that the first painting has stand once for all; each object has those that differ.
+    `gone` has paintings that are not there now, with the number of `objects` that are older.
     """
     shared, last = dict(painted.paintings[0].settings), painted.paintings[-1]
+    gone = [{**_entry(each.painting, shared), "place": each.place} for each in painted.gone]
     return {
         "objects": [_entry(painting, shared) for painting in painted.paintings],
         "settings": shared,
         "features": last.features,
         "weights": last.weights and last.weights.path,
         "scene": painted.origin,
+        **({"gone": gone} if gone else {}),
     }
 
 
@@ -67,7 +79,7 @@ def read_recipe_json(path: Path) -> RecipeJson:
     """
     recipe = read_json_as(path, RecipeJson, AGAIN)
     with within(f"Cannot read {path}"):
-        for each in recipe.objects:
+        for each in (*recipe.objects, *recipe.gone):
             check_name_or_id(each.name)
     return recipe
 
@@ -89,6 +101,16 @@ def paintings_in(recipe: RecipeJson, rows: Sequence[Bool[Tensor, " N"]]) -> tupl
         )
     pairs = zip(recipe.objects, rows, strict=True)
     return tuple(_painting(entry, recipe, picked) for entry, picked in pairs)
+
+
+def gone_in(recipe: RecipeJson) -> tuple[Gone, ...]:
+    """What a `recipe.json` says was there while others were painted.
+
+    Raises:
+        StyleSplatError: If one lacks something.
+    """
+    nothing = torch.zeros(0, dtype=torch.bool)
+    return tuple(Gone(_painting(each, recipe, nothing), each.place) for each in recipe.gone)
 
 
 def listed(values: Any) -> tuple[Any, ...]:

@@ -45,6 +45,16 @@ class Painting:
 
 
 @dataclass(frozen=True)
+class Gone:
+    """A painting that was taken back, but that others were painted upon while it was there."""
+
+    painting: Painting
+    """As it was, but of no Gaussians."""
+    place: int
+    """How many of the paintings that are there now are older."""
+
+
+@dataclass(frozen=True)
 class Unsplit:
     """What it takes to undo splits, besides the colours before."""
 
@@ -94,6 +104,8 @@ class Painted:
     """The shapes of Gaussians that were split; None if none were."""
     origin: Path | None = None
     """The folder of the scene before; None if it had none."""
+    gone: tuple[Gone, ...] = ()
+    """What else it takes to paint all this again, the oldest first."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -104,3 +116,12 @@ class Painted:
     def everything(self) -> Bool[Tensor, " N"]:
         """All Gaussians that were painted."""
         return torch.stack([painting.picked for painting in self.paintings]).any(dim=0)
+
+    @property
+    def history(self) -> tuple[tuple[Painting, bool], ...]:
+        """All paintings in the order in which they were made, and whether each is there."""
+        ordered: list[tuple[Painting, bool]] = []
+        for number in range(len(self.paintings) + 1):
+            ordered += [(each.painting, False) for each in self.gone if each.place == number]
+            ordered += [(each, True) for each in self.paintings[number : number + 1]]
+        return tuple(ordered)

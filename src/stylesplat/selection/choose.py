@@ -15,11 +15,12 @@ from stylesplat.selection.detector import Detector
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.margins import grow, shrink
 from stylesplat.selection.pick import THRESHOLD, Box, Point, pick, pick_objects, resolve_ids
+from stylesplat.selection.rest import rest
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 from stylesplat.selection.text import clear_winner, rank_objects
 
 # Selections with these are not the whole object
-SHAPING = frozenset({"plus", "minus", "box3d", "sphere", "grow", "shrink"})
+SHAPING = frozenset({"plus", "minus", "box3d", "sphere", "all", "background", "grow", "shrink"})
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,10 @@ class Choice:
     """Earlier names that are part of it."""
     minus: tuple[str, ...] = ()
     """Earlier names that are not."""
+    all: bool = False
+    """Everything."""
+    background: bool = False
+    """What belongs to no object."""
     grow: float | None = None
     """Share of its extent by which to grow what was chosen by all that is above."""
     shrink: float | None = None
@@ -71,13 +76,19 @@ RULES = Rules()
 
 
 def choose(
-    scene: Scene, choice: Choice, *, rules: Rules = RULES, detector: Detector | None = None
+    scene: Scene,
+    choice: Choice,
+    *,
+    name: str | None = None,
+    rules: Rules = RULES,
+    detector: Detector | None = None,
 ) -> SceneObject:
     """Pick the Gaussians that are meant.
 
     Args:
         scene: Where they are.
         choice: Which.
+        name: What they will be called; what is called so now is no other object.
         rules: How they are told from others.
         detector: What finds `choice.text`.
 
@@ -87,6 +98,8 @@ def choose(
     """
     without = _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
+    if choice.background:
+        masks.append(rest(scene, name, threshold=rules.threshold))
     named, scores = _ids(scene, choice), {}
     if choice.text is not None:
         assert detector is not None  # whoever takes texts loads one
@@ -98,7 +111,7 @@ def choose(
     if not masks:
         raise StyleSplatError(
             "Nothing says which Gaussians. Say it with --id, --point, --box, --text, --box3d, "
-            "--sphere or --plus; --not-point only takes away."
+            "--sphere, --plus, --all or --background; --not-point only takes away."
         )
     mask = torch.stack(masks).any(dim=0)
     for each in _taken_away(scene, choice, without, rules.threshold):
@@ -187,6 +200,8 @@ def _scores(
 
 def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
     splats = scene.splats
+    if choice.all:
+        yield torch.ones_like(splats.opacities, dtype=torch.bool)
     if choice.box3d:
         low, high = torch.tensor(choice.box3d).view(2, 3)
         yield in_box(splats, low, high)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import brief
+from stylesplat.errors import StyleSplatError, brief
 from stylesplat.progress import say
 from stylesplat.scene.scene import Scene, SceneObject, name_fault
 from stylesplat.selection.identities import object_ids
@@ -34,6 +34,21 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
         how = {"ids": [id], "threshold": THRESHOLD, "gaussians": int(mask.sum())}
         scene = scene.with_object(name, SceneObject(mask, how))
     return scene
+
+
+def require_named(scene: Scene, name: str) -> SceneObject:
+    """The object that has a name.
+
+    Raises:
+        StyleSplatError: If none has.
+    """
+    if name in scene.objects:
+        return scene.objects[name]
+    known = ", ".join(scene.objects) or "none"
+    raise StyleSplatError(
+        f"No object of {scene.path or 'the scene'} is called {brief(name)!r}. Names: {known}. "
+        "Objects get names by `stylesplat select`."
+    )
 
 
 def _fault(scene: Scene, name: str, mask: Bool[Tensor, " N"]) -> str | None:

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator, Mapping
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
-from torchvision.ops import box_iou
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
@@ -73,6 +72,8 @@ def tally(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[int, f
     Returns:
         Votes over the number of views, by label id, the best first.
     """
+    from torchvision.ops import box_iou  # loads for seconds, and few select by text
+
     votes: dict[int, float] = {}
     count = 0
     for labels, found in views:

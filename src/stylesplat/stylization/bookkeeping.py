@@ -1,4 +1,4 @@
-"""What a scene remembers of its paintings: added, blended, taken back."""
+"""What a scene remembers of its paintings: added, made stronger or weaker."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -34,19 +34,17 @@ def refuse_painted(scene: Scene, picks: Mapping[str, Bool[Tensor, " N"]]) -> Non
     """Check that objects may be painted: what they looked like before is kept once.
 
     Raises:
-        StyleSplatError: If Gaussians of one were painted before, or its name was.
+        StyleSplatError: If Gaussians of one are part of something else that is painted.
     """
     if scene.painted is None:
         return
-    where = scene.path or "the scene"
     for name, picked in picks.items():
         for painting in scene.painted.paintings:
-            if painting.name == name or (painting.picked & picked.to("cpu")).any():
-                known = "" if painting.name == name else f", as a part of {painting.name}"
+            if (painting.picked & picked.to("cpu")).any():
                 raise StyleSplatError(
-                    f"{name} is styled in {where} already{known}. Change its strength with "
-                    f"`adjust`, or start from the scene before: `stylesplat adjust {where} --undo "
-                    "-o SCENE`."
+                    f"{name} is styled in {scene.path or 'the scene'} already, as a part of "
+                    f"{painting.name}. Take that back first: `stylesplat adjust "
+                    f"{scene.path or 'STYLED'} --object {painting.name} --undo -o SCENE`."
                 )
 
 
@@ -69,17 +67,24 @@ def with_paintings(scene: Scene, styled: Styled, paintings: Sequence[Painting]) 
     before, full = Colors.of(base), Colors.of(styled.full.to("cpu"))
     if known is not None:
         before = known.before[parents]
-        full = _where(mine, full, known.full[parents])
+        full = chosen(mine, full, known.full[parents])
     every = (*(known.paintings if known else ()), *paintings)
     painted = Painted(
         paintings=tuple(replace(each, picked=each.picked[parents]) for each in every),
         before=before,
         full=full,
         unsplit=_unsplit(scene, base),
-        origin=known.origin if known else _absolute(scene.path),
+        origin=known.origin if known else None,
+        gone=known.gone if known else (),
     )
-    objects = {name: _taken(each, parents) for name, each in scene.objects.items()}
+    objects = {name: taken_rows(each, parents) for name, each in scene.objects.items()}
     return replace(scene, splats=splats, objects=objects, painted=painted, path=None)
+
+
+def with_origin(scene: Scene, before: Scene) -> Scene:
+    """A styled scene that knows which one it was made of, whatever became of it in between."""
+    origin = before.painted.origin if before.painted else _absolute(before.path)
+    return replace(scene, painted=replace(require_painted(scene), origin=origin))
 
 
 def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
@@ -104,48 +109,15 @@ def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
     return replace(scene, splats=splats, painted=painted, path=None)
 
 
-def unpainted(scene: Scene) -> Scene:
-    """A styled scene as it was before anything was painted on it, to the bit.
-
-    Of objects that were named since, what was there before stays.
-
-    Raises:
-        StyleSplatError: If nothing was painted.
-    """
-    painted = require_painted(scene)
-    splats, objects = painted.before.on(scene.splats), dict(scene.objects)
-    if painted.unsplit is not None:
-        shape = painted.unsplit
-        rows = torch.arange(shape.count)
-        splats = splats[rows]
-        splats = replace(
-            splats,
-            scales=splats.scales.index_copy(0, shape.rows, shape.scales),
-            opacities=splats.opacities.index_copy(0, shape.rows, shape.opacities),
-        )
-        objects = {
-            name: _taken(each, rows)
-            for name, each in objects.items()
-            if each.picked[: shape.count].any() or not each.picked.any()  # not of new ones alone
-        }
-    return replace(
-        scene,
-        splats=splats,
-        objects=objects,
-        painted=None,
-        path=None,
-        metrics=scene.metrics.get("train", {}),
-    )
-
-
-def _taken(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
+def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
     """An object among the Gaussians of some rows."""
     picked = each.picked[rows]
     count = {"gaussians": int(picked.sum())} if "gaussians" in each.how else {}
     return SceneObject(picked, {**each.how, **count})
 
 
-def _where(mine: Bool[Tensor, " N"], one: Colors, other: Colors) -> Colors:
+def chosen(mine: Bool[Tensor, " N"], one: Colors, other: Colors) -> Colors:
+    """One's colours of some Gaussians, and other ones of the rest."""
     mask = mine[:, None, None]
     return Colors(torch.where(mask, one.sh0, other.sh0), torch.where(mask, one.shN, other.shN))
 

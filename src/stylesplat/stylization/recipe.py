@@ -1,6 +1,7 @@
 """The schema of recipes: which objects are repainted, with what settings."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +24,9 @@ SHARED = {  # what else a recipe may say of all objects
     "scene": str | None,
     "settings": dict,
     "objects": dict | list | None,
+    "gone": list | None,
 }
+PLACE = {"place": int}  # of one that is gone, among those that are not
 OWN = {  # and of one
     "style": str | tuple[str, ...],
     "sha256": str | tuple[str, ...] | None,
@@ -61,6 +64,13 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Rec
         for name, entry in _named_entries(others.get("objects")):
             with within(name):
                 objects.append(_styled_object(name, entry, base, others, path.parent))
+        for entry in reversed(others.get("gone") or []):
+            name, entry = _named_entry(entry)
+            check_name_or_id(name)
+            with within(name):
+                place = fitted({"place": entry.pop("place", 0)}, PLACE)["place"]
+                gone = _styled_object(name, entry, base, others, path.parent)
+                objects.insert(max(0, place), replace(gone, gone=True))
     return Recipe(tuple(objects))
 
 

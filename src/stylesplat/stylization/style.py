@@ -99,6 +99,8 @@ class StyledObject:
     upon: Mapping[str, float] | None = None
     """The objects that were painted before it, and how strong they were then; None leaves that
     to whoever uses the recipe."""
+    gone: bool = False
+    """Whether it is there only as long as others are painted upon it."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class Recipe:
     """Which objects to repaint, and how."""
 
     objects: tuple[StyledObject, ...] = field(default_factory=tuple)
-    """Each once, in order."""
+    """In order, each once, but for those that are gone in the end."""
 
 
 def as_recipe(

@@ -1,5 +1,6 @@
 """Label maps onto any splats, in closed form: what contributes to a pixel takes its label."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -11,11 +12,12 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.shares import PRIOR, label_votes
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.labels import BACKGROUND, MAX_ID
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
 REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
+DOUBT = 0.01  # probability of all other classes together, for a label that is known
 MANY = 2048  # classes beyond which they stay where chance put them
 
 
@@ -57,6 +59,39 @@ def lift(
     codes = class_codes(len(ids)).to(shares)
     classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
     return replace(splats, identities=shares @ codes, classifier=classifier, confidence=confidence)
+
+
+@torch.no_grad()
+def labelled(splats: Splats, labels: Int[Tensor, " N"]) -> Splats:
+    """Give every Gaussian a label that is known, as if it had been lifted.
+
+    Args:
+        splats: The scene.
+        labels: Their label ids; 0 is what belongs to no object.
+
+    Returns:
+        The splats with identities and a classifier, and without `confidence`.
+
+    Raises:
+        StyleSplatError: If there are more or fewer labels than Gaussians, none but 0, negative
+            ones, or too many different ones.
+    """
+    if len(labels) != len(splats):
+        raise StyleSplatError(
+            f"There are {len(labels):,} labels for {len(splats):,} Gaussians. Give one for each."
+        )
+    ids, classes = torch.cat([labels.new_zeros(1), labels.cpu()]).unique(return_inverse=True)
+    if ids[0] < 0 or ids[-1] > MAX_ID or not 1 < len(ids) <= MANY:
+        raise StyleSplatError(
+            f"There are {len(ids) - 1:,} objects in labels from {int(ids[0])} to {int(ids[-1])}. "
+            f"Label 1 to {MANY - 1:,} objects with 1 to {MAX_ID}, and all else with 0."
+        )
+    codes = class_codes(len(ids)).to(splats.means)
+    closest = float((codes @ codes.T).fill_diagonal_(-1).max())
+    sharpness = max(SHARPNESS, math.log(len(ids) / DOUBT) / (1 - closest))
+    classifier = Classifier(sharpness * codes, codes.new_zeros(len(ids)), tuple(ids.tolist()))
+    identities = codes[classes[1:].to(codes.device)]
+    return replace(splats, identities=identities, classifier=classifier, confidence=None)
 
 
 def class_codes(count: int) -> Float[Tensor, "K 16"]:

@@ -6,7 +6,8 @@ from dataclasses import replace
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
 from stylesplat.scene.scene import Scene
-from stylesplat.stylization.bookkeeping import at_intensities, require_painted, unpainted
+from stylesplat.stylization.bookkeeping import at_intensities
+from stylesplat.stylization.undo import require_painted_objects, unpainted
 
 
 def adjust(
@@ -24,25 +25,20 @@ def adjust(
         scene: A styled scene.
         intensity: 0 for the colours before, 1 for the style's, up to 1.5 to exaggerate.
         objects: What to adjust; all that were styled by default.
-        undo: Give the scene as it was before it was styled, to the bit.
+        undo: Give the scene as it was before these objects were styled, to the bit; what else was
+            styled stays as it is.
 
     Raises:
         StyleSplatError: If the scene is not styled, or not in these objects, or nothing says what
             to do.
     """
+    names = [objects] if isinstance(objects, str) else list(objects)
     if undo:
-        return unpainted(scene)
+        return unpainted(scene, names or None)
     if intensity is None:
         raise StyleSplatError("Nothing to adjust. Pass an --intensity F, or --undo.")
     check_intensity(intensity)
-    painted = require_painted(scene)
-    names = [objects] if isinstance(objects, str) else list(objects)
-    unknown = next((name for name in names if name not in painted.names), None)
-    if unknown is not None:
-        raise StyleSplatError(
-            f"{unknown} is not styled in {scene.path or 'this scene'}. "
-            f"Styled objects: {', '.join(painted.names)}."
-        )
+    painted = require_painted_objects(scene, names)
     scene = at_intensities(scene, dict.fromkeys(names or painted.names, float(intensity)))
     # What was measured of the style before is no longer true
     return replace(scene, metrics={"train": scene.metrics.get("train", {})})

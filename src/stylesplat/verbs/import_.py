@@ -7,21 +7,26 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
+from stylesplat.io.row_labels import read_row_labels
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames, posed_as, seen_from
+from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import object_ids
 from stylesplat.selection.naming import with_names
-from stylesplat.training.lifting import lift
+from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
@@ -35,6 +40,7 @@ def import_(
     *,
     frame: FrameName = "capture",
     up: Up | None = None,
+    labels: Path | str | Int[Tensor, " N"] | None = None,
     device: str = "auto",
 ) -> Scene:
     """Make a scene of a splat, with the cameras and label maps of a capture if there is one.
@@ -47,12 +53,15 @@ def import_(
             around the content.
         frame: The world frame of the splat, if it is not the capture's.
         up: Which way is up, for the circles; by default -y, as COLMAP has it.
+        labels: The label id of every Gaussian, or a file of them (see `read_row_labels`); they
+            take the place of the capture's label maps.
         device: Where to render.
 
     Returns:
         The scene. Its metrics are `seconds`, `gaussians`, and with photos `psnr` and `ssim`, with
         label maps `confidence` (mean share of a Gaussian's pixels that have its label),
-        `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps.
+        `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps; with
+        labels `objects` and `unlabelled_gaussians`.
 
     Raises:
         StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
@@ -65,6 +74,10 @@ def import_(
     start = time.perf_counter()
     splats = splat if isinstance(splat, Splats) else read_splats(splat)
     file = None if isinstance(splat, Splats) else Path(splat)
+    counts = {}
+    if labels is not None:
+        splats, counts = _labelled(splats, labels)
+        capture = capture and replace(capture, label_maps=None, object_names={})
     if capture is None:
         scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
         say(
@@ -78,8 +91,20 @@ def import_(
     libraries = {"stylesplat": version("stylesplat")}
     info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
     seconds = round(time.perf_counter() - start, 2)
-    metrics = {"gaussians": len(splats), **scene.metrics, "seconds": seconds}
+    metrics = {"gaussians": len(splats), **counts, **scene.metrics, "seconds": seconds}
     return replace(scene, info=info, metrics=metrics)
+
+
+def _labelled(
+    splats: Splats, labels: Path | str | Int[Tensor, " N"]
+) -> tuple[Splats, dict[str, int]]:
+    """The splats with labels that are known, and how many objects these make."""
+    if not isinstance(labels, Tensor):
+        labels = read_row_labels(labels, len(splats))
+    splats = labelled(splats, labels)
+    assert splats.classifier is not None
+    unlabelled = int((labels == BACKGROUND).sum())
+    return splats, {"objects": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
 
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
@@ -87,9 +112,9 @@ def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
     cameras = seen_from(capture.full_cameras, known_frames(capture.full_cameras)[frame])
     small = posed_as(at_most(capture, WORKING_SIZE), cameras)
     metrics: dict[str, Any] = {}
-    if small.label_maps is None:
+    if small.label_maps is None and splats.classifier is None:
         say("No label maps: objects can be picked by --box3d and --sphere only.")
-    else:
+    elif small.label_maps is not None:
         splats = lift(splats, small)
         assert splats.confidence is not None
         seen = splats.confidence[splats.confidence > 0]

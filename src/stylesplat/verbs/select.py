@@ -29,6 +29,8 @@ def select(
     sphere: Place | None = None,
     plus: str | Sequence[str] = (),
     minus: str | Sequence[str] = (),
+    all: bool = False,
+    background: bool = False,
     grow: float | None = None,
     shrink: float | None = None,
     threshold: float = THRESHOLD,
@@ -53,6 +55,9 @@ def select(
             that pixel.
         plus: Names of earlier selections that belong to it.
         minus: Names of earlier selections that do not.
+        all: Everything.
+        background: What is part of no label id's object; in a scene without label ids, of nothing
+            else that has a name.
         grow: Take in what lies close by, as a share of the object's extent.
         shrink: Give up what lies close to anything else, likewise.
         threshold: Probability of the object above which a Gaussian belongs to it.
@@ -78,6 +83,8 @@ def select(
         sphere=_sphere(sphere) if sphere else None,
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),
+        all=all,
+        background=background,
         grow=grow,
         shrink=shrink,
     )
@@ -86,7 +93,7 @@ def select(
         object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
         detector = load_detector(model, pick_device(device))
     rules = Rules(threshold, remove_outliers)
-    found = choose(scene, choice, rules=rules, detector=detector)
+    found = choose(scene, choice, name=name, rules=rules, detector=detector)
     if name in scene.objects:
         before = int(scene.objects[name].picked.sum())
         say(f"{name!r} meant {before:,} Gaussians before.")

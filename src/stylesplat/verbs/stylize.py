@@ -1,7 +1,7 @@
 """`stylize`: repaint objects of a scene, each in the style of pictures."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -17,6 +17,7 @@ from stylesplat.stylization.bookkeeping import (
     at_intensities,
     refuse_painted,
     strengths,
+    with_origin,
     with_paintings,
 )
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -33,6 +34,7 @@ from stylesplat.stylization.style import (
     digest,
 )
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.undo import unpainted
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ def stylize(
 
     Nothing but these objects changes: of their Gaussians the colours, and those too large to show
     strokes are split. The new ones follow all others. Objects are painted each by itself; those
-    that were painted before stay, and show in the views that others are painted in.
+    that were painted before stay to the bit, and show in the views that others are painted in. An
+    object that was painted before is painted anew from the colours it had before that.
 
     Args:
         scene: What to paint on.
@@ -79,8 +82,8 @@ def stylize(
         of training are under `train`.
 
     Raises:
-        StyleSplatError: If an object, picture or weights file is unfit, or an object was painted
-            before.
+        StyleSplatError: If an object, picture or weights file is unfit, or Gaussians of an object
+            are part of another one that is painted.
 
     Example:
         >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
@@ -90,14 +93,17 @@ def stylize(
     if not recipe.objects:
         raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
     start = time.perf_counter()
-    before, measured = scene, {}
+    before, measured, passing = scene, {}, set[str]()
     for run in _runs(recipe, scene, features, weights):
+        scene = _cleared(scene, run, passing - run.upon.keys())
         scene, found = _painted(scene, run, max_memory, device)
         measured = _joined(measured, found)
-    wanted = strengths(before) | {each.name: _final(each) for each in recipe.objects}
+        passing = passing - _names(run) | {each.name for each in run.objects if each.gone}
+    scene = unpainted(scene, passing & strengths(scene).keys())
+    wanted = strengths(before) | {o.name: _final(o) for o in recipe.objects if not o.gone}
     metrics = {"seconds": time.perf_counter() - start, **measured}
     metrics["train"] = before.metrics.get("train", before.metrics)
-    return replace(at_intensities(scene, wanted), metrics=metrics)
+    return replace(with_origin(at_intensities(scene, wanted), before), metrics=metrics)
 
 
 def load_network(
@@ -162,11 +168,24 @@ def _final(each: StyledObject) -> float:
     return each.style.config.intensity if each.intensity is None else each.intensity
 
 
+def _names(run: Run) -> set[str]:
+    return {each.name for each in run.objects}
+
+
+def _cleared(scene: Scene, run: Run, passing: Set[str]) -> Scene:
+    """The scene without what a run paints anew, and without what only others needed."""
+    there = strengths(scene).keys()
+    anew = sorted(_names(run) & there)
+    if anew:
+        say(f"Painting {', '.join(anew)} anew, from the colours before.")
+    return unpainted(scene, {*anew, *(passing & there)})
+
+
 def _painted(
     scene: Scene, run: Run, max_memory: float, device: str
 ) -> tuple[Scene, dict[str, Any]]:
     """The scene after a run, and what was measured of it."""
-    lost = sorted(run.upon.keys() - strengths(scene).keys())
+    lost = sorted(run.upon.keys() - strengths(scene).keys() - _names(run))
     if lost:
         say(f"{run.objects[0].name} was painted upon {', '.join(lost)}, which is not there now.")
     styles = [each.style for each in run.objects]

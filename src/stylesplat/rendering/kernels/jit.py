@@ -18,6 +18,9 @@ from typing import Any
 import numba
 
 from stylesplat.rendering.kernels.code_cache import keep
+from stylesplat.rendering.kernels.compiling import announce_compilation
+
+announce_compilation()  # whoever loads kernels may have to compile them
 
 ONLY_PRANGE = {
     "prange": True,

@@ -1,0 +1,27 @@
+"""`delete`: a name of a scene taken away."""
+
+from dataclasses import replace
+
+from stylesplat.progress import say
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.naming import require_named
+
+
+def delete(scene: Scene, name: str) -> Scene:
+    """Forget a named object of a scene. Its Gaussians stay, and so does what is painted on them.
+
+    Args:
+        scene: Where it is.
+        name: What it is called.
+
+    Raises:
+        StyleSplatError: If nothing is called so.
+
+    Example:
+        >>> scene = delete(scene, "lid")  # doctest: +SKIP
+    """
+    require_named(scene, name)
+    if scene.painted and name in scene.painted.names:
+        say(f"{name} stays painted. `stylesplat adjust --object {name} --undo` takes that back.")
+    objects = {other: each for other, each in scene.objects.items() if other != name}
+    return replace(scene, objects=objects)

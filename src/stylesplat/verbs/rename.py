@@ -1,0 +1,41 @@
+"""`rename`: another name for an object of a scene."""
+
+from dataclasses import replace
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.scene import Scene, check_name
+from stylesplat.selection.naming import require_named
+
+
+def rename(scene: Scene, old: str, new: str) -> Scene:
+    """Call an object of a scene something else.
+
+    Args:
+        scene: Where it is.
+        old: What it is called.
+        new: What to call it.
+
+    Raises:
+        StyleSplatError: If nothing is called so, the new name is taken or cannot be one, or the
+            object is painted: the recipe, by which the scene can be made again, has its name.
+
+    Example:
+        >>> scene = rename(scene, "object", "vase")  # doctest: +SKIP
+    """
+    require_named(scene, old)
+    check_name(new)
+    painted = scene.painted.names if scene.painted else ()
+    if old in painted:
+        where = scene.path or "STYLED"
+        raise StyleSplatError(
+            f"Cannot rename {old!r}: it is painted, and the recipe calls it so. Rename it in the "
+            f"scene before, or take the paint back first: `stylesplat adjust {where} --object "
+            f"{old} --undo -o SCENE`."
+        )
+    if new in scene.objects or new in painted:
+        raise StyleSplatError(
+            f"Cannot rename {old!r}: something else is called {new!r}. Choose another name, or "
+            f"delete that one first."
+        )
+    objects = {new if name == old else name: each for name, each in scene.objects.items()}
+    return replace(scene, objects=objects)

@@ -1,0 +1,92 @@
+"""The verbs `rename` and `delete`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from painted_balls import TRAINED, assert_same_splats, painted, write_pictures
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.scene.scene import Scene
+from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.delete import delete
+from stylesplat.verbs.objects import objects
+from stylesplat.verbs.rename import rename
+from stylesplat.verbs.select import select
+
+SCENE = select(select(Scene(SPLATS, CAMERAS), "red", id=3), "green", id=7)
+
+
+@pytest.fixture(scope="module")
+def styled(tmp_path_factory: pytest.TempPathFactory, small_measurements: None) -> Scene:
+    """The red ball painted, from disk."""
+    folder = tmp_path_factory.mktemp("styled")
+    wave, _ = write_pictures(folder)
+    scene_folder.save(TRAINED, folder / "trained")
+    scene = painted(scene_folder.open(folder / "trained"), "red", wave)
+    scene_folder.save(scene, folder / "styled")
+    return scene_folder.open(folder / "styled")
+
+
+def test_an_object_gets_another_name(tmp_path: Path):
+    scene = rename(SCENE, "red", "花瓶")
+    assert [*scene.objects] == ["花瓶", "green"], "in its place"
+    assert scene.objects["花瓶"] is SCENE.objects["red"]
+    assert [each["names"] for each in objects(scene)] == [["花瓶"], ["green"], []]
+    scene_folder.save(scene, tmp_path / "scene")
+    assert [*scene_folder.open(tmp_path / "scene").objects] == ["花瓶", "green"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("blue", "it", r"No object of the scene is called 'blue'\. Names: red, green\."),
+        ("3", "it", r"is called '3'"),
+        ("red", "green", r"something else is called 'green'"),
+        ("red", "red", r"something else is called 'red'"),
+        ("red", "7", r"numbers are label ids"),
+        ("red", "a/b", r"must not contain"),
+    ],
+)
+def test_names_that_cannot_be_given(old: str, new: str, fault: str):
+    with pytest.raises(StyleSplatError, match=fault):
+        rename(SCENE, old, new)
+
+
+def test_an_object_is_forgotten():
+    scene = delete(SCENE, "red")
+    assert [*scene.objects] == ["green"] and scene.splats is SCENE.splats
+    with pytest.raises(StyleSplatError, match=r"is called 'red'\. Names: green\."):
+        delete(scene, "red")
+    with pytest.raises(StyleSplatError, match=r"Names: none\."):
+        delete(delete(scene, "green"), "green")
+
+
+def test_what_is_painted_keeps_its_name(styled: Scene):
+    """By which the recipe knows it."""
+    with pytest.raises(StyleSplatError, match=r"'red': it is painted.*--object red --undo"):
+        rename(styled, "red", "vase")
+    other = rename(styled, "green", "vase")
+    assert_same_splats(adjust(other, undo=True).splats, adjust(styled, undo=True).splats)
+    assert adjust(other, undo=True).objects.keys() == {"red", "vase", "blue", "both"}
+    with pytest.raises(StyleSplatError, match="something else is called 'red'"):
+        rename(delete(styled, "red"), "green", "red")
+
+
+def test_what_is_painted_stays_so_without_a_name(styled: Scene, said: list[str]):
+    scene = delete(styled, "red")
+    assert "red stays painted. `stylesplat adjust --object red --undo` takes that back." in said
+    assert_same_splats(scene.splats, styled.splats)
+    assert_same_splats(adjust(scene, 0.2).splats, adjust(styled, 0.2).splats)
+    undone = adjust(scene, objects="red", undo=True)
+    assert_same_splats(undone.splats, adjust(styled, undo=True).splats)
+    assert undone.objects.keys() == {"green", "blue", "both"}
+
+
+def test_both_are_of_objects_and_not_of_gaussians():
+    count = torch.arange(len(SPLATS))
+    assert_same_splats(rename(SCENE, "red", "it").splats[count], SPLATS)
+    assert replace(delete(SCENE, "red"), objects=SCENE.objects) == SCENE

@@ -1,0 +1,189 @@
+"""Paintings taken back one by one, and objects painted anew, beside others that stay."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import SPLATS
+from painted_balls import (
+    FAST,
+    TRAINED,
+    assert_same_objects,
+    assert_same_splats,
+    painted,
+    write_pictures,
+)
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.io.json_files import read_json
+from stylesplat.io.scene_folder import save
+from stylesplat.scene.paintings import Painted
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.pick import pick
+from stylesplat.stylization.recipe import read_recipe
+from stylesplat.stylization.style import Style
+from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.select import select
+from stylesplat.verbs.stylize import stylize
+
+pytestmark = pytest.mark.usefixtures("small_measurements")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The balls; red painted; green painted upon that, by its label id; and two pictures."""
+    folder = tmp_path_factory.mktemp("undo")
+    wave, night = write_pictures(folder)
+    save(TRAINED, folder / "trained")
+    save(painted(opened(folder / "trained"), "red", wave), folder / "once")
+    save(painted(opened(folder / "once"), "7", night), folder / "twice")
+    return folder
+
+
+def opened(path: Path) -> Scene:
+    return scene_folder.open(path)
+
+
+def known(scene: Scene) -> Painted:
+    assert scene.painted is not None
+    return scene.painted
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        path.name: path.read_bytes() for path in folder.iterdir() if path.name != "metrics.json"
+    }
+
+
+def of(scene: Scene, name: str) -> torch.Tensor:
+    """The Gaussians of a painting."""
+    (found,) = (each.picked for each in known(scene).paintings if each.name == name)
+    return found
+
+
+def assert_made_again(scene: Scene, folder: Path, place: Path) -> None:
+    """From the scene before, by the recipe: every file but that of what was measured."""
+    save(scene, place / "it")
+    recipe = read_recipe(place / "it" / "recipe.json")
+    save(stylize(opened(folder / "trained"), recipe, device="cpu"), place / "again")
+    assert contents(place / "again") == contents(place / "it")
+
+
+def test_undoing_the_last_gives_the_scene_before_it(folder: Path, tmp_path: Path):
+    twice = opened(folder / "twice")
+    assert len(twice.splats) > len(opened(folder / "once").splats) > len(SPLATS)
+    undone = adjust(adjust(twice, 0.2, objects="7"), objects="7", undo=True)
+    save(undone, tmp_path / "undone")
+    assert contents(tmp_path / "undone") == contents(folder / "once")
+    assert undone.metrics == {"train": {"psnr": 30.0}}
+
+
+def test_undoing_the_first_leaves_the_second_alone(folder: Path, tmp_path: Path):
+    twice, trained = opened(folder / "twice"), opened(folder / "trained")
+    save(adjust(twice, undo=True, objects=["red"]), tmp_path / "undone")
+    undone = opened(tmp_path / "undone")
+    first = torch.arange(len(SPLATS))
+    others = ~of(twice, "7")[first]
+    assert_same_splats(undone.splats[first][others], trained.splats[others])
+    assert_same_splats(undone.splats[of(undone, "7")], twice.splats[of(twice, "7")])
+    assert len(undone.splats) - len(SPLATS) == (~first_ones(undone) & of(undone, "7")).sum()
+    assert known(undone).names == ("7",)
+    assert undone.objects.keys() == TRAINED.objects.keys()
+
+
+def first_ones(scene: Scene) -> torch.Tensor:
+    """Those that the scene had before anything was split."""
+    return torch.arange(len(scene.splats)) < len(SPLATS)
+
+
+@pytest.mark.parametrize("order", [("red", "7"), ("7", "red")])
+def test_undoing_one_after_the_other_is_undoing_all(
+    order: tuple[str, str], folder: Path, tmp_path: Path
+):
+    scene = opened(folder / "twice")
+    for number, name in enumerate(order):
+        save(adjust(scene, objects=name, undo=True), tmp_path / str(number))
+        scene = opened(tmp_path / str(number))
+    assert contents(tmp_path / "1") == contents(folder / "trained")
+    both = adjust(opened(folder / "twice"), objects=order, undo=True)
+    assert both.painted is None and both.metrics == {"psnr": 30.0}
+    assert_same_splats(both.splats, opened(folder / "trained").splats)
+
+
+def test_what_is_left_is_adjusted_measured_and_made_again(folder: Path, tmp_path: Path):
+    """Also of what was painted upon something that is gone."""
+    undone = adjust(opened(folder / "twice"), objects="red", undo=True)
+    assert [each.painting.name for each in known(undone).gone] == ["red"]
+    assert_made_again(undone, folder, tmp_path)
+    loud = adjust(opened(tmp_path / "it"), 1.2)
+    assert_same_splats(adjust(loud, FAST.intensity).splats, undone.splats)
+    assert evaluate(loud, device="cpu")["nnfm_after"].keys() == {"7"}
+    recipe = read_json(tmp_path / "it" / "recipe.json")
+    assert [each["name"] for each in recipe["objects"]] == ["7"]
+    assert [(each["name"], each["place"]) for each in recipe["gone"]] == [("red", 0)]
+
+
+def test_only_what_others_were_painted_upon_is_remembered(folder: Path, tmp_path: Path):
+    wave, night = folder / "wave.png", folder / "night.png"
+    styles = {"red": Style(wave, config=FAST), "green": Style(night, config=FAST)}
+    both = stylize(opened(folder / "trained"), styles, device="cpu")
+    assert known(adjust(both, objects="red", undo=True)).gone == ()
+    scene = painted(both, "blue", wave)
+    scene = adjust(scene, objects="red", undo=True)
+    assert [(each.painting.name, each.place) for each in known(scene).gone] == [("red", 0)]
+    assert_made_again(scene, folder, tmp_path)
+    assert known(adjust(scene, objects="blue", undo=True)).gone == ()
+
+
+def test_what_is_not_painted_is_not_undone(folder: Path):
+    with pytest.raises(StyleSplatError, match=r"blue is not styled in .*Styled objects: red, 7"):
+        adjust(opened(folder / "twice"), objects=["red", "blue"], undo=True)
+
+
+def test_an_object_is_painted_anew_from_its_own_colours(folder: Path, said: list[str]):
+    """Not upon its old style; the only one that was painted gives what painting it first does."""
+    night = folder / "night.png"
+    anew = painted(opened(folder / "once"), "red", night)
+    assert "Painting red anew, from the colours before." in said
+    first = painted(opened(folder / "trained"), "red", night)
+    assert_same_splats(anew.splats, first.splats)
+    assert_same_objects(anew, first)
+    assert known(anew).origin == folder / "trained"
+    assert anew.metrics["train"] == {"psnr": 30.0}
+
+
+def test_painting_one_anew_leaves_the_others_alone(folder: Path, tmp_path: Path):
+    twice = adjust(opened(folder / "twice"), 0.3, objects="7")
+    anew = painted(twice, "red", folder / "night.png", max_growth=2.0)
+    assert known(anew).names == ("7", "red")
+    assert_same_splats(anew.splats[of(anew, "7")], twice.splats[of(twice, "7")])
+    first = torch.arange(len(SPLATS))
+    others = ~(of(twice, "7") | of(twice, "red"))[first]
+    assert_same_splats(anew.splats[first][others], twice.splats[first][others])
+    assert (anew.splats.sh0[of(anew, "red")][:80] != twice.splats.sh0[of(twice, "red")][:80]).any()
+    assert [dict(each.upon) for each in known(anew).paintings] == [{"red": 0.6}, {"7": 0.3}]
+    assert_made_again(anew, folder, tmp_path)
+    undone = adjust(opened(tmp_path / "it"), undo=True)
+    assert_same_splats(undone.splats, opened(folder / "trained").splats)
+    again = adjust(opened(tmp_path / "it"), objects="red", undo=True)
+    assert_same_splats(again.splats[of(again, "7")], twice.splats[of(twice, "7")])
+
+
+def test_an_object_is_painted_anew_by_its_id_and_several_at_once(folder: Path):
+    night = folder / "night.png"
+    styles = {"7": Style(night, config=FAST), "red": Style(night, config=FAST)}
+    anew = stylize(opened(folder / "twice"), styles, device="cpu")
+    first = stylize(opened(folder / "trained"), styles, device="cpu")
+    assert_same_splats(anew.splats, first.splats)
+    assert known(anew).gone == () and known(anew).names == ("7", "red")
+
+
+def test_a_part_of_what_is_painted_is_not_painted(folder: Path):
+    both = select(opened(folder / "twice"), "either", plus=("red", "7"))
+    with pytest.raises(StyleSplatError, match=r"either is styled in .*as a part of red\. .*--undo"):
+        painted(both, "either", folder / "wave.png")
+    assert pick(both.splats, object_id=3).any()
+    with pytest.raises(StyleSplatError, match=r"3 is styled in .* as a part of red"):
+        painted(both, "3", folder / "wave.png")
