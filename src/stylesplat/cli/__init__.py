@@ -15,6 +15,7 @@ from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
+from stylesplat.cli.log_lines import LogLines
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Objects
 from stylesplat.cli.render import Render
@@ -75,7 +76,7 @@ def _run(command: Any) -> None:
     from stylesplat.rendering.kernels.compiling import announce_compilation  # loads numba
 
     announce_compilation()
-    with closing(Bars()) as bars, observed(bars):
+    with closing(Bars() if sys.stderr.isatty() else LogLines()) as observer, observed(observer):
         result = command.run()
     if command.json:
         print(strict_json(result), flush=True)
