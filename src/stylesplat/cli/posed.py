@@ -22,9 +22,13 @@ def posed(given: Path, *, beside: Path) -> Path:
             place of the capture is taken.
     """
     from stylesplat.io.captures.capture_folder import is_posed
+    from stylesplat.io.kinds import kind_of, no_capture, refuse_other_than_photos
 
-    if is_posed(given) or not given.exists():
+    if is_posed(given):
         return given
+    refuse_other_than_photos(given)
+    if kind_of(given) == "part of a capture":
+        raise no_capture(given)
     from stylesplat.progress import say
     from stylesplat.verbs.sfm import sfm
 

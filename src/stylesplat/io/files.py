@@ -65,6 +65,8 @@ def require_regular(path: Path | str) -> None:
         raise StyleSplatError(f"Cannot read {brief(str(path))}: {error.strerror}.") from error
     except ValueError as error:  # of a name with NUL or half a character
         raise StyleSplatError(f"Cannot read {str(path)!r}: it is no name of a file.") from error
+    if other and Path(path).is_dir():
+        raise StyleSplatError(f"Cannot read {path}: it is a folder. Give a file in it.")
     if other:
         raise StyleSplatError(f"Cannot read {path}: it is no plain file. Check the name.")
 
@@ -92,7 +94,7 @@ def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) ->
         with path.open("rb") as file:
             return file.read(first)
     except OSError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error.strerror}.") from error
+        raise StyleSplatError(f"Cannot read {path}: {error.strerror}. Check the name.") from error
     except MemoryError as error:
         raise StyleSplatError(f"Cannot read {path}: it is larger than the free memory.") from error
 

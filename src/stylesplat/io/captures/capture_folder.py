@@ -17,6 +17,7 @@ from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.captures.photos import Photo, fit_photo, is_reduced
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
+from stylesplat.io.kinds import no_capture
 from stylesplat.io.label_maps import match_label_maps, read_names
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
@@ -122,22 +123,12 @@ def is_posed(folder: Path) -> bool:
 
 
 def _read_poses(folder: Path) -> PosedFiles:
-    if folder.is_file():
-        raise StyleSplatError(
-            f"{folder} is a file, not the folder of a capture. Of a video, "
-            f"`stylesplat sfm {folder} -o CAPTURE` makes one."
-        )
-    if not folder.is_dir():
-        raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
     sparse = find_sparse(folder)
     if sparse:
         return read_colmap(folder, sparse)
     if (folder / TRANSFORMS).is_file():
         return read_transforms(folder)
-    raise StyleSplatError(
-        f"{folder} is not a capture: it has neither sparse/0/cameras.bin (or .txt) nor "
-        f"{TRANSFORMS}. Find the cameras first: `stylesplat sfm {folder} -o CAPTURE`."
-    )
+    raise no_capture(folder)
 
 
 def _check_poses(posed: PosedFiles, folder: Path) -> None:
