@@ -32,6 +32,7 @@ class Evaluate:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.places import refuse_unwritable
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.progress import say
@@ -39,6 +40,7 @@ class Evaluate:
         from stylesplat.verbs.load import load
 
         scene = open(self.scene)
+        refuse_unwritable(self.scene)
         source, capture = self.capture or scene.capture, None
         if source is None and scene.painted is None:
             raise StyleSplatError(

@@ -72,6 +72,7 @@ class LogLines:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """`clock` gives the seconds by which lines come."""
         self._clock = clock
+        self._said: set[str] = set()
 
     def close(self) -> None:
         """There is nothing to take away."""
@@ -88,8 +89,10 @@ class LogLines:
             counted.end()
 
     def say(self, line: str) -> None:
-        """Write a line."""
-        _write(line)
+        """Write a line, if it was not written before."""
+        if line not in self._said:
+            self._said.add(line)
+            _write(line)
 
 
 def _write(line: str) -> None:

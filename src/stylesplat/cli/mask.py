@@ -10,6 +10,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
+from stylesplat.cli.results import write_or_rescue
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
@@ -153,7 +154,12 @@ class Mask:
         from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
-        found = write_label_maps(masked, output, overwrite=self.overwrite)
+        found = write_or_rescue(
+            lambda place, replace: write_label_maps(masked, place, overwrite=replace),
+            output,
+            overwrite=self.overwrite,
+            what="The label maps are",
+        )
         ids = sorted(set[int]().union(*found.values()))
         names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
         with changing(output / PREVIEW):

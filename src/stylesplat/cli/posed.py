@@ -1,5 +1,6 @@
 """Photos or a video where a capture is asked for: their poses are found first, once."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -102,4 +103,5 @@ def is_under_way(given: Path, *, beside: Path) -> bool:
     """Whether poses are being found that `posed` would go on with."""
     from stylesplat.io.folders import partial_of
 
-    return (partial_of(place_of(given, beside=beside)) / "sfm").exists()
+    work = partial_of(place_of(given, beside=beside)) / "sfm"
+    return os.path.exists(work)  # noqa: PTH110 - unlike Path's, it takes any name

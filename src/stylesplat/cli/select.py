@@ -62,6 +62,7 @@ class Select:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.files import file_stem, inside
+        from stylesplat.io.places import refuse_unwritable
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.verbs.select import select
@@ -71,6 +72,7 @@ class Select:
         target = inside(self.scene, f"{PICTURES}/{file_stem(self.name)}.png")
         with changing(self.scene):  # from reading on, so that no other's selection is lost
             before = open(self.scene)
+            refuse_unwritable(self.scene)
             after = select(
                 before,
                 self.name,

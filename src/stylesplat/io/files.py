@@ -12,6 +12,13 @@ from uuid import uuid4
 from stylesplat.errors import StyleSplatError, brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+ELSEWHERE = " Choose another place."
+REMEDIES = {  # other errors of writing
+    errno.ENAMETOOLONG: " Choose a shorter name.",
+    errno.EACCES: " Choose a place that this user may write to.",
+    errno.EPERM: " Choose a place that this user may write to.",
+    errno.EROFS: " Choose a place that can be written to.",
+}
 MARK = "[0-9a-f]{12}"  # what makes a hidden name one that nothing has: see `mark`
 MAX_STEM = 48  # characters of a file name that are taken from a text
 PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
@@ -153,4 +160,5 @@ def cannot_write(path: Path, error: OSError) -> StyleSplatError:
     """What to tell the user about a place that could not be written to."""
     if error.errno in DISK_FULL:
         return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
-    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.")
+    remedy = REMEDIES.get(error.errno or 0, ELSEWHERE) if error.strerror else ""
+    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.{remedy}")

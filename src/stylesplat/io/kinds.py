@@ -136,7 +136,7 @@ def _kind_of_folder(path: Path) -> Kind:
         return "capture"
     if _is_scene(path.parent):
         return "part of a scene"
-    photos = any(_within(path, lambda place: place.suffix.lower() in PHOTOS))
+    photos = any(_within(path, _holds_photos))
     if photos and path.name.startswith("images") and _is_capture(path.parent):
         return "part of a capture"
     return "photos" if photos else "folder"
@@ -152,6 +152,15 @@ def _is_capture(path: Path) -> bool:
     from stylesplat.io.captures.capture_folder import is_posed
 
     return is_posed(path)
+
+
+def _holds_photos(path: Path) -> bool:
+    """Whether it is a photo, or a folder that some lie in."""
+    return _is_photo(path) or any(_within(path, _is_photo))
+
+
+def _is_photo(path: Path) -> bool:
+    return path.suffix.lower() in PHOTOS
 
 
 def _within(path: Path, fits: Callable[[Path], bool]) -> list[Path]:

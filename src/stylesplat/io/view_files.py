@@ -7,11 +7,11 @@ from pathlib import Path, PurePosixPath
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import inside
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.places import refuse_file
 from stylesplat.io.recovery import changing
 from stylesplat.io.video import write_video
 
@@ -41,8 +41,8 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
     """
     if not is_video(output):
         refuse_occupied(output, marker="", overwrite=overwrite)
-    elif output.is_dir() or (output.exists() and not overwrite):
-        raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")
+    else:
+        refuse_file(output, overwrite=overwrite)
 
 
 def write_views(
