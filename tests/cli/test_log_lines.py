@@ -8,6 +8,7 @@ import pytest
 
 from stylesplat import cli
 from stylesplat.cli import bars
+from stylesplat.cli.bars import Bars
 from stylesplat.cli.log_lines import EVERY, LogLines
 from stylesplat.progress import Observer, observed, say, task, track
 
@@ -103,6 +104,16 @@ def test_what_is_said_is_a_line(lines):
     with task("work", 2):
         say("No label maps.")
     assert lines() == ["No label maps."]
+
+
+@pytest.mark.parametrize("observer", [LogLines, Bars])
+def test_a_line_is_said_once(observer: type[LogLines | Bars], capsys: pytest.CaptureFixture[str]):
+    """Captures are opened more than once by some verbs, and what is odd of them is told each time."""
+    with observed(observer()):
+        say("2 photos are missing.")
+        say("3 photos have no pose.")
+        say("2 photos are missing.")
+    assert capsys.readouterr().err == "2 photos are missing.\n3 photos have no pose.\n"
 
 
 class Work:

@@ -23,7 +23,8 @@ class Evaluate:
     scene: Positional[Path]
     """Folder of the scene."""
     capture: Path | None = None
-    """Folder of the photos; by default where they were when the scene was trained, or moved to with the scene."""
+    """Folder of the photos; by default where they were when the scene was trained, or where they
+    were moved to together with it."""
     masks: Path | None = None
     """Folder of label maps to compare with; by default the capture's object_mask/."""
     device: Device = "auto"
@@ -49,7 +50,8 @@ class Evaluate:
         gone = self.capture is None and source is not None and not source.is_dir()
         if gone and scene.painted is None:
             raise StyleSplatError(
-                f"The photos of {self.scene} are no longer in {source}. Say where: --capture FOLDER."
+                f"The photos of {self.scene} are no longer in {source}. "
+                "Say with --capture where they are."
             )
         if gone:
             say(

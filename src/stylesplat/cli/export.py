@@ -25,8 +25,8 @@ class Export:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.scene_folder import open
         from stylesplat.io.places import refuse_file
+        from stylesplat.io.scene_folder import open
         from stylesplat.verbs.export import export
 
         refuse_file(self.file, overwrite=self.overwrite)

@@ -18,8 +18,17 @@ SPLATS = (".ply", ".spz", ".splat")
 LISTED = 3  # names that a message holds
 
 Kind = Literal[
-    *("nothing", "scene", "part of a scene", "capture", "part of a capture"),
-    *("photos", "video", "splat", "picture", "file", "folder"),
+    "nothing",
+    "scene",
+    "part of a scene",
+    "capture",
+    "part of a capture",
+    "photos",
+    "video",
+    "splat",
+    "picture",
+    "file",
+    "folder",
 ]
 
 

@@ -202,9 +202,7 @@ def _info(scene: Scene, place: Path) -> dict[str, Any]:
     relative = {}
     if scene.capture is not None:
         with suppress(ValueError):  # on another drive of Windows
-            relative["capture_relative"] = os.path.relpath(
-                scene.capture.resolve(), place.resolve()
-            )
+            relative["capture_relative"] = os.path.relpath(scene.capture.resolve(), place.resolve())
     return {
         **scene.info,
         "version": VERSION,

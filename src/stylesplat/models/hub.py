@@ -153,8 +153,8 @@ def _from_hub(name: str, check: Callable[[Path], str]) -> Path:
         raise StyleSplatError(f"{name} is not in the cache, and HF_HUB_OFFLINE is set. {by_hand}")
     say(f"Downloading the model {name} to {constants.HF_HUB_CACHE}.")
     try:
+        check(Path(hf_hub_download(name, CONFIG)))  # before gigabytes of the wrong model
         bars = _terminal_bars()
-        check(Path(hf_hub_download(name, CONFIG, tqdm_class=bars)))  # before gigabytes of another
         return Path(snapshot_download(name, allow_patterns=[*FILES], tqdm_class=bars))
     except GatedRepoError as error:
         raise StyleSplatError(

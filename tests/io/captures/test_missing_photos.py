@@ -7,6 +7,7 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json, write_json
+from stylesplat.progress import Silence, observed
 from stylesplat.verbs.load import load
 from tiny_captures import save_noise
 
@@ -45,15 +46,15 @@ def test_those_that_are_there_are_taken(folder: Path, said: list[str]):
     assert capture.cameras.viewmats.equal(whole.cameras.viewmats[rows])
     assert all(capture.photos[i].equal(whole.photos[row]) for i, row in enumerate(rows))
     (line,) = said
-    assert line.startswith("2 of the 7 photos that have poses") and str(folder) in line
-    assert line.endswith("missing and left out: 002.png, 004.png.")
+    assert line.startswith("Missing, so left out: 002.png, 004.png (2 of the 7 photos that have")
+    assert str(folder) in line
 
 
 def test_many_are_named_by_the_first(make_capture: MakeCapture, said: list[str]):
     folder = make_capture(count=10)
     lose(folder, *(f"{number:03d}.png" for number in (1, 2, 4, 8, 9)))
     assert len(load(folder)) == 5
-    assert said[0].endswith("left out: 001.png, 002.png, 004.png and 2 more.")
+    assert "left out: 001.png, 002.png, 004.png and 2 more (5 of the 10 photos" in said[0]
 
 
 def test_fewer_than_half_are_refused(folder: Path):
@@ -67,7 +68,22 @@ def test_photos_without_poses_are_told(folder: Path, said: list[str]):
         save_noise(folder / "images" / name)
     lose(folder, "001.png")
     assert len(load(folder)) == 6
-    assert said[0] == f"2 photos in {folder} have no pose and are left out: a.jpg, b/c.png."
+    assert said[0] == (
+        f"Without a pose, so left out: a.jpg, b/c.png (2 of the 9 photos in {folder})."
+    )
+
+
+def test_reading_them_is_counted(folder: Path):
+    counted = []
+
+    class Listener(Silence):
+        def task(self, what: str, total: int | float | None, unit: str, done: int | float):
+            counted.append((what, total, unit))
+            return super().task(what, total, unit, done)
+
+    with observed(Listener()):
+        load(folder)
+    assert counted == [("reading photos", 7, "photo")]
 
 
 def test_names_do_not_depend_on_what_is_missing(tmp_path: Path):

@@ -154,7 +154,11 @@ def _check_poses(posed: PosedFiles, folder: Path) -> None:
 def _announce_unposed(posed: PosedFiles, folder: Path) -> None:
     others = photos_besides(folder, posed.names)
     if others:
-        say(f"{len(others)} photos in {folder} have no pose and are left out: {listed(others)}.")
+        total = len(others) + len(posed.names)
+        say(
+            f"Without a pose, so left out: {listed(others)} "
+            f"({len(others)} of the {total} photos in {folder})."
+        )
 
 
 def _announce_reduced(photos: Sequence[Photo], lenses: Sequence[Lens]) -> None:

@@ -86,8 +86,8 @@ def those_there(posed: PosedFiles, folder: Path) -> PosedFiles:
             f"there. Missing: {listed(missing)}. Put them back, or pose the photos again."
         )
     say(
-        f"{len(missing)} of the {count} photos that have poses in {folder} are missing and left "
-        f"out: {listed(missing)}."
+        f"Missing, so left out: {listed(missing)} "
+        f"({len(missing)} of the {count} photos that have poses in {folder})."
     )
     return posed.only([row for row, found in enumerate(there) if found])
 

@@ -138,7 +138,9 @@ def write_transforms(
     write_json(content, folder / TRANSFORMS)
 
 
-def _read_frame(path: Path, content: dict[str, Any]) -> tuple[Path, Lens | None, Float[Tensor, "4 4"]]:
+def _read_frame(
+    path: Path, content: dict[str, Any]
+) -> tuple[Path, Lens | None, Float[Tensor, "4 4"]]:
     frame = fitting(content, Frame, f"A frame of {path} is malformed", AGAIN)
     check_path(frame.file_path)
     photo = _find_photo(path.parent / frame.file_path)
