@@ -108,7 +108,7 @@ def test_what_is_said_is_a_line(lines):
 
 @pytest.mark.parametrize("observer", [LogLines, Bars])
 def test_a_line_is_said_once(observer: type[LogLines | Bars], capsys: pytest.CaptureFixture[str]):
-    """Captures are opened more than once by some verbs, and what is odd of them is told each time."""
+    """Some verbs open a capture more than once, and each time what is odd of it is told."""
     with observed(observer()):
         say("2 photos are missing.")
         say("3 photos have no pose.")
