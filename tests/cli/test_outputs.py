@@ -2,6 +2,7 @@
 
 import os
 from contextlib import nullcontext
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,8 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise AssertionError("work has begun")
 
+    for function in WORK:  # all first: what is loaded later would keep what it finds patched
+        import_module(function.rpartition(".")[0])
     for function in WORK:
         monkeypatch.setattr(function, fail)
 
