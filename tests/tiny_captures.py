@@ -7,6 +7,9 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
+from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.posed_files import PosedFiles
+
 WIDTH, HEIGHT = 64, 48
 PINHOLE = ("PINHOLE", (60.0, 62.0, 31.0, 25.0))
 
@@ -50,3 +53,8 @@ def write_capture(
     for i in range(count):
         save_noise(folder / images / f"{i + 1:03d}.png", seed=i)
     return folder
+
+
+def lenses_of(posed: PosedFiles) -> list[Lens]:
+    """The lenses of photos that all have one."""
+    return [lens for lens in posed.lenses if lens is not None]

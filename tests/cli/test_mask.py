@@ -99,8 +99,8 @@ def test_masks_with_names_that_cannot_be(
         ([], "Nothing says what to mask. Draw a box"),
         (["--method", "grabcut"], "Nothing says what to mask"),
         (["--method", "files"], "Say with --from where the masks are"),
-        (["--from", "{photos}", "--box", BOX], "--box means nothing with --method files"),
-        (["--from", "{photos}", "--scene", "x"], "--scene means nothing with --method files"),
+        (["--from", "{photos}", "--box", BOX], "--box means nothing with --from"),
+        (["--from", "{photos}", "--scene", "x"], "--scene means nothing with --from"),
         (
             ["--method", "grabcut", "--from", "{photos}", "--box", BOX],
             "--from means nothing with --method grabcut",

@@ -50,8 +50,9 @@ def test_a_capture_is_taken_as_it_is(tmp_path: Path):
     assert [p.name for p in tmp_path.iterdir()] == ["garden"]
 
 
-def test_what_is_not_there_is_left_to_the_reader(tmp_path: Path):
-    assert posed(tmp_path / "nothing", beside=tmp_path / "scene") == tmp_path / "nothing"
+def test_what_is_not_there_is_said(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"There is no folder .*nothing: .* Check it"):
+        posed(tmp_path / "nothing", beside=tmp_path / "scene")
 
 
 @pytest.mark.parametrize("near", ["My photos", "elsewhere/scene"])

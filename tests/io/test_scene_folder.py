@@ -77,9 +77,9 @@ def test_a_scene_is_not_overwritten_by_accident(tmp_path: Path):
 
 
 def test_no_scene(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"is not a scene.*`stylesplat train CAPTURE -o"):
+    with pytest.raises(StyleSplatError, match=r"is a folder, not a scene: it has no scene.json"):
         scene_folder.open(tmp_path)
-    with pytest.raises(StyleSplatError, match="is not a scene"):
+    with pytest.raises(StyleSplatError, match="not a scene"):
         revise(plain_scene(), plain_scene(), tmp_path)
 
 

@@ -153,15 +153,24 @@ def test_half_a_model_in_the_cache_is_none(missing: str, folder: Path, cache: Pa
 
 
 def test_a_download_is_announced_and_starts_with_the_type(
-    folder: Path, cache: Path, monkeypatch, said: list[str]
+    folder: Path, cache: Path, monkeypatch, said: list[str], capfd
 ):
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
     fetched = []
 
-    def snapshot(name: str, *, allow_patterns: list[str], local_files_only: bool = False) -> str:
+    def snapshot(
+        name: str,
+        *,
+        allow_patterns: list[str],
+        local_files_only: bool = False,
+        tqdm_class: Callable[..., Any] | None = None,
+    ) -> str:
         if local_files_only:
             raise FileNotFoundError
         fetched.append(allow_patterns)
+        assert tqdm_class is not None
+        for _ in tqdm_class(range(3), desc="Fetching 3 files"):
+            pass
         return str(folder)
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", lambda name, file: folder / file)
@@ -173,6 +182,7 @@ def test_a_download_is_announced_and_starts_with_the_type(
     assert fetched == [["*.json", "*.txt", "model*.safetensors"]]
     line = said[-1]
     assert line == f"Downloading the model {NAME} to {cache}."
+    assert capfd.readouterr().err == "", "its bars are for terminals"
 
 
 def refusal(error: str) -> Exception:

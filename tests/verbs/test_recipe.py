@@ -223,7 +223,9 @@ def test_faults_are_named_in_one_line(text: str, message: str, read: Read, folde
 def test_files_that_are_no_recipe(folder: Path):
     with pytest.raises(StyleSplatError, match=r"lost\.yaml: No such file or directory"):
         read_recipe(folder / "lost.yaml", defaults=DEFAULTS)
-    with pytest.raises(StyleSplatError, match="no plain file"):
+    with pytest.raises(
+        StyleSplatError, match=r"it is no recipe. Give a YAML file, or the recipe.json"
+    ):
         read_recipe(folder, defaults=DEFAULTS)
     (folder / "night.jpg").write_bytes(b"\xff\xd8\xff\xe0")
     with pytest.raises(StyleSplatError, match=r"night\.jpg: it is no YAML text: unacceptable"):

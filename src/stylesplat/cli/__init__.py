@@ -16,6 +16,7 @@ from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
+from stylesplat.cli.log_lines import LogLines
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Objects
 from stylesplat.cli.rename import Rename
@@ -78,7 +79,7 @@ def _run(command: Any) -> None:
     """Do it, and print what came of it."""
     from stylesplat.io.json_files import strict_json
 
-    with closing(Bars()) as bars, observed(bars):
+    with closing(Bars() if sys.stderr.isatty() else LogLines()) as observer, observed(observer):
         result = command.run()
     if command.json:
         print(strict_json(result), flush=True)

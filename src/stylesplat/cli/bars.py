@@ -33,6 +33,7 @@ class Bars:
 
     def __init__(self) -> None:
         self._drawn: list[tqdm] = []
+        self._said: set[str] = set()
 
     def close(self) -> None:
         """Draw no more: also of generators that are left in the middle, which close theirs late."""
@@ -61,9 +62,12 @@ class Bars:
                 self._drawn.remove(bar)
 
     def say(self, line: str) -> None:
-        """Write a line, above the bars that there are."""
+        """Write a line, above the bars that there are, if it was not written before."""
         from tqdm import tqdm
 
+        if line in self._said:
+            return
+        self._said.add(line)
         tqdm.write(line, file=sys.stderr)
 
 

@@ -23,7 +23,8 @@ class Evaluate:
     scene: Positional[Path]
     """Folder of the scene."""
     capture: Path | None = None
-    """Folder of the photos; by default where they were when the scene was trained."""
+    """Folder of the photos; by default where they were when the scene was trained, or where they
+    were moved to together with it."""
     masks: Path | None = None
     """Folder of label maps to compare with; by default the capture's object_mask/."""
     device: Device = "auto"
@@ -32,6 +33,7 @@ class Evaluate:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.places import refuse_unwritable
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.progress import say
@@ -39,15 +41,25 @@ class Evaluate:
         from stylesplat.verbs.load import load
 
         scene = open(self.scene)
+        refuse_unwritable(self.scene)
         source, capture = self.capture or scene.capture, None
         if source is None and scene.painted is None:
             raise StyleSplatError(
                 f"{self.scene} does not say what it was trained on. Pass --capture."
             )
-        if source is not None and (self.capture or scene.painted is None or source.is_dir()):
-            capture = load(source, downscale=scene.downscale, masks=self.masks)
+        gone = self.capture is None and source is not None and not source.is_dir()
+        if gone and scene.painted is None:
+            raise StyleSplatError(
+                f"The photos of {self.scene} are no longer in {source}. "
+                "Say with --capture where they are."
+            )
+        if gone:
+            say(
+                f"The photos are no longer in {source}, so only the style is measured. "
+                "--capture says where they are."
+            )
         elif source is not None:
-            say(f"The photos are no longer in {source}, so only the style is measured.")
+            capture = load(source, downscale=scene.downscale, masks=self.masks)
         metrics = evaluate(scene, capture, device=self.device)
         with changing(self.scene):
             latest = open(self.scene)  # measuring takes long

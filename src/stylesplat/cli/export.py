@@ -27,9 +27,11 @@ class Export:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.places import refuse_file
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.export import export
 
+        refuse_file(self.file, overwrite=self.overwrite)
         scene = open(self.scene)
         export(scene, self.file, overwrite=self.overwrite, sh_degree=self.sh_degree)
         return {"file": self.file, "gaussians": len(scene.splats)}

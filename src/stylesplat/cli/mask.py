@@ -10,6 +10,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
+from stylesplat.cli.results import write_or_rescue
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
@@ -75,22 +76,32 @@ class Mask:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
+        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
         method = self._method
-        refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), f"--method {method}")
-        for drawn in (self._boxes, self._strokes):
-            drawn(None)  # what is mistyped is said before poses are found
+        self._refuse_contradictions(method)
+        scene = self._scene()
         folder = posed(self.capture, beside=self.capture)
         output = folder / OBJECT_MASK
         progress = None if method in REFUSED else partial_of(output)
+        refuse_occupied(output, marker="", overwrite=self.overwrite)
         capture = load(folder, masks=False)
         with changing(output):
-            return self._mask(capture, method, output, progress)
+            return self._mask(capture, scene, output, progress)
+
+    def _refuse_contradictions(self, method: Method) -> None:
+        """Say what is wrong with the options before poses are found and photos are read."""
+        from stylesplat.verbs.mask import settled_method
+
+        why = f"--method {method}" if self.method or self.source is None else "--from"
+        refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), why)
+        drawn = {"boxes": self._boxes(None), "strokes": self._strokes(None)}
+        settled_method(method, drawn | {"source": self.source})
 
     def _mask(
-        self, capture: "Capture", method: Method, output: Path, progress: Path | None
+        self, capture: "Capture", scene: "Scene | None", output: Path, progress: Path | None
     ) -> dict[str, Any]:
         from stylesplat.io.captures.label_folder import refuse_label_maps
         from stylesplat.io.captures.sfm_file import read_sfm
@@ -104,9 +115,9 @@ class Mask:
             boxes=boxes,
             strokes=strokes,
             source=self.source,
-            method=method,
+            method=self._method,
             model=self.model,
-            scene=self._scene(),
+            scene=scene,
             device=self.device,
             progress=progress,
         )
@@ -143,7 +154,12 @@ class Mask:
         from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
-        found = write_label_maps(masked, output, overwrite=self.overwrite)
+        found = write_or_rescue(
+            lambda place, replace: write_label_maps(masked, place, overwrite=replace),
+            output,
+            overwrite=self.overwrite,
+            what="The label maps are",
+        )
         ids = sorted(set[int]().union(*found.values()))
         names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
         with changing(output / PREVIEW):

@@ -26,11 +26,13 @@ class Objects:
         """Do it."""
         from stylesplat.drawing.object_sheet import object_sheet
         from stylesplat.io.images import write_image
+        from stylesplat.io.places import refuse_file
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.objects import objects
 
         scene = open(self.scene)
+        refuse_file(self.scene / SHEET, overwrite=True)
         found = objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
         sheet = object_sheet(scene.splats, scene.cameras, names=names)

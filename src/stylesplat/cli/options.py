@@ -40,7 +40,8 @@ def refuse_picture(output: Path, *, overwrite: bool) -> None:
     Raises:
         StyleSplatError: If its name is that of no picture, or something is there.
     """
+    from stylesplat.io.places import refuse_file
+
     if output.suffix.lower() not in PICTURES:
         raise StyleSplatError(f"Cannot draw into {output}: use a name in {', '.join(PICTURES)}.")
-    if output.is_dir() or (output.exists() and not overwrite):
-        raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")
+    refuse_file(output, overwrite=overwrite)

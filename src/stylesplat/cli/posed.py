@@ -1,5 +1,6 @@
 """Photos or a video where a capture is asked for: their poses are found first, once."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,9 +23,13 @@ def posed(given: Path, *, beside: Path) -> Path:
             place of the capture is taken.
     """
     from stylesplat.io.captures.capture_folder import is_posed
+    from stylesplat.io.kinds import kind_of, no_capture, refuse_other_than_photos
 
-    if is_posed(given) or not given.exists():
+    if is_posed(given):
         return given
+    refuse_other_than_photos(given)
+    if kind_of(given) == "part of a capture":
+        raise no_capture(given)
     from stylesplat.progress import say
     from stylesplat.verbs.sfm import sfm
 
@@ -98,4 +103,5 @@ def is_under_way(given: Path, *, beside: Path) -> bool:
     """Whether poses are being found that `posed` would go on with."""
     from stylesplat.io.folders import partial_of
 
-    return (partial_of(place_of(given, beside=beside)) / "sfm").exists()
+    work = partial_of(place_of(given, beside=beside)) / "sfm"
+    return os.path.exists(work)  # noqa: PTH110 - unlike Path's, it takes any name

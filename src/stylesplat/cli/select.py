@@ -80,6 +80,7 @@ class Select:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.places import refuse_unwritable
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
 
@@ -88,6 +89,7 @@ class Select:
         target = picture_of(self.scene, self.name)
         with changing(self.scene):  # from reading on, so that no other's selection is lost
             before = open(self.scene)
+            refuse_unwritable(self.scene)
             after = self._selected(before)
             revise(before, after, self.scene)
             shows = self._may_show(after, target)

@@ -8,6 +8,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.options import Device, Json, Output, Overwrite, given, refuse_picture
 from stylesplat.cli.parse import parse_style
+from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
 
@@ -84,6 +85,11 @@ class Sheet:
             preset=self.preset,
             **given(self, ("steps", "seed")),
         )
-        write_image(made.picture, self.output)
+        write_or_rescue(
+            lambda place, _: write_image(made.picture, place),
+            self.output,
+            overwrite=self.overwrite,
+            what="The sheet is",
+        )
         counts = {"cells": made.cells, "repainted": made.repainted}
         return {"sheet": self.output, "view": made.view, **counts}

@@ -1,5 +1,6 @@
 """`stylesplat train`."""
 
+import os
 import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -75,7 +76,7 @@ class Train:
     @property
     def after_interruption(self) -> str:
         """How to go on."""
-        if not self._checkpoint.exists():
+        if not os.path.exists(self._checkpoint):  # noqa: PTH110 - unlike Path's, it takes any name
             return CONTINUES if is_under_way(self.capture, beside=self.output) else WHOLE
         return CONTINUES if not self.restart else "Without `--restart` it goes on where it stopped."
 

@@ -12,6 +12,13 @@ from uuid import uuid4
 from stylesplat.errors import StyleSplatError, brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+ELSEWHERE = " Choose another place."
+REMEDIES = {  # other errors of writing
+    errno.ENAMETOOLONG: " Choose a shorter name.",
+    errno.EACCES: " Choose a place that this user may write to.",
+    errno.EPERM: " Choose a place that this user may write to.",
+    errno.EROFS: " Choose a place that can be written to.",
+}
 MARK = "[0-9a-f]{12}"  # what makes a hidden name one that nothing has: see `mark`
 MAX_STEM = 48  # characters of a file name that are taken from a text
 PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
@@ -65,6 +72,8 @@ def require_regular(path: Path | str) -> None:
         raise cannot_read(brief(str(path)), error) from error
     except ValueError as error:  # of a name with NUL or half a character
         raise _no_name(path) from error
+    if other and Path(path).is_dir():
+        raise StyleSplatError(f"Cannot read {path}: it is a folder. Give a file in it.")
     if other:
         raise StyleSplatError(f"Cannot read {path}: it is no plain file. Check the name.")
 
@@ -155,7 +164,8 @@ def cannot_write(path: Path, error: OSError) -> StyleSplatError:
     """What to tell the user about a place that could not be written to."""
     if error.errno in DISK_FULL:
         return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
-    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}. Choose another place.")
+    remedy = REMEDIES.get(error.errno or 0, ELSEWHERE) if error.strerror else ""
+    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.{remedy}")
 
 
 def _no_name(path: Path | str) -> StyleSplatError:

@@ -10,6 +10,7 @@ from pathlib import Path
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import cannot_write, sync_folder
 from stylesplat.io.journal import JOURNAL, draft_in, files_in, replace_files, sync_tree
+from stylesplat.io.places import refuse_unwritable
 from stylesplat.io.recovery import NEW, OLD, changing, hidden
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: paths as they are; swap two
@@ -109,26 +110,14 @@ def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -
             it holds anything and may not.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
+    if os.path.isfile(path):  # noqa: PTH113 - unlike Path's, it takes any name
         raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
-    _refuse_unwritable(path)
+    refuse_unwritable(path)
     if path.exists() and not overwrite and any(_entries(path)):
         found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
         raise StyleSplatError(
             f"The folder {path} holds {found}. "
             "Choose another one, or replace it with `--overwrite`."
-        )
-
-
-def _refuse_unwritable(path: Path) -> None:
-    """Raise a StyleSplatError if nothing can be made in a folder, or beside where it will be."""
-    there = next(parent for parent in path.absolute().parents if parent.exists())
-    if not there.is_dir():
-        raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
-    if not any(os.access(place, os.W_OK | os.X_OK) for place in (there, path)):
-        raise StyleSplatError(
-            f"Cannot make {path}: {there} may not be written to by this user. "
-            "Choose another folder."
         )
 
 

@@ -127,10 +127,14 @@ def match_label_maps(
     ensure_whole(folder)
     files = {_key(path.relative_to(folder)): path for path in sorted(folder.rglob("*.png"))}
     paths = [files.get(_key(Path(name))) or files.get(name) for name in names]
+    if not files:
+        raise StyleSplatError(
+            f"There are no label maps in {folder}: it holds no PNG files. Check `--masks`."
+        )
     if not any(paths):
         raise StyleSplatError(
             f"None of the {len(files)} label maps in {folder} is named after a photo. "
-            f"Name them like {_key(Path(names[0]))}.png."
+            f"Name them like {_key(Path(names[0]))}.png, or check `--masks`."
         )
     return Lazy(
         [

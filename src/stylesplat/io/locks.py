@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from errno import ENAMETOOLONG
 from functools import cache
 from pathlib import Path
 
@@ -71,7 +72,8 @@ def _acquired(lock: FileLock, path: Path) -> bool:
             "Wait until it is done, or end it."
         ) from error
     except (OSError, NotImplementedError) as error:
-        _say_unlocked(path.parent, reason(error))
+        if getattr(error, "errno", None) != ENAMETOOLONG:  # whoever writes there says that
+            _say_unlocked(path.parent, reason(error))
         return False
     with suppress(OSError):  # it is for the messages above only
         Path(lock.lock_file).write_text(str(os.getpid()))

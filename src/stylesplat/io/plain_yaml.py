@@ -8,6 +8,7 @@ import yaml
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason
 
+INSTEAD = "Give a YAML file, or the recipe.json of a styled scene."
 MAX_YAML = 2**19  # bytes; a recipe of ten objects has 10,000, and a million may take a minute
 MAX_DEPTH = 20  # of lists and maps in each other: recipes have 4
 MAX_VALUES = 100_000  # those that references repeat included
@@ -45,7 +46,7 @@ def parse_yaml(text: str | bytes) -> Any:
         line = error.problem_mark.line + 1 if error.problem_mark else "?"
         raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}. Mend it.") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # the last of "\\U99999999"
-        raise StyleSplatError(f"it is no YAML text: {reason(error)}. Mend it.") from error
+        raise StyleSplatError(f"it is no YAML text: {reason(error)}. {INSTEAD}") from error
 
 
 class _Loader(yaml.SafeLoader):

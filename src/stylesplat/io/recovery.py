@@ -36,6 +36,10 @@ def changing(path: Path | str) -> Iterator[None]:
             done cannot be finished.
     """
     path = Path(path).resolve()
+    try:
+        path.exists()
+    except OSError as error:  # of a name that is too long, or a folder that may not be entered
+        raise cannot_write(path, error) from error
     with locked(path):
         _recover(path)
         yield

@@ -1,6 +1,8 @@
 """Scenes on disk: a folder with all that the verbs after `train` need."""
 
+import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,6 +24,7 @@ from stylesplat.io.json_files import (
     read_json,
     write_json,
 )
+from stylesplat.io.kinds import no_scene
 from stylesplat.io.painted_files import read_painted, write_painted
 from stylesplat.io.recovery import settled
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
@@ -51,6 +54,7 @@ class _Info(msgspec.Struct):
     """What `scene.json` has besides the version; it may say more."""
 
     capture: FilePath | None = None
+    capture_relative: FilePath | None = None  # from the scene's folder; earlier ones have none
     test_views: tuple[PhotoName, ...] = ()
     settings: _Settings = msgspec.field(default_factory=_Settings)
     fits: tuple[Literal["colors", "pose"], ...] = ()  # what each photo has of its own
@@ -81,7 +85,7 @@ def save(scene: Scene, path: Path | str, *, overwrite: bool = False) -> None:
             written.
     """
     with claim_directory(path, overwrite=overwrite, marker=SCENE) as folder:
-        _write(scene, folder)
+        _write(scene, folder, Path(path))
 
 
 def revise(before: Scene, after: Scene, path: Path | str) -> None:
@@ -96,7 +100,7 @@ def revise(before: Scene, after: Scene, path: Path | str) -> None:
         StyleSplatError: If the folder is no scene or cannot be written.
     """
     with revised_directory(_scene_folder(path)) as folder:
-        _write(after, folder, before)
+        _write(after, folder, Path(path), before)
 
 
 def open(path: Path | str) -> Scene:
@@ -122,10 +126,30 @@ def _read(path: Path) -> Scene:
         objects=_read_objects(folder / OBJECTS, picks),
         painted=read_painted(folder, picks, len(splats)),
         path=folder,
-        capture=Path(declared.capture) if declared.capture else None,
+        capture=_found_capture(declared, folder),
         info=info,
         metrics=_read_metrics(folder / METRICS),
     )
+
+
+def capture_of(folder: Path) -> Path | None:
+    """The folder of a scene's photos, as `Scene.capture` has it, without reading the scene.
+
+    Raises:
+        StyleSplatError: If what says it is missing or damaged.
+    """
+    return _found_capture(_read_info(folder / SCENE)[0], folder)
+
+
+def _found_capture(declared: _Info, folder: Path) -> Path | None:
+    """Where the photos were, or where they are if they were moved together with the scene."""
+    if declared.capture is None:
+        return None
+    there = Path(declared.capture)
+    if declared.capture_relative is None or there.is_dir():
+        return there
+    moved = Path(os.path.normpath(folder.resolve() / declared.capture_relative))
+    return moved if moved.is_dir() else there
 
 
 def _read_gaussians(path: Path) -> Splats:
@@ -142,8 +166,11 @@ def _read_metrics(path: Path) -> dict[str, Any]:
     return metrics
 
 
-def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
-    """Write what differs from what the folder holds already; everything if that is nothing."""
+def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None) -> None:
+    """Write what differs from what the folder holds already; everything if that is nothing.
+
+    It is to lie at `place`.
+    """
 
     def differs(*names: str) -> bool:
         return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
@@ -167,15 +194,20 @@ def _write(scene: Scene, folder: Path, before: Scene | None = None) -> None:
     if differs("metrics"):
         write_json(scene.metrics, folder / METRICS)
     if differs("info", "capture", "held_out", "downscale"):
-        write_json(_info(scene), folder / SCENE)
+        write_json(_info(scene, place), folder / SCENE)
 
 
-def _info(scene: Scene) -> dict[str, Any]:
+def _info(scene: Scene, place: Path) -> dict[str, Any]:
     settings = {**scene.info.get("settings", {}), "downscale": scene.downscale}
+    relative = {}
+    if scene.capture is not None:
+        with suppress(ValueError):  # on another drive of Windows
+            relative["capture_relative"] = os.path.relpath(scene.capture.resolve(), place.resolve())
     return {
         **scene.info,
         "version": VERSION,
         "capture": scene.capture,
+        **relative,
         "test_views": scene.held_out,
         "settings": settings,
     }
@@ -192,7 +224,8 @@ def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
     declared = fitting(content, _Info, f"Cannot read {path}", AGAIN)
     settings = content.pop("settings", {})
     settings.pop("downscale", None)
-    others = {key: value for key, value in content.items() if key not in ("capture", "test_views")}
+    own = ("capture", "capture_relative", "test_views")
+    others = {key: value for key, value in content.items() if key not in own}
     return declared, others | ({"settings": settings} if settings else {})
 
 
@@ -214,8 +247,5 @@ def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObj
 def _scene_folder(path: Path | str) -> Path:
     folder = Path(path)
     if not (folder / SCENE).is_file():
-        raise StyleSplatError(
-            f"{folder} is not a scene: it has no {SCENE}. "
-            f"Make one with `stylesplat train CAPTURE -o {folder}`."
-        )
+        raise no_scene(folder)
     return folder

@@ -14,6 +14,7 @@ from stylesplat.io.gif import write_gif
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.json_files import write_json
 from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.places import refuse_file
 from stylesplat.io.recovery import changing
 from stylesplat.io.video import KINDS, write_video
 
@@ -60,8 +61,8 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
         )
     if not _is_file(output):
         refuse_occupied(output, marker="", overwrite=overwrite)
-    elif output.is_dir() or (output.exists() and not overwrite):
-        raise StyleSplatError(f"{output} exists. Choose another name, or pass --overwrite.")
+    else:
+        refuse_file(output, overwrite=overwrite)
 
 
 def write_views(

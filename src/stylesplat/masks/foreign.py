@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.kinds import kind_of
 from stylesplat.io.label_maps import DrawnLabels, read_label_map
 from stylesplat.masks.coco import decode_rle, read_coco, rle_size
 from stylesplat.masks.photo_names import match_photos, photo_key
@@ -38,18 +39,33 @@ def foreign_label_maps(source: Path, names: Sequence[str]) -> Found:
     Raises:
         StyleSplatError: If there is nothing of these photos, or the masks contradict each other.
     """
+    refuse_foreign(source)
     if source.suffix.lower() == ".json":
         found = _coco(source, names)
-    elif source.is_dir():
-        found = _by_object(source, names) or _by_photo(source, names)
     else:
-        raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
+        found = _by_object(source, names) or _by_photo(source, names)
     if not found.maps:
         raise StyleSplatError(
             f"No mask in {source} belongs to a photo of this capture. Name them like the photos: "
             f"{photo_key(names[0])}.png."
         )
     return found
+
+
+def refuse_foreign(source: Path) -> None:
+    """Refuse what can be no masks of another program, before the photos are looked at.
+
+    Raises:
+        StyleSplatError: If it is neither a folder nor a .json file, or a capture or a scene.
+    """
+    kind = kind_of(source)
+    if kind in ("capture", "scene"):
+        raise StyleSplatError(
+            f"{source} is a {kind}, not a folder of masks. Give --from the folder that the masks "
+            "are in."
+        )
+    if not (source.is_dir() or (source.is_file() and source.suffix.lower() == ".json")):
+        raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
 
 
 def _by_photo(source: Path, names: Sequence[str]) -> Found:

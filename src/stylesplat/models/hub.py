@@ -154,7 +154,8 @@ def _from_hub(name: str, check: Callable[[Path], str]) -> Path:
     say(f"Downloading the model {name} to {constants.HF_HUB_CACHE}.")
     try:
         check(Path(hf_hub_download(name, CONFIG)))  # before gigabytes of the wrong model
-        return Path(snapshot_download(name, allow_patterns=[*FILES]))
+        bars = _terminal_bars()
+        return Path(snapshot_download(name, allow_patterns=[*FILES], tqdm_class=bars))
     except GatedRepoError as error:
         raise StyleSplatError(
             f"{name} is given only to those who accept its terms. Do so on its page, run "
@@ -169,6 +170,17 @@ def _from_hub(name: str, check: Callable[[Path], str]) -> Path:
         raise
     except Exception as error:  # of the network, the hub or the disk
         raise StyleSplatError(f"Cannot download {name}: {_first_line(error)} {by_hand}") from error
+
+
+def _terminal_bars() -> type[Any]:
+    """The hub's progress bars, drawn on terminals only: in a log they are a flood."""
+    from huggingface_hub.utils import tqdm
+
+    class Bars(tqdm):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **{**options, "disable": options.get("disable") or None})
+
+    return Bars
 
 
 def _cached(name: str) -> Path | None:

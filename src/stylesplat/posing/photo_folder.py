@@ -11,15 +11,10 @@ from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.colmap import find_sparse
 from stylesplat.io.captures.posed_files import check_path
 from stylesplat.io.captures.transforms import TRANSFORMS
+from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS
 from stylesplat.posing.ordering import natural_key
 
-HEIC = (".heic", ".heif", ".hif")
-PHOTOS = (
-    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".avif"),
-    *(".bmp", ".dib", ".gif", ".ppm", ".pgm", ".pnm", ".tga", *HEIC),
-)
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".3gp", ".mts", ".m2ts", ".mpg", ".wmv")
 # Folders of pictures that are no photos of the scene
 SKIPPED = ("object_mask", "object_masks", "mask", "masks", "sparse", "depth", "depths", "thumbs")
 UNFINISHED = ".partial"

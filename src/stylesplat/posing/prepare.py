@@ -8,8 +8,9 @@ from typing import Protocol, runtime_checkable
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import inside, require_regular
+from stylesplat.io.kinds import PHOTOS
 from stylesplat.posing.photo_choice import THREADS, choose_photos, too_few
-from stylesplat.posing.photo_folder import PHOTOS, RAW, Found, find_sources
+from stylesplat.posing.photo_folder import RAW, Found, find_sources
 from stylesplat.posing.photo_writing import write_photo
 from stylesplat.posing.prepared import LEAST, Prepared
 from stylesplat.posing.record import Record, clear, digest, read_record, stamp, write_record

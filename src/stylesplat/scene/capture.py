@@ -1,8 +1,10 @@
 """The `Capture` noun: posed photos, with label maps if there are any."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -10,6 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import OwnLabels
+from stylesplat.scene.lazy import Lazy
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,21 @@ class Capture:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    def only(self, rows: Sequence[int]) -> "Capture":
+        """The capture with some of its photos."""
+
+        def some(items: Sequence[Any] | None) -> Any:
+            return None if items is None else Lazy([partial(items.__getitem__, r) for r in rows])
+
+        return replace(
+            self,
+            cameras=self.cameras[[*rows]],
+            photos=some(self.photos),
+            label_maps=some(self.label_maps),
+            full=None if self.full is None else self.full[[*rows]],
+            alphas=some(self.alphas),
+        )
 
     @property
     def full_cameras(self) -> Cameras:

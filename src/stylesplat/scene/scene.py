@@ -54,7 +54,7 @@ class Scene:
     path: Path | None = None
     """The folder that it was opened from."""
     capture: Path | None = None
-    """The folder of the photos, where they were then."""
+    """The folder of the photos: where they were then, or if moved with the scene, are now."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """How it was made, as plain values: settings, versions of libraries."""
     metrics: Mapping[str, Any] = field(default_factory=dict)

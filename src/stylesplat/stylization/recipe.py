@@ -7,7 +7,9 @@ from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
-from stylesplat.io.plain_yaml import MAX_YAML, parse_yaml
+from stylesplat.io.kinds import kind_of
+from stylesplat.io.painted_files import RECIPE
+from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.io.recipe_files import Intensity, listed
 from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import check_name_or_id
@@ -54,6 +56,8 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Rec
     """
     path = Path(path)
     with within(f"Cannot use the recipe {path}"):
+        if path.is_dir() or (kind_of(path) == "part of a scene" and path.name != RECIPE):
+            raise StyleSplatError(f"it is no recipe. {INSTEAD}")
         content = parse_yaml(read_bytes(path, most=MAX_YAML))
         if not isinstance(content, dict):
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")

@@ -68,11 +68,21 @@ def evaluate(
 
 def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, Any]:
     """The held-out views compared with their photos; of an import, some of all."""
+    known = {*scene.cameras.names}
+    rows = [row for row, name in enumerate(capture.cameras.names) if name in known]
+    if rows and len(rows) < len(capture):  # some were left out when it was trained
+        capture = capture.only(rows)
     capture = posed_as(capture, scene.cameras)
     if "splat" in scene.info:
         rows = measured_rows(capture)
     else:
-        rows = [capture.cameras.index(name) for name in scene.held_out]
+        there = {name: row for row, name in enumerate(capture.cameras.names)}
+        rows = [there[name] for name in scene.held_out if name in there]
+        if scene.held_out and not rows:
+            raise StyleSplatError(
+                f"None of the {len(scene.held_out)} held-out photos is in {capture.path}, such as "
+                f"{scene.held_out[0]}. Put them back."
+            )
     fits = fits_of(scene.info.get("fits", ()), capture.cameras)
     return evaluate_views(splats, capture, rows, fits=fits) if rows else {}
 

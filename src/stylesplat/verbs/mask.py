@@ -6,8 +6,8 @@ from typing import Any, Literal, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.captures.label_folder import with_drawn_maps
-from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes
-from stylesplat.masks.foreign import foreign_label_maps
+from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
+from stylesplat.masks.foreign import foreign_label_maps, refuse_foreign
 from stylesplat.masks.models import sam
 from stylesplat.masks.models.from_model import mask_with_model
 from stylesplat.scene.capture import Capture
@@ -61,13 +61,10 @@ def mask(
             means nothing with the method, an object cannot be called so, a model cannot be had,
             or nothing is found.
     """
-    method = method or ("grabcut" if source is None else "files")
-    check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
     given = {"boxes": boxes, "strokes": strokes, "source": source, "model": model}
-    _refuse_unused(method, given | {"scene": scene, "progress": progress})
+    method = settled_method(method, given | {"scene": scene, "progress": progress})
     if method == "files":
-        if source is None:
-            raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
+        assert source is not None
         found = foreign_label_maps(Path(source), capture.cameras.names)
         return with_drawn_maps(capture, found.maps, found.names)
     if method == "grabcut":
@@ -75,6 +72,30 @@ def mask(
     return mask_with_model(
         capture, method, model=model, scene=scene, device=device, progress=progress
     )
+
+
+def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
+    """How label maps are to be made, if what is given suffices for it; photos are not needed.
+
+    Args:
+        method: What was asked for, if anything was.
+        given: The other arguments of `mask`, by name.
+
+    Raises:
+        StyleSplatError: If nothing says what to mask, or something given means nothing with the
+            method or is not there.
+    """
+    source = given.get("source")
+    method = method or ("grabcut" if source is None else "files")
+    check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
+    _refuse_unused(method, given)
+    if method == "files":
+        if source is None:
+            raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
+        refuse_foreign(Path(source))
+    if method == "grabcut":
+        refuse_without_box(given.get("boxes") or {})
+    return method
 
 
 def _refuse_unused(method: Method, given: Mapping[str, Any]) -> None:

@@ -19,6 +19,7 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
 from stylesplat.io.folders import claim_directory, partial_of, refuse_occupied
 from stylesplat.io.images import write_image
+from stylesplat.io.kinds import refuse_other_than_photos
 from stylesplat.io.recovery import changing
 from stylesplat.posing.capture_report import CaptureReport
 from stylesplat.posing.photo_folder import find_sources
@@ -77,6 +78,7 @@ def sfm(
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(SfmConfig)])
     config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
+    refuse_other_than_photos(source)
     _refuse_each_other(source.resolve(), output)
     work = work_of(output)
     photos = work / "prepared"

@@ -9,7 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap import find_sparse, read_colmap
 from stylesplat.io.captures.colmap_check import check_complete
 from stylesplat.io.captures.posed_files import PosedFiles
-from tiny_captures import HEIGHT, PINHOLE, WIDTH, reconstruction
+from tiny_captures import HEIGHT, PINHOLE, WIDTH, lenses_of, reconstruction
 
 BINARIES = ["cameras", "images", "points3D", "rigs", "frames"]
 
@@ -26,8 +26,8 @@ def test_poses_points_and_names(make_capture: Callable[..., Path], text: bool, s
     posed = read(make_capture(text=text, sparse=sparse))
     assert posed.names == ("001.png", "002.png", "003.png")
     assert posed.viewmats[:, 0, 3].tolist() == [-2, -1, 0]
-    assert posed.lenses[0].size == (WIDTH, HEIGHT)
-    assert posed.lenses[0].params == tuple(PINHOLE[1])
+    assert lenses_of(posed)[0].size == (WIDTH, HEIGHT)
+    assert lenses_of(posed)[0].params == tuple(PINHOLE[1])
     assert posed.points is not None and posed.point_colors is not None
     assert posed.points.tolist() == [[i, 0.5, 5.0] for i in range(4)]
     assert posed.point_colors.tolist() == [[10 * i, 20, 30] for i in range(4)]
@@ -45,7 +45,7 @@ def test_poses_points_and_names(make_capture: Callable[..., Path], text: bool, s
     ],
 )
 def test_camera_models(make_capture: Callable[..., Path], model: str, params: list[float]):
-    lens = read(make_capture(model, params, count=1)).lenses[0]
+    lens = lenses_of(read(make_capture(model, params, count=1)))[0]
     assert (lens.model, lens.params) == (model, tuple(params))
 
 

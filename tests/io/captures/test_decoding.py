@@ -13,7 +13,6 @@ from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo, photo_sizes, read_image
 from stylesplat.io.label_maps import read_label_map, write_label_map
-from stylesplat.progress import observed
 from stylesplat.stylization.style_images import read_style
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
 
@@ -114,26 +113,14 @@ def small_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decoding, "MAX_JPEG_PIXELS", 8_000)
 
 
-class Lines:
-    """An observer that keeps what is said."""
-
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def task(self, what, total, unit, done):
-        raise NotImplementedError
-
-    def say(self, line: str) -> None:
-        self.said.append(line)
-
-
-def test_the_largest_jpegs_are_read_at_half_their_size(tmp_path: Path, small_bounds: None):
+def test_the_largest_jpegs_are_read_at_half_their_size(
+    tmp_path: Path, small_bounds: None, said: list[str]
+):
     folder = write_capture(tmp_path / "capture", count=2)
     for path in (folder / "images").iterdir():  # Pillow goes by the content
         Image.fromarray(PIXELS).save(path, format="JPEG")
-    with observed(lines := Lines()):
-        files = open_capture(folder)
-    assert [line for line in lines.said if "are read at half" in line] == lines.said != []
+    files = open_capture(folder)
+    assert [line for line in said if "are read at half" in line] == said != []
     assert files.cameras.sizes.tolist() == [[WIDTH // 2, HEIGHT // 2]] * 2
     assert files.cameras.Ks[0, 0, 0] == PINHOLE[1][0] / 2
     assert files.at(1).photos[0].shape == (HEIGHT // 2, WIDTH // 2, 3)

@@ -164,7 +164,7 @@ def test_pipes_are_not_waited_for(tmp_path: Path, file: str):
         path.write_text(json.dumps({**json.loads(path.read_text()), "ply_file_path": file}))
     (tmp_path / file).unlink(missing_ok=True)
     os.mkfifo(tmp_path / file)
-    with pytest.raises(StyleSplatError, match=r"no plain file|is not a capture"):
+    with pytest.raises(StyleSplatError, match=r"no plain file|not a capture"):
         load(tmp_path)
     with pytest.raises(StyleSplatError, match="no plain file"):
         require_regular("/dev/zero")
@@ -172,6 +172,6 @@ def test_pipes_are_not_waited_for(tmp_path: Path, file: str):
 
 def test_a_photo_that_is_a_folder(tmp_path: Path):
     (tmp_path / "images/a.png").mkdir(parents=True)
-    with pytest.raises(StyleSplatError, match="no plain file"):
+    with pytest.raises(StyleSplatError, match=r"a\.png: it is a folder"):
         load(write_transforms(tmp_path, "images/a.png"))
     assert Image.MAX_IMAGE_PIXELS, "Pillow's own bound stays"

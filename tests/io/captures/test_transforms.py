@@ -10,7 +10,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.transforms import read_transforms, write_transforms
 from stylesplat.scene.cameras import Cameras
-from tiny_captures import save_noise
+from tiny_captures import lenses_of, save_noise
 
 # A camera at (1, 2, 3) that looks along +x with z up; OpenGL's columns are right, up, back
 POSE = [[0, 0, -1, 1.0], [-1, 0, 0, 2.0], [0, 1, 0, 3.0], [0, 0, 0, 1.0]]
@@ -43,14 +43,14 @@ def test_intrinsics_for_all_or_per_frame(tmp_path: Path):
         {"file_path": "images/a.png", "transform_matrix": POSE},
         {"file_path": "images/b.png", "transform_matrix": POSE, "fl_x": 99.0},
     ]
-    lenses = read_transforms(write(tmp_path, frames, **LENS)).lenses
+    lenses = lenses_of(read_transforms(write(tmp_path, frames, **LENS)))
     assert [lens.params[:4] for lens in lenses] == [(60, 62, 31, 25), (99, 62, 31, 25)]
     assert lenses[0].is_pinhole and lenses[0].size == (64, 48)
 
 
 def test_only_a_field_of_view(tmp_path: Path):
     save_noise(tmp_path / "images/a.png", (64, 48))
-    (lens,) = read_transforms(write(tmp_path, camera_angle_x=math.pi / 2)).lenses
+    (lens,) = lenses_of(read_transforms(write(tmp_path, camera_angle_x=math.pi / 2)))
     assert lens.size == (64, 48)
     assert lens.params[:4] == pytest.approx((32, 32, 32, 24))
 
@@ -66,7 +66,7 @@ def test_only_a_field_of_view(tmp_path: Path):
 )
 def test_distortion(tmp_path: Path, extra: dict[str, Any], model: str, tail: tuple[float, ...]):
     content = {**LENS, "k1": 0.1, "k2": 0.2, "p1": 0.3, "p2": 0.4, **extra}
-    (lens,) = read_transforms(write(tmp_path, **content)).lenses
+    (lens,) = lenses_of(read_transforms(write(tmp_path, **content)))
     assert (lens.model, lens.params) == (model, (60, 62, 31, 25, *tail))
     assert not lens.is_pinhole
 
@@ -109,7 +109,7 @@ def test_round_trip(tmp_path: Path):
     torch.testing.assert_close(
         posed.viewmats.float(), cameras.viewmats, atol=3e-7, rtol=0
     )  # one unit in the last place
-    assert torch.equal(torch.stack([lens.K for lens in posed.lenses]), cameras.Ks)
+    assert torch.equal(torch.stack([lens.K for lens in lenses_of(posed)]), cameras.Ks)
     assert posed.points is not None and torch.equal(posed.points, points)
     assert posed.point_colors is not None and torch.equal(posed.point_colors, colors)
 

@@ -14,11 +14,14 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures import cut_outs
 from stylesplat.io.captures.colmap import find_sparse, read_colmap
 from stylesplat.io.captures.decoding import MAX_PIXELS
+from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo, fit_photo, is_reduced
-from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.captures.posed_files import PosedFiles, listed, those_there
 from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
+from stylesplat.io.captures.unposed import photos_besides
+from stylesplat.io.kinds import no_capture
 from stylesplat.io.label_maps import match_label_maps, read_names
-from stylesplat.progress import say
+from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.lazy import Lazy
@@ -94,8 +97,12 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     folder = Path(path)
     posed = _read_poses(folder)
     _check_poses(posed, folder)
-    photos = [fit_photo(*each) for each in zip(posed.paths, posed.lenses, strict=True)]
-    _announce_reduced(photos, posed)
+    _announce_unposed(posed, folder)
+    posed = those_there(posed, folder)
+    lenses = [lens for lens in posed.lenses if lens is not None]  # photos that are there have one
+    pairs = [*zip(posed.paths, lenses, strict=True)]
+    photos = [fit_photo(*each) for each in track(pairs, "reading photos", unit="photo")]
+    _announce_reduced(photos, lenses)
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),
@@ -122,22 +129,12 @@ def is_posed(folder: Path) -> bool:
 
 
 def _read_poses(folder: Path) -> PosedFiles:
-    if folder.is_file():
-        raise StyleSplatError(
-            f"{folder} is a file, not the folder of a capture. Of a video, "
-            f"`stylesplat sfm {folder} -o CAPTURE` makes one."
-        )
-    if not folder.is_dir():
-        raise StyleSplatError(f"There is no folder {folder}. Give the folder of a capture.")
     sparse = find_sparse(folder)
     if sparse:
         return read_colmap(folder, sparse)
     if (folder / TRANSFORMS).is_file():
         return read_transforms(folder)
-    raise StyleSplatError(
-        f"{folder} is not a capture: it has neither sparse/0/cameras.bin (or .txt) nor "
-        f"{TRANSFORMS}. Find the cameras first: `stylesplat sfm {folder} -o CAPTURE`."
-    )
+    raise no_capture(folder)
 
 
 def _check_poses(posed: PosedFiles, folder: Path) -> None:
@@ -154,8 +151,18 @@ def _check_poses(posed: PosedFiles, folder: Path) -> None:
         )
 
 
-def _announce_reduced(photos: Sequence[Photo], posed: PosedFiles) -> None:
-    pairs = zip(photos, posed.lenses, strict=True)
+def _announce_unposed(posed: PosedFiles, folder: Path) -> None:
+    others = photos_besides(folder, posed.names)
+    if others:
+        total = len(others) + len(posed.names)
+        say(
+            f"Without a pose, so left out: {listed(others)} "
+            f"({len(others)} of the {total} photos in {folder})."
+        )
+
+
+def _announce_reduced(photos: Sequence[Photo], lenses: Sequence[Lens]) -> None:
+    pairs = zip(photos, lenses, strict=True)
     smaller = [photo.path for photo, lens in pairs if photo.lens.size != lens.size]
     reduced = [path for path in smaller if is_reduced(path)]
     if reduced:

@@ -1,8 +1,10 @@
 """What the readers of COLMAP and transforms.json have in common."""
 
+import os
 import re
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from jaxtyping import Float, UInt8
@@ -11,9 +13,11 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.json_files import MAX_NAME
+from stylesplat.progress import say
 
 # Of a file's or folder's name: systems take 255, and to be written a name gets 14 more
 MAX_PART = 240
+LISTED = 3  # photos that a message names
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
@@ -31,8 +35,8 @@ class PosedFiles:
     """Of the photos, within their common folder."""
     paths: tuple[Path, ...]
     """Of the photos."""
-    lenses: tuple[Lens, ...]
-    """What they were taken with."""
+    lenses: tuple[Lens | None, ...]
+    """What they were taken with; None where only a photo that is not there could tell."""
     viewmats: Float[Tensor, "C 4 4"]
     """World to camera, OpenCV axes, as read: not checked, 64 bits."""
     points: Float[Tensor, "M 3"] | None
@@ -53,6 +57,45 @@ class PosedFiles:
                 raise StyleSplatError(
                     f"The photo {brief(str(name))!r} is posed {count} times. Keep one of its poses."
                 )
+
+    def only(self, rows: Sequence[int]) -> "PosedFiles":
+        """The same of some of the photos."""
+        return replace(
+            self,
+            names=tuple(self.names[row] for row in rows),
+            paths=tuple(self.paths[row] for row in rows),
+            lenses=tuple(self.lenses[row] for row in rows),
+            viewmats=self.viewmats[[*rows]],
+        )
+
+
+def those_there(posed: PosedFiles, folder: Path) -> PosedFiles:
+    """The posed photos of a capture whose files are there; the others are left out, which is said.
+
+    Raises:
+        StyleSplatError: If these are fewer than half.
+    """
+    there = [os.path.lexists(path) for path in posed.paths]  # unlike Path's, it takes any name
+    missing = [name for name, found in zip(posed.names, there, strict=True) if not found]
+    if not missing:
+        return posed
+    count = len(posed.names)
+    if 2 * len(missing) > count:
+        raise StyleSplatError(
+            f"Only {count - len(missing)} of the {count} photos that have poses in {folder} are "
+            f"there. Missing: {listed(missing)}. Put them back, or pose the photos again."
+        )
+    say(
+        f"Missing, so left out: {listed(missing)} "
+        f"({len(missing)} of the {count} photos that have poses in {folder})."
+    )
+    return posed.only([row for row, found in enumerate(there) if found])
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first few of some names, and how many more there are."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(map(brief, names[:LISTED])) + more
 
 
 def check_path(text: str) -> None:

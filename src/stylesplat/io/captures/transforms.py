@@ -138,7 +138,9 @@ def write_transforms(
     write_json(content, folder / TRANSFORMS)
 
 
-def _read_frame(path: Path, content: dict[str, Any]) -> tuple[Path, Lens, Float[Tensor, "4 4"]]:
+def _read_frame(
+    path: Path, content: dict[str, Any]
+) -> tuple[Path, Lens | None, Float[Tensor, "4 4"]]:
     frame = fitting(content, Frame, f"A frame of {path} is malformed", AGAIN)
     check_path(frame.file_path)
     photo = _find_photo(path.parent / frame.file_path)
@@ -153,7 +155,9 @@ def _find_photo(path: Path) -> Path:
     return next((p for p in candidates if p.is_file()), path)
 
 
-def _read_lens(frame: Frame, photo: Path) -> Lens:
+def _read_lens(frame: Frame, photo: Path) -> Lens | None:
+    if frame.w is None and not os.path.lexists(photo):
+        return None
     width, height = _size(frame, photo)
     fx = _focal(frame.fl_x, frame.camera_angle_x, width, "x")
     fy = fx

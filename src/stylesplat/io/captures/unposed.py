@@ -3,12 +3,10 @@
 from collections.abc import Collection
 from pathlib import Path
 
-from PIL import Image
-
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap import find_photos
-from stylesplat.io.captures.decoding import FORMATS
 from stylesplat.io.captures.sfm_file import read_sfm
+from stylesplat.io.kinds import PHOTOS
 
 
 def unposed_photos(folder: Path, posed: Collection[str]) -> tuple[dict[str, str], int]:
@@ -27,13 +25,17 @@ def unposed_photos(folder: Path, posed: Collection[str]) -> tuple[dict[str, str]
     record = read_sfm(folder)
     if record is not None:
         return dict(record.unregistered), len(record.left_out)
+    return dict.fromkeys(photos_besides(folder, posed), ""), 0
+
+
+def photos_besides(folder: Path, posed: Collection[str]) -> list[str]:
+    """The names of the other photos that lie where those of a capture do, in order."""
     try:
         photos = find_photos(folder)
     except StyleSplatError:  # those of transforms.json may lie anywhere
-        return {}, 0
-    suffixes = {s for s, kind in Image.registered_extensions().items() if kind in FORMATS}
-    files = (path for path in sorted(photos.rglob("*")) if path.suffix.lower() in suffixes)
+        return []
+    files = (path for path in sorted(photos.rglob("*")) if path.suffix.lower() in PHOTOS)
     names = {path.relative_to(photos).as_posix() for path in files if path.is_file()}
     if not names & set(posed):  # these are named within another folder
-        return {}, 0
-    return dict.fromkeys(sorted(names - set(posed)), ""), 0
+        return []
+    return sorted(names - set(posed))

@@ -1,10 +1,12 @@
 """Any file of splats, read and written."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.files import read_bytes
+from stylesplat.io.kinds import no_splat
 from stylesplat.io.splats.compressed_ply import (
     MAX_HEADER,
     is_compressed,
@@ -46,11 +48,8 @@ def read_splats(path: Path | str) -> Splats:
         ".splat": read_dot_splat,
     }
     reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise StyleSplatError(
-            f"Cannot read {path} as splats: unknown suffix {path.suffix!r}. "
-            f"Convert it to one of {', '.join(readers)}."
-        )
+    if reader is None or path.is_dir() or not os.path.exists(path):  # noqa: PTH110
+        raise no_splat(path)
     splats = reader(path)
     if not len(splats):
         raise StyleSplatError(f"There are no Gaussians in {path}. Choose another file.")

@@ -36,11 +36,7 @@ def mask_boxes(
         StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
             stands out, a stroke has no box, or an object cannot be called so.
     """
-    if not boxes or not all(boxes.values()):
-        raise StyleSplatError(
-            "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1; "
-            "find all objects with a model, --method sam2; or take another program's masks, --from."
-        )
+    refuse_without_box(boxes)
     full, small = capture.cameras, at_most(capture, SIZE)
     placed = [
         (name, row := full.index(view), _scaled(box, full[row], small.cameras[row]))
@@ -65,6 +61,21 @@ def mask_boxes(
         for row in range(len(capture))
     ]
     return with_maps(capture, maps, names)
+
+
+def refuse_without_box(boxes: Boxes) -> None:
+    """Refuse to cut out what no box is around, before the photos are looked at.
+
+    Raises:
+        StyleSplatError: If there is no box, or an object cannot be called so.
+    """
+    if not boxes or not all(boxes.values()):
+        raise StyleSplatError(
+            "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1; "
+            "find all objects with a model, --method sam2; or take another program's masks, --from."
+        )
+    for name in boxes:
+        check_name(name)
 
 
 def _each(drawn: Mapping[str, Any]) -> list[tuple[str, str, Any]]:

@@ -1,0 +1,148 @@
+"""Where nothing can be written is said before the work, whatever the verb."""
+
+import os
+from contextlib import nullcontext
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from torch import Tensor
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS
+from command_line import complaint, run
+from small_files import no_room
+from stylesplat.io import images
+from stylesplat.io.scene_folder import SCENE
+from unprivileged import as_nobody, public_folder
+
+LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
+WORK = (
+    "stylesplat.verbs.train.train",
+    "stylesplat.verbs.stylize.stylize",
+    "stylesplat.verbs.import_.import_",
+    "stylesplat.verbs.render.render",
+    "stylesplat.verbs.sheet.sheet",
+    "stylesplat.verbs.adjust.adjust",
+    "stylesplat.verbs.mask.mask",
+    "stylesplat.verbs.check.check",
+    "stylesplat.verbs.select.select",
+    "stylesplat.verbs.export.export",
+    "stylesplat.verbs.evaluate.evaluate",
+    "stylesplat.verbs.sfm.prepare",
+    "stylesplat.drawing.object_sheet.object_sheet",
+    "stylesplat.demo.demo_run.demo_capture",
+)
+CALLS = {
+    "train": ("train", "{capture}", "-o", "{out}"),
+    "stylize": ("stylize", "{scene}", "--style", "3={style}", "-o", "{out}"),
+    "import": ("import", "{scene}/splats.ply", "{capture}", "-o", "{out}"),
+    "render": ("render", "{scene}", "-o", "{out}"),
+    "adjust": ("adjust", "{scene}", "--intensity", "0.5", "-o", "{out}"),
+    "sfm": ("sfm", "{capture}/images", "-o", "{out}"),
+    "demo": ("demo", "-o", "{out}"),
+    "video": ("render", "{scene}", "-o", "{out}.mp4"),
+    "sheet": ("sheet", "{scene}", "--style", "3={style}", "-o", "{out}.png"),
+    "check": ("check", "{capture}", "-o", "{out}.png"),
+    "export": ("export", "{scene}", "{out}.ply"),
+}
+INTO_SCENES = {
+    "select": ("select", "{scene}", "--name", "x", "--id", "3"),
+    "objects": ("objects", "{scene}"),
+    "evaluate": ("evaluate", "{scene}", "--capture", "{capture}"),
+}
+
+
+@pytest.fixture
+def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("work has begun")
+
+    for function in WORK:  # all first: what is loaded later would keep what it finds patched
+        import_module(function.rpartition(".")[0])
+    for function in WORK:
+        monkeypatch.setattr(function, fail)
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ("{tmp}/file/new", "{tmp}/file is a file. Choose another folder."),
+        (f"{{tmp}}/{LONG}", "File name too long. Choose a shorter name."),
+        ("{tmp}/taken", "Choose another name"),
+    ],
+    ids=["in a file", "long", "the other kind"],
+)
+@pytest.mark.parametrize("verb", CALLS)
+def test_outputs(
+    verb: str,
+    place: str,
+    expected: str,
+    capture: Path,
+    scene: Path,
+    style: Path,
+    tmp_path: Path,
+    no_work: None,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "file").touch()
+    (tmp_path / "taken").touch()  # where a folder should be
+    for suffix in (".mp4", ".png", ".ply"):
+        (tmp_path / f"taken{suffix}").mkdir()  # where a file should be
+    before = {*tmp_path.rglob("*")}
+    places = {"scene": scene, "style": style, "capture": capture, "out": place.format(tmp=tmp_path)}
+    line = complaint(capsys, *(part.format(**places) for part in CALLS[verb]))
+    assert expected.format(tmp=tmp_path) in line
+    assert {*tmp_path.rglob("*")} == before
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
+@pytest.mark.parametrize("verb", [*CALLS, *INTO_SCENES])
+def test_places_of_others(
+    verb: str, scene: Path, style: Path, no_work: None, capsys: pytest.CaptureFixture[str]
+):
+    with public_folder() as folder:
+        scene = scene.rename(folder / "scene")
+        style = style.rename(folder / "style.png")
+        capture = write_ball_capture(folder / "capture", CAMERAS[[0, 1, 2]])  # all may read it
+        places = {"scene": scene, "style": style, "capture": capture, "out": folder / "new"}
+        arguments = [part.format(**places) for part in (CALLS | INTO_SCENES)[verb]]
+        with as_nobody():
+            line = complaint(capsys, *arguments)
+        assert "Permission denied. Choose a place that this user may write to." in line
+        assert not (folder / "new").exists()
+
+
+def test_masks(capture: Path, tmp_path: Path, no_work: None, capsys):
+    """They go into the capture."""
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture/transforms.json").write_bytes((capture / "transforms.json").read_bytes())
+    (tmp_path / "capture/object_mask").touch()
+    line = complaint(capsys, "mask", tmp_path / "capture", "--box", "a=0001.jpg:6,8,23,24")
+    assert "object_mask is a file. Choose another name" in line
+
+
+def test_a_sheet_is_saved_elsewhere_in_the_end(
+    scene: Path, style: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
+    written = images.write_image
+
+    def no_room_there(image: Tensor, path: Path) -> None:
+        with no_room(64) if path.parent == tmp_path else nullcontext():
+            written(image, path)
+
+    monkeypatch.setattr(images, "write_image", no_room_there)
+    options = ("--steps", 1, "--device", "cpu", "--style", f"3={style}")
+    line = complaint(capsys, "sheet", scene, "-o", tmp_path / "a.png", *options)
+    (made,) = elsewhere.rglob("a.png")
+    assert f"The sheet is in {made}: move it from there." in line
+    assert not (tmp_path / "a.png").exists() and (scene / SCENE).is_file()
+
+
+def test_good_places_are_taken(scene: Path, tmp_path: Path):
+    """Folders on the way are made."""
+    assert run("export", scene, tmp_path / "new/er/a.ply") == 0
+    assert (tmp_path / "new/er/a.ply").is_file()

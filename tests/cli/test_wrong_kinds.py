@@ -1,0 +1,193 @@
+"""Each noun where another is expected: what it is, and the way on from there."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from balls import CAMERAS, SPLATS
+from command_line import complaint, run
+from stylesplat.io.scene_folder import SCENE, save
+from stylesplat.scene.scene import Scene
+from stylesplat.verbs.export import export
+
+SCENES = {
+    "missing": "There is no scene {at}/missing: nothing has that name. Check it",
+    "empty": "empty is a folder, not a scene: it has no scene.json. Give the folder that `train`",
+    "photos": "photos is a folder of photos, not a scene. {train} {at}/photos -o photos-scene`",
+    "video.mp4": "is a video, not a scene. {train} {at}/video.mp4 -o video-scene`",
+    "capture": "capture is a capture, not a scene. {train} {at}/capture -o capture-scene`",
+    "capture/images": "not a scene. {train} {at}/capture -o capture-scene`",
+    "scene/splats.ply": "is a part of the scene {at}/scene. Give the whole folder",
+    "scenes": "not a scene, but holds some: {at}/scenes/a. Give one of them",
+    "splat.ply": "splat, not a scene. {import_} {at}/splat.ply -o splat-scene`",
+    "recipe.json": "is a file, not a scene: it has no scene.json. Give the folder",
+    "picture.png": "is a picture, not a scene: it has no scene.json. Give the folder",
+}
+CAPTURES = {
+    "missing": "There is no folder {at}/missing: nothing has that name. Check it",
+    "scene": "scene is a scene, not a capture, which has the photos. It was made from {at}/capture",
+    "scene/splats.ply": "scene is a scene, not a capture",
+    "import": "a scene, not a capture, and has no photos. Objects are chosen in it by `stylesplat",
+    "splat.ply": "splat.ply is a splat, not photos. {import_} {at}/splat.ply -o splat-scene`",
+}
+POSED = CAPTURES | {
+    "photos": "photos is a folder of photos, not a capture: no camera poses are known. Find",
+    "video.mp4": "a video, not a capture: no camera poses are known. Find the cameras first",
+    "capture/images": "holds the photos of the capture {at}/capture, whose poses are known. Give",
+    "scenes": "neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos. Check",
+    "captures": "captures is not a capture, but holds some: {at}/captures/a. Give one of them",
+    "empty": "empty is a folder, not a capture",
+    "recipe.json": "recipe.json is a file, not a capture",
+    "picture.png": "picture.png is one picture, not a capture. Give the folder of all photos",
+}
+UNPOSED = CAPTURES | {
+    "empty": "empty has no photos that can be used. Give 3 at least",
+    "recipe.json": "recipe.json is no video that can be decoded: Invalid data found when",
+    "picture.png": "picture.png is one photo. Give the folder of all photos",
+}
+SPLAT_FILES = {
+    "missing": "There is no file {at}/missing. Check the name",
+    "empty": "empty is a folder, not a file of splats. Give one that ends in .ply, .spz, .splat",
+    "photos": "photos is a folder of photos, not a file of splats. {train} {at}/photos",
+    "video.mp4": "a video, not a file of splats. {train}",
+    "capture": "capture is a capture, not a file of splats. {train} {at}/capture -o capture-scene`",
+    "capture/images": "{train} {at}/capture -o capture-scene`",
+    "scene": "scene is a scene already, not a file of splats. Go on with it: `stylesplat objects",
+    "scene/scene.json": "scene is a scene already, not a file of splats. Go on with it",
+    "splats": "splats is a folder that holds {at}/splats/a.spz. Give one of these files",
+    "picture.png": "is a picture with the suffix '.png', not a file of splats. Give one",
+}
+PICTURES = {
+    "missing": "There is no image {at}/missing. Check the name",
+    "photos": "Cannot read {at}/photos: it is a folder. Give a file in it",
+    "scene": "Cannot read {at}/scene: it is a folder. Give a file in it",
+    "splat.ply": "it is no picture, or none of JPEG, PNG",
+    "recipe.json": "it is no picture, or none of JPEG, PNG",
+}
+RECIPES = {
+    "missing": "No such file or directory. Check the name",
+    "photos": "it is no recipe. Give a YAML file, or the recipe.json of a styled scene",
+    "scene": "it is no recipe. Give a YAML file, or the recipe.json of a styled scene",
+    "scene/scene.json": "it is no recipe. Give a YAML file, or the recipe.json",
+    "splat.ply": "it is no YAML text: unacceptable character",
+    "picture.png": "Give a YAML file, or the recipe.json of a styled scene",
+}
+LABEL_MAPS = {
+    "missing": "There is no folder {at}/missing with label maps. Check `--masks`",
+    "photos": "There are no label maps in {at}/photos: it holds no PNG files. Check `--masks`",
+    "capture": "Name them like 0000.png, or check `--masks`",
+    "splat.ply": "There is no folder {at}/splat.ply with label maps. Check `--masks`",
+}
+FOREIGN = {
+    "missing": "There is no folder or .json file {at}/missing. Check --from",
+    "capture": "capture is a capture, not a folder of masks. Give --from the folder",
+    "scene": "scene is a scene, not a folder of masks. Give --from the folder",
+    "picture.png": "There is no folder or .json file {at}/picture.png. Check --from",
+}
+BOX = "a=0001.jpg:6,8,23,24"
+CALLS = {
+    ("objects", "{}"): SCENES,
+    ("select", "{}", "--name", "x", "--id", "3"): SCENES,
+    ("stylize", "{}", "--style", "3={at}/picture.png", "-o", "{at}/out"): SCENES,
+    ("adjust", "{}", "--intensity", "0.5"): SCENES,
+    ("sheet", "{}", "--style", "3={at}/picture.png", "-o", "{at}/out.png"): SCENES,
+    ("render", "{}", "-o", "{at}/out"): SCENES,
+    ("export", "{}", "{at}/out.ply"): SCENES,
+    ("evaluate", "{}"): SCENES,
+    ("view", "{}"): SCENES,
+    ("mask", "{at}/photos", "--box", BOX, "--scene", "{}"): SCENES,
+    ("train", "{}", "-o", "{at}/out"): UNPOSED,
+    ("mask", "{}", "--box", BOX): UNPOSED,
+    ("sfm", "{}", "-o", "{at}/out"): UNPOSED,
+    ("check", "{}"): POSED,
+    ("import", "{at}/splat.ply", "{}", "-o", "{at}/out"): POSED,
+    ("evaluate", "{at}/scene", "--capture", "{}"): POSED,
+    ("import", "{}", "-o", "{at}/out"): SPLAT_FILES,
+    ("stylize", "{at}/scene", "--style", "3={}", "-o", "{at}/out"): PICTURES,
+    ("stylize", "{at}/scene", "--recipe", "{}", "-o", "{at}/out"): RECIPES,
+    ("train", "{at}/capture", "--masks", "{}", "-o", "{at}/out"): LABEL_MAPS,
+    ("evaluate", "{at}/scene", "--masks", "{}"): LABEL_MAPS,
+    ("mask", "{at}/photos", "--from", "{}"): FOREIGN,
+}
+MATRIX = [(call, noun) for call, nouns in CALLS.items() for noun in nouns]
+
+
+@pytest.fixture(scope="module")
+def nouns(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one of each."""
+    at = tmp_path_factory.mktemp("nouns")
+    shutil.copytree(capture, at / "capture")
+    shutil.copytree(capture / "images", at / "photos")
+    scene = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], capture=at / "capture")
+    save(scene, at / "scene")
+    save(scene, at / "scenes/a")
+    save(Scene(SPLATS, CAMERAS), at / "import")
+    export(SPLATS, at / "splat.ply")
+    (at / "splats").mkdir()
+    export(SPLATS, at / "splats/a.spz")
+    shutil.copytree(capture, at / "captures/a")
+    (at / "empty").mkdir()
+    (at / "video.mp4").write_bytes(b"no video")
+    (at / "recipe.json").write_text('{"objects": {}}')
+    Image.linear_gradient("L").save(at / "picture.png")
+    return at
+
+
+@pytest.mark.parametrize(("call", "noun"), MATRIX, ids=lambda v: v if isinstance(v, str) else v[0])
+def test_the_message(
+    call: tuple[str, ...], noun: str, nouns: Path, capsys: pytest.CaptureFixture[str]
+):
+    before = {*nouns.rglob("*")}
+    line = complaint(
+        capsys, *(part.replace("{}", f"{{at}}/{noun}").format(at=nouns) for part in call)
+    )
+    made = "A scene is made of it by `stylesplat"
+    expected = CALLS[call][noun].format(at=nouns, train=f"{made} train", import_=f"{made} import")
+    assert expected in line
+    assert line.rstrip(".").count(". ") >= 1, "the fact, then the remedy"
+    assert {*nouns.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("--method", "files"),
+        ("--stroke", "a=0001.jpg:1,2,3,4"),
+        ("--box", BOX, "--method", "sam2"),
+        ("--box", BOX, "--from", "{at}/photos"),
+        ("--box", BOX, "--scene", "{at}/photos"),
+        ("--from", "{at}/missing"),
+    ],
+    ids=" ".join,
+)
+def test_contradictions_are_refused_before_photos_are_read(
+    options: tuple[str, ...],
+    nouns: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("photos are read")
+
+    monkeypatch.setattr("stylesplat.verbs.sfm.sfm", fail)
+    monkeypatch.setattr("stylesplat.verbs.load.load", fail)
+    for folder in ("photos", "capture"):
+        complaint(capsys, "mask", nouns / folder, *(part.format(at=nouns) for part in options))
+
+
+def test_label_maps_that_are_there_are_said_before_photos_are_read(
+    nouns: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("stylesplat.verbs.load.load", lambda *_, **__: pytest.fail("reads photos"))
+    assert "--overwrite" in complaint(capsys, "mask", nouns / "capture", "--box", BOX)
+
+
+def test_paths_with_blanks_can_be_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    export(SPLATS, tmp_path / "my splat.ply")
+    line = complaint(capsys, "objects", tmp_path / "my splat.ply")
+    assert f"`stylesplat import '{tmp_path}/my splat.ply' -o 'my splat-scene'`" in line
+    assert run("import", tmp_path / "my splat.ply", "-o", tmp_path / "my splat-scene") == 0
+    assert (tmp_path / "my splat-scene" / SCENE).is_file()
