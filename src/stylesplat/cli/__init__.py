@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from contextlib import closing
 from typing import Any
 
-import tyro
-
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
 from stylesplat.cli.check import Check
@@ -23,6 +21,7 @@ from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
+from stylesplat.cli.usage import read
 from stylesplat.cli.view import View
 from stylesplat.progress import observed
 from stylesplat.signals import WHOLE
@@ -53,12 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
         after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2.
     """
-    command = tyro.extras.subcommand_cli_from_dict(
-        VERBS,
-        prog="stylesplat",
-        description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
-        args=arguments,
-    )
+    command = read(VERBS, sys.argv[1:] if arguments is None else arguments)
     try:
         _run(command)
     except (Exception, KeyboardInterrupt) as error:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
@@ -25,6 +25,7 @@ class Select:
     Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
     """
 
+    first: ClassVar = ("id", "box", "point", "text")
     scene: Positional[Path]
     """Folder of the scene."""
     name: str
