@@ -8,7 +8,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
 
-def export(what: Scene | Splats, path: Path | str, *, overwrite: bool = True) -> None:
+def export(what: Scene | Splats, path: Path | str, *, overwrite: bool = False) -> None:
     """Write a scene's splats for a viewer, in the format that the file's suffix names.
 
     Args:
