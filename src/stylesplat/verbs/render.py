@@ -11,6 +11,7 @@ from stylesplat.drawing.orbit import orbit_cameras
 from stylesplat.drawing.pictures import render_pictures
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.one_line import counted, one_line, some
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 
@@ -26,6 +27,9 @@ class Views:
     """Of the cameras: the photos' file names."""
     pictures: Iterator[UInt8[Tensor, "H W 3"] | Int[Tensor, "H W"]]
     """What each sees, on the CPU: an image, or the ids of labels."""
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self), "picture"), some(self.names))
 
     def __len__(self) -> int:
         return len(self.names)
