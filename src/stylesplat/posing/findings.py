@@ -52,7 +52,7 @@ def graded(value: float | int, good: float | int, fair: float | int) -> Verdict:
     return "fair" if sign * value >= sign * fair else "poor"
 
 
-def oncounted(count: int) -> Finding:
+def on_count(count: int) -> Finding:
     """How many photos there are."""
     verdict = graded(count, 30, 15)
     advice = {"good": "", "fair": "More make it sharper: take 40 to 100."}
