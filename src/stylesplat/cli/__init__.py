@@ -22,6 +22,7 @@ from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.usage import read
+from stylesplat.cli.values import said
 from stylesplat.cli.view import View
 from stylesplat.progress import observed
 from stylesplat.signals import WHOLE
@@ -81,12 +82,11 @@ def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:
     """A result as text, one value a line."""
     lines = []
     for name, value in result.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            rows = (", ".join(f"{k} {v}" for k, v in row.items() if v != []) for row in value)
+            rows = (said({k: v for k, v in row.items() if v != []}) for row in value)
             lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
         else:
-            shown = f"{value:.4g}" if isinstance(value, float) else value
-            lines.append(f"{indent}{name}: {shown}")
+            lines.append(f"{indent}{name}: {said(value)}")
     return lines

@@ -100,6 +100,9 @@ def stylize(
     return replace(at_intensities(scene, wanted), metrics=metrics)
 
 
+stylise = stylize
+
+
 def load_network(
     styles: Sequence[Style],
     features: str,
