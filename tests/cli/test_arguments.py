@@ -49,7 +49,10 @@ def test_no_row_of_help_is_empty(width: int, capsys, monkeypatch):
     """Where a text fills its line to the last column as well."""
     monkeypatch.setenv("COLUMNS", str(width))
     for verb in VERBS:
-        assert not re.search(r"\n\n   ", printed(capsys, verb, "--help"))
+        page = printed(capsys, verb, "--help")
+        assert not re.search(r"\n\n   ", page)
+        long = [line for line in page.splitlines() if len(line) > width]
+        assert all(line.startswith(("Example:", "usage:")) for line in long)
 
 
 @pytest.mark.parametrize(

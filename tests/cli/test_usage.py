@@ -1,5 +1,6 @@
 """What the command line says of itself."""
 
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -15,17 +16,17 @@ from stylesplat.io.splats.splat_files import read_splats
 README = Path(__file__).parents[2] / "README.md"
 
 
-def test_alone_it_shows_the_way_and_the_verbs(capsys):
+def test_alone_it_shows_the_way_and_the_verbs(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as stopped:
         main([])
     assert stopped.value.code == 2
     out, err = capsys.readouterr()
     way = [line.split()[1] for line in err.splitlines() if line.startswith("  stylesplat ")]
     assert way == ["mask", "train", "stylize", "view", "export"] and not out
-    listed = [
-        line.split()[0] for line in err.partition("verbs:")[2].splitlines() if line[:2] == "  "
-    ]
-    assert listed == [*VERBS]
+    listed = err.partition("verbs:")[2].splitlines()
+    assert [line.split()[0] for line in listed if re.match(r"  \w", line)] == [*VERBS]
+    assert max(map(len, err.splitlines())) <= 80
     with pytest.raises(SystemExit):
         main(["--help"])
     assert capsys.readouterr().out == err

@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -70,7 +72,16 @@ def _tidied(stream: str) -> Iterator[None]:
         yield
     finally:
         setattr(sys, stream, target)
-        target.write(EMPTY_ROW.sub("", TRAILING.sub("", page.getvalue())))
+        lines = EMPTY_ROW.sub("", TRAILING.sub("", page.getvalue())).splitlines(keepends=True)
+        target.write("".join(map(_filled, lines)))
+
+
+def _filled(line: str) -> str:
+    """A line of prose as wide as the terminal; examples are to be copied, tyro fills the rest."""
+    columns = get_terminal_size().columns
+    if len(line) <= columns or line.startswith(("Example:", "usage:")) or "\x1b" in line:
+        return line
+    return fill(line, columns) + "\n"
 
 
 def understood(command: type, *, choices: bool = False) -> type:

@@ -3,6 +3,8 @@
 import sys
 from collections.abc import Mapping, Sequence
 from inspect import getdoc
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any, NoReturn
 
 from stylesplat.cli.arguments import WrongUsage, read_command, understood
@@ -16,14 +18,14 @@ Repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 
 From photos to a painted splat:
 
-  stylesplat mask MyPhotos --box vase=IMG_0007.jpg:500,300,800,700   what is the vase?
-  stylesplat train MyPhotos -o scene                                 photos to a splat
-  stylesplat stylize scene --style vase=wave.jpg -o painted          repaint the vase
-  stylesplat view painted                                            look at it
-  stylesplat export painted painted.ply                              for other programs
+  stylesplat mask MyPhotos --box vase=1.jpg:500,300,800,700  where the vase is
+  stylesplat train MyPhotos -o scene                         a splat of the photos
+  stylesplat stylize scene --style vase=wave.jpg -o painted  the vase in a style
+  stylesplat view painted                                    look at it
+  stylesplat export painted painted.ply                      for other programs
 """
 ENDING = """\
-`stylesplat VERB --help` explains a verb, `stylesplat --version` says which version this is.
+`stylesplat VERB --help` explains a verb.
 """
 
 
@@ -67,8 +69,11 @@ def _meant(word: str, verbs: Mapping[str, type]) -> str:
 
 
 def _overview(verbs: Mapping[str, type]) -> str:
-    width = max(map(len, verbs))
-    lines = (f"  {verb:{width}}  {_summary(command)}" for verb, command in verbs.items())
+    width, columns = max(map(len, verbs)), get_terminal_size().columns
+    lines = (
+        fill(f"  {verb:{width}}  {_summary(command)}", columns, subsequent_indent=" " * (width + 4))
+        for verb, command in verbs.items()
+    )
     return "\n".join((WAY, f"The {len(verbs)} verbs:\n", *lines, "", ENDING))
 
 
