@@ -17,7 +17,7 @@ class Adjust:
     Example: stylesplat adjust garden-wave --intensity 0.6
     """
 
-    first: ClassVar = ("intensity", "object", "undo")
+    first: ClassVar = ("output", "intensity", "object", "undo")
     scene: Positional[Path]
     """Folder of the styled scene."""
     intensity: float | None = None

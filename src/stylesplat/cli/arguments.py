@@ -54,19 +54,11 @@ def read_command(command: type, arguments: Sequence[str], prog: str) -> Any:
     return command(**{f.name: _joined(f, given[f.name]) for f in dataclasses.fields(command)})
 
 
-class _Page(StringIO):
-    """What tyro prints, in the colours of the terminal that it is meant for."""
-
-    def __init__(self, target: Any) -> None:
-        super().__init__()
-        self.isatty = target.isatty
-
-
 @contextmanager
 def _tidied(stream: str) -> Iterator[None]:
-    """Print without the rows and spaces that are left empty."""
+    """Print in one colour, without the rows and spaces that are left empty."""
     target = getattr(sys, stream)
-    page = _Page(target)
+    page = StringIO()
     setattr(sys, stream, page)
     try:
         yield
@@ -79,7 +71,7 @@ def _tidied(stream: str) -> Iterator[None]:
 def _filled(line: str) -> str:
     """A line of prose as wide as the terminal; examples are to be copied, tyro fills the rest."""
     columns = get_terminal_size().columns
-    if len(line) <= columns or line.startswith(("Example:", "usage:")) or "\x1b" in line:
+    if len(line) <= columns or line.startswith(("Example:", "usage:")):
         return line
     return fill(line, columns) + "\n"
 

@@ -19,7 +19,7 @@ Repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 From photos to a painted splat:
 
   stylesplat mask MyPhotos --box vase=1.jpg:500,300,800,700  where the vase is
-  stylesplat train MyPhotos -o scene                         a splat of the photos
+  stylesplat train MyPhotos -o scene                         photos to a splat
   stylesplat stylize scene --style vase=wave.jpg -o painted  the vase in a style
   stylesplat view painted                                    look at it
   stylesplat export painted painted.ply                      for other programs
