@@ -65,7 +65,8 @@ def _tidied(stream: str) -> Iterator[None]:
     finally:
         setattr(sys, stream, target)
         lines = EMPTY_ROW.sub("", TRAILING.sub("", page.getvalue())).splitlines(keepends=True)
-        target.write("".join(map(_filled, lines)))
+        if lines:  # even nothing cannot be written to a full disk
+            target.write("".join(map(_filled, lines)))
 
 
 def _filled(line: str) -> str:
