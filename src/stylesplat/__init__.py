@@ -1,6 +1,6 @@
 """StyleSplat: repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 
-A handful of verbs over four nouns (`Capture`, `Cameras`, `Splats`, `Scene`)::
+Verbs over four nouns (`Capture`, `Cameras`, `Splats`, `Scene`)::
 
     import stylesplat as ss
     capture = ss.sfm("MyPhotos/", "garden/")         # finds the cameras; ss.load reads posed photos

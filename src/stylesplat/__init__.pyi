@@ -22,6 +22,7 @@ from .verbs.render import render as render
 from .verbs.select import select as select
 from .verbs.sfm import sfm as sfm
 from .verbs.sheet import sheet as sheet
+from .verbs.stylize import stylise as stylise
 from .verbs.stylize import stylize as stylize
 from .verbs.train import train as train
 from .verbs.view import view as view

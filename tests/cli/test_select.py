@@ -3,11 +3,16 @@
 from pathlib import Path
 
 import stylesplat as ss
-from balls import CAMERAS
+from balls import BALLS, CAMERAS
 from color_detector import ColorDetector
 from command_line import complaint, result
 from stylesplat.io.captures.photos import read_image
 from stylesplat.selection.identities import render_labels
+
+
+def ball(id: int, radius: float) -> str:
+    """A sphere around one of them, as the command line takes it."""
+    return ",".join(map(str, (*BALLS[id][0], radius)))
 
 
 def test_select_by_id_and_by_point(scene: Path, capsys):
@@ -27,6 +32,28 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
     assert names == {3: ["red"], 7: ["green", "also"], 300: []}
 
 
+def test_options_that_are_repeated_append(scene: Path, capsys):
+    both = result(capsys, "select", scene, "--name", "both", "--id", 3, 7)
+    assert result(capsys, "select", scene, "--name", "b", "--id", 3, "--id", 7)["ids"] == [3, 7]
+    for name, id in (("red", 3), ("green", 7)):
+        result(capsys, "select", scene, "--name", name, "--id", id)
+    plus = result(capsys, "select", scene, "--name", "c", "--plus", "red", "--plus", "green")
+    assert plus["gaussians"] == both["gaussians"] and plus["plus"] == ["red", "green"]
+    none = ("--minus", "red", "--minus", "green")
+    line = complaint(capsys, "select", scene, "--name", "d", "--plus", "both", *none)
+    assert "Nothing is left" in line
+    for option, one, other in (
+        ("--sphere", ball(3, 0.3), ball(7, 0.3)),
+        ("--box3d", "-9,-9,-9,0,9,9", "0,-9,-9,9,9,9"),
+    ):
+        alone = [
+            result(capsys, "select", scene, "--name", "e", f"{option}={shape}")["gaussians"]
+            for shape in (one, other)
+        ]
+        both = (f"{option}={one}", f"{option}={other}")
+        assert result(capsys, "select", scene, "--name", "f", *both)["gaussians"] == sum(alone)
+
+
 def test_select_grows_and_shrinks(scene: Path, capsys):
     red = ("select", scene, "--name", "red", "--id", 3)
     plain = result(capsys, *red)["gaussians"]
@@ -44,6 +71,14 @@ def test_select_by_text(scene: Path, capsys, monkeypatch):
     found = result(capsys, "select", scene, "--name", "it", "--text", "blue", "--model", "a/b")
     assert found["ids"] == [300] and found["scores"].keys() == {"300"}
     assert asked[0][0] == "a/b"
+
+
+def test_select_by_several_texts(scene: Path, capsys, monkeypatch):
+    monkeypatch.setattr("stylesplat.verbs.select.load_detector", lambda *a: ColorDetector())
+    texts = ("--text", "blue", "--text", "red")
+    found = result(capsys, "select", scene, "--name", "them", *texts)
+    assert found["ids"] == [300, 3] and found["text"] == ["blue", "red"]
+    assert found["scores"].keys() == {"300", "3"}
 
 
 def test_select_by_text_with_a_real_detector(scene: Path, tiny_model, capsys, monkeypatch):

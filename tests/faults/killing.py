@@ -263,7 +263,7 @@ WRITERS = {
     ),
     "export": Writer(
         lambda folder: export(random_splats(5), folder / "a.ply"),
-        lambda folder: export(random_splats(6), folder / "a.ply"),
+        lambda folder: export(random_splats(6), folder / "a.ply", overwrite=True),
         lambda folder: (folder / "a.ply").read_bytes(),
     ),
     "checkpoint": Writer(

@@ -51,7 +51,7 @@ def use_scene(folder: Path, out: Path) -> None:
     for name in scene.objects:
         ss.select(scene, "again", plus=name)
     ss.select(scene, "round", sphere=(0.0, 0.0, 0.0, 10.0))
-    ss.export(scene, out / "a.ply")
+    ss.export(scene, out / "a.ply", overwrite=True)
     look_at(scene)
     views, _ = scene.working_views()
     assert len(views)
@@ -83,7 +83,7 @@ def use_splats(folder: Path, out: Path) -> None:
 def use_one_splat(splats: Splats, out: Path) -> None:
     image, _, _ = rasterize(splats, two_cameras().at_most(TINY))
     check_finite("image", image)
-    ss.export(splats, out / "a.ply")
+    ss.export(splats, out / "a.ply", overwrite=True)
     read_splats(out / "a.ply")
 
 

@@ -52,7 +52,7 @@ def late(*arguments, revise=scene_folder.revise):
 
 scene_folder.revise = late
 Select._draw = lambda self, scene, target: None  # which takes long
-Select(Path(sys.argv[1]), "one", sphere="0,0,0,9").run()
+Select(Path(sys.argv[1]), "one", sphere=("0,0,0,9",)).run()
 """
 
 
@@ -76,7 +76,7 @@ def test_two_selections_at_once_are_both_kept(tmp_path: Path, monkeypatch: pytes
 
     assert first.stdout is not None and first.stdout.readline() == "opened\n"
     with observed(Listener()):
-        Select(tmp_path / "scene", "other", sphere="0,0,0,9").run()
+        Select(tmp_path / "scene", "other", sphere=("0,0,0,9",)).run()
     first.communicate("go\n" if not told else None)
     assert first.returncode == 0
     assert {"one", "other"} <= open(tmp_path / "scene").objects.keys()

@@ -139,13 +139,13 @@ def test_unknown_suffix(tmp_path: Path, name: str):
         export(random_splats(), tmp_path / name)
 
 
-def test_files_are_replaced_unless_told_otherwise(tmp_path: Path):
+def test_files_are_replaced_only_if_told_so(tmp_path: Path):
     path = tmp_path / "a.ply"
     path.write_text("old")
     with pytest.raises(StyleSplatError, match=r"a\.ply exists already.*--overwrite"):
-        export(random_splats(), path, overwrite=False)
+        export(random_splats(), path)
     assert path.read_text() == "old"
-    export(random_splats(), path)
+    export(random_splats(), path, overwrite=True)
     assert len(read_splat_ply(path)) == 50
 
 

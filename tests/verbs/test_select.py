@@ -95,6 +95,26 @@ def test_sphere_in_the_world():
     assert torch.equal(picked(scene, "ball"), inside)
 
 
+def test_several_shapes_are_united():
+    spheres = [(*BALLS[id][0], 0.31) for id in (3, 7)]
+    scene = select(SCENE, "balls", sphere=spheres)
+    for name, sphere in zip(("red", "green"), spheres, strict=True):
+        scene = select(scene, name, sphere=sphere)
+    assert torch.equal(picked(scene, "balls"), picked(scene, "red") | picked(scene, "green"))
+    assert scene.objects["balls"].how["sphere"] == tuple(("", each) for each in spheres)
+    assert scene.objects["red"].how["sphere"] == ("", spheres[0]), "one is written as it was"
+
+    def around(id: int) -> tuple[float, ...]:
+        (x, y, z), *_ = BALLS[id]
+        return (x - 0.3, y - 0.3, z - 0.3, x + 0.3, y + 0.3, z + 0.3)
+
+    scene = select(scene, "boxes", box3d=[around(3), list(around(7))])
+    scene = select(scene, "box", box3d=around(3))
+    assert picked(scene, "boxes")[picked(scene, "box")].all()
+    assert picked(scene, "boxes").sum() > picked(scene, "box").sum() > 0
+    assert scene.objects["box"].how["box3d"] == around(3)
+
+
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
@@ -103,6 +123,7 @@ def test_sphere_in_the_world():
         ({"not_point": (VIEW, 1, 2, 3)}, "Cannot select by not_point="),
         ({"box": (VIEW, 1, 2, 3)}, "a view and 4 numbers"),
         ({"sphere": (1.0, 2.0, 3.0)}, "Cannot select by sphere="),
+        ({"sphere": [(1.0, 2.0, 3.0, 4.0), (1.0,)]}, r"Cannot select by sphere=\(1.0,\)"),
         ({"sphere": (VIEW, 1.0, 2.0)}, "Give x, y, z, radius; or a view"),
         ({"box3d": (1.0, 2.0, 3.0)}, r"Cannot select by box3d=\(1.0, 2.0, 3.0\)\. Give x0"),
         ({"point": ("lost.jpg", 1, 2)}, "No view is called 'lost.jpg'"),

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from contextlib import closing
 from typing import Any
 
-import tyro
-
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
 from stylesplat.cli.check import Check
@@ -27,6 +25,8 @@ from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
+from stylesplat.cli.usage import read
+from stylesplat.cli.values import said
 from stylesplat.cli.view import View
 from stylesplat.progress import observed
 from stylesplat.signals import WHOLE
@@ -59,12 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
         after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2.
     """
-    command = tyro.extras.subcommand_cli_from_dict(
-        VERBS,
-        prog="stylesplat",
-        description="Repaint chosen objects of a 3D Gaussian splat in the style of any picture.",
-        args=arguments,
-    )
+    command = read(VERBS, sys.argv[1:] if arguments is None else arguments)
     try:
         _run(command)
     except (Exception, KeyboardInterrupt) as error:
@@ -94,12 +89,11 @@ def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:
     """A result as text, one value a line."""
     lines = []
     for name, value in result.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            rows = (", ".join(f"{k} {v}" for k, v in row.items() if v != []) for row in value)
+            rows = (said({k: v for k, v in row.items() if v != []}) for row in value)
             lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
         else:
-            shown = f"{value:.4g}" if isinstance(value, float) else value
-            lines.append(f"{indent}{name}: {shown}")
+            lines.append(f"{indent}{name}: {said(value)}")
     return lines

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
@@ -17,6 +17,7 @@ class Adjust:
     Example: stylesplat adjust garden-wave --intensity 0.6
     """
 
+    first: ClassVar = ("output", "intensity", "object", "undo")
     scene: Positional[Path]
     """Folder of the styled scene."""
     intensity: float | None = None

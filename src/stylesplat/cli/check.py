@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -21,6 +21,7 @@ class Check:
     Example: stylesplat check garden -o garden-check.jpg
     """
 
+    first: ClassVar = ("output",)
     capture: Positional[Path]
     """Folder of the posed photos, which stays as it is; or of photos whose poses were found."""
     output: OptionalOutput = None

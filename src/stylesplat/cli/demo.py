@@ -14,6 +14,7 @@ class Demo:
     Example: stylesplat demo -o demo
     """
 
+    first: ClassVar = ("output",)
     output: Output = Path("stylesplat-demo")
     """Folder for everything that is made."""
     overwrite: Overwrite = False

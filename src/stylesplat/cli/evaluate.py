@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -20,6 +20,7 @@ class Evaluate:
     Example: stylesplat evaluate garden-scene --masks exact-masks
     """
 
+    first: ClassVar = ("capture", "masks")
     scene: Positional[Path]
     """Folder of the scene."""
     capture: Path | None = None

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json, Overwrite
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite
+from stylesplat.errors import StyleSplatError
 
 
 @dataclass(frozen=True)
@@ -16,10 +17,14 @@ class Export:
     Example: stylesplat export garden-wave garden.spz
     """
 
+    first: ClassVar = ("output",)
     scene: Positional[Path]
     """Folder of the scene."""
-    file: Positional[Path]
-    """File to make: .ply keeps every bit; .compressed.ply, .spz and .splat are smaller."""
+    file: Positional[Path | None] = None
+    """File to make: .ply keeps every bit; .compressed.ply, .spz and .splat are smaller. Or name it
+    with -o."""
+    output: OptionalOutput = None
+    """File to make, where it does not follow the scene."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     overwrite: Overwrite = False
@@ -31,7 +36,10 @@ class Export:
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.export import export
 
-        refuse_file(self.file, overwrite=self.overwrite)
+        file = self.file or self.output
+        if file is None or (self.file and self.output):
+            raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
+        refuse_file(file, overwrite=self.overwrite)
         scene = open(self.scene)
-        export(scene, self.file, overwrite=self.overwrite, sh_degree=self.sh_degree)
-        return {"file": self.file, "gaussians": len(scene.splats)}
+        export(scene, file, overwrite=self.overwrite, sh_degree=self.sh_degree)
+        return {"file": file, "gaussians": len(scene.splats)}

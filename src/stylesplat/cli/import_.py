@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
@@ -18,6 +18,7 @@ class Import:
     Example: stylesplat import garden.ply garden -o garden-scene
     """
 
+    first: ClassVar = ("up", "frame")
     splat: Positional[Path]
     """A .ply (also SuperSplat's compressed one), .spz or .splat file."""
     output: Output

@@ -3,7 +3,7 @@
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -35,6 +35,7 @@ class Mask:
     Example: stylesplat mask garden --box vase=IMG_0007.jpg:500,300,800,700
     """
 
+    first: ClassVar = ("box", "method", "source")
     capture: Positional[Path]
     """Folder with the posed photos; the label maps go into its object_mask/. Of photos without
     poses, or a video, `sfm` makes a capture first, beside them; the label maps go into that one."""

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, refuse_picture
 
 SHEET = "objects.png"
 
@@ -18,8 +18,12 @@ class Objects:
     Example: stylesplat objects garden-scene
     """
 
+    first: ClassVar = ("output",)
     scene: Positional[Path]
-    """Folder of the scene; the sheet is written there as objects.png."""
+    """Folder of the scene."""
+    output: OptionalOutput = None
+    """Picture of the sheet; by default objects.png in the scene, which is replaced."""
+    overwrite: Overwrite = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -31,11 +35,14 @@ class Objects:
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.objects import objects
 
+        if self.output is not None:
+            refuse_picture(self.output, overwrite=self.overwrite)
         scene = open(self.scene)
         refuse_file(self.scene / SHEET, overwrite=True)
         found = objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
         sheet = object_sheet(scene.splats, scene.cameras, names=names)
-        with changing(self.scene):
-            write_image(sheet, self.scene / SHEET)
-        return {"objects": found, "sheet": self.scene / SHEET}
+        target = self.output or self.scene / SHEET
+        with changing(self.output or self.scene):
+            write_image(sheet, target)
+        return {"objects": found, "sheet": target}

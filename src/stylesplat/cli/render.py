@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -17,6 +17,7 @@ class Render:
     Example: stylesplat render garden-wave -o orbit.mp4 --views orbit
     """
 
+    first: ClassVar = ("views", "what")
     scene: Positional[Path]
     """Folder of the scene."""
     output: Output

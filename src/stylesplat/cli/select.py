@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
@@ -38,30 +38,33 @@ class Select:
     Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
     """
 
+    first: ClassVar = ("id", "box", "point", "text")
     scene: Positional[Path]
     """Folder of the scene."""
     name: str
     """What to call the object."""
     id: tuple[int, ...] = ()
-    """Label ids, as `objects` lists them."""
+    """Label ids, as `objects` lists them, several or one at a time."""
     box: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x0,y0,x1,y1 in photo pixels: the object that shows most inside. May be repeated."""
     point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
     not_point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y of an object that is not meant. May be repeated."""
-    text: str | None = None
-    """A few words: the object that they mean, if it is clear which one."""
+    text: UseAppendAction[tuple[str, ...]] = ()
+    """A few words: the object that they mean, if it is clear which one. May be repeated."""
     model: str | None = None
     """Folder or hub name of the model that finds the words: a Grounding DINO or SAM 3."""
-    box3d: str | None = None
-    """x0,y0,z0,x1,y1,z1 in world units: what lies inside, whatever object it is."""
-    sphere: str | None = None
-    """x,y,z,RADIUS in world units; or VIEW:x,y,RADIUS around what shows at that pixel."""
+    box3d: UseAppendAction[tuple[str, ...]] = ()
+    """x0,y0,z0,x1,y1,z1 in world units: what lies inside, whatever object it is. May be
+    repeated."""
+    sphere: UseAppendAction[tuple[str, ...]] = ()
+    """x,y,z,RADIUS in world units; or VIEW:x,y,RADIUS around what shows at that pixel. May be
+    repeated."""
     plus: tuple[str, ...] = ()
-    """Names of earlier selections that belong to it."""
+    """Names of earlier selections that belong to it, several or one at a time."""
     minus: tuple[str, ...] = ()
-    """Names of earlier selections that do not."""
+    """Names of earlier selections that do not, likewise."""
     all: FlagCreatePairsOff[bool] = False
     """Everything."""
     background: FlagCreatePairsOff[bool] = False
@@ -84,7 +87,7 @@ class Select:
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
 
-        if self.model is not None and self.text is None:
+        if self.model is not None and not self.text:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
         target = picture_of(self.scene, self.name)
         with changing(self.scene):  # from reading on, so that no other's selection is lost
@@ -108,8 +111,11 @@ class Select:
             point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
             not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
             text=self.text,
-            box3d=parse_box3d(self.box3d) if self.box3d else (),
-            sphere=self._sphere(),
+            box3d=[*map(parse_box3d, self.box3d)],
+            sphere=[
+                (view, *numbers) if view else numbers
+                for view, numbers in map(parse_sphere, self.sphere)
+            ],
             plus=self.plus,
             minus=self.minus,
             all=self.all,
@@ -120,12 +126,6 @@ class Select:
             remove_outliers=not self.keep_outliers,
             model=self.model,
         )
-
-    def _sphere(self) -> tuple[Any, ...] | None:
-        if not self.sphere:
-            return None
-        view, numbers = parse_sphere(self.sphere)
-        return (view, *numbers) if view else numbers
 
     def _may_show(self, scene: "Scene", target: Path) -> bool:
         """Whether there is a picture to draw; if not, that of an earlier selection goes."""

@@ -16,6 +16,7 @@ class Sfm:
     Example: stylesplat sfm MyPhotos -o garden
     """
 
+    first: ClassVar = ("frames",)
     source: Positional[Path]
     """Folder of photos (JPEG, PNG, TIFF, WebP, HEIC), sub-folders included; or a video."""
     output: Output

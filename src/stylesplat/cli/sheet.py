@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -20,6 +20,7 @@ class Sheet:
     Example: stylesplat sheet garden-scene -o sheet.png --style vase=wave.jpg --vary scale=1,2,4
     """
 
+    first: ClassVar = ("style", "vary")
     scene: Positional[Path]
     """Folder of the scene, which stays as it is."""
     output: Output

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -39,6 +39,7 @@ class Stylize:
     Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave
     """
 
+    first: ClassVar = ("style", "recipe", "scale", "intensity", "color")
     scene: Positional[Path]
     """Folder of the scene."""
     output: Output

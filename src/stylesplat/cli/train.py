@@ -5,7 +5,7 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
@@ -35,6 +35,7 @@ class Train:
     Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
     """
 
+    first: ClassVar = ("downscale", "max_seconds", "steps", "masks")
     capture: Positional[Path]
     """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/. Of
     photos without poses, or a video, `sfm` makes a capture first, beside the scene."""

@@ -19,6 +19,7 @@ class View:
     Example: stylesplat view garden-wave
     """
 
+    first: ClassVar = ("port",)
     scene: Positional[Path]
     """Folder of the scene."""
     port: int = 8080

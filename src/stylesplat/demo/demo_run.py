@@ -68,7 +68,7 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
     )
     save(styled, output / "styled", overwrite=True)
     _render(scene, styled, output)
-    export(styled, output / "styled.ply")
+    export(styled, output / "styled.ply", overwrite=True)
     seconds = time.monotonic() - start
     _report(output, capture, dict(scene.metrics), dict(styled.metrics), seconds)
     return {

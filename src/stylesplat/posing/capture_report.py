@@ -6,6 +6,7 @@ from typing import Any
 from stylesplat.posing.coverage import Coverage
 from stylesplat.posing.findings import Finding
 from stylesplat.scene.frames import Frame
+from stylesplat.scene.one_line import one_line
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,9 @@ class CaptureReport:
     """From where what is in the middle is shown."""
     frame: Frame
     """Where up is -y, the content is in the middle and the cameras' median distance is 1."""
+
+    def __repr__(self) -> str:
+        return one_line(self, *(f"{each.what}: {each.verdict}" for each in self.findings))
 
     def summary(self) -> dict[str, Any]:
         """The same as plain values, for JSON."""

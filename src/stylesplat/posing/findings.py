@@ -12,10 +12,10 @@ from stylesplat.posing.coverage import Coverage
 from stylesplat.posing.photo_looks import PhotoLooks
 from stylesplat.posing.sharpness import BLURRED
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.one_line import counted, some
 
 Verdict = Literal["good", "fair", "poor"]
 
-SHOWN = 3  # names in a line
 FEW = 20  # photos, that from one side only are too few even for that side
 LEAST_SHARED = 50  # points that a photo has to share with others
 LEAST_OF_USUAL = 0.1  # of what photos of the capture share in the median
@@ -57,7 +57,7 @@ def on_count(count: int) -> Finding:
     verdict = graded(count, 30, 15)
     advice = {"good": "", "fair": "More make it sharper: take 40 to 100."}
     few = "They are too few for most scenes: take 40 to 100."
-    return Finding("photos", verdict, count, _count(count, "photo"), advice.get(verdict, few))
+    return Finding("photos", verdict, count, counted(count, "photo"), advice.get(verdict, few))
 
 
 def on_posed(posed: int, unposed: Mapping[str, str], left_out: int) -> Finding:
@@ -65,8 +65,8 @@ def on_posed(posed: int, unposed: Mapping[str, str], left_out: int) -> Finding:
     total = posed + len(unposed)
     verdict = graded(posed / total, 0.95, 0.8)
     why = [f"{name} ({reason})" if reason else name for name, reason in unposed.items()]
-    says = f"{posed} of {_count(total, 'photo')} have a pose"
-    says += f", not {_names(why)}" if why else ""
+    says = f"{posed} of {counted(total, 'photo')} have a pose"
+    says += f", not {some(why)}" if why else ""
     says += f"; {left_out} more were left out" if left_out else ""
     advice = "Take more photos between these and the others, in small steps, and pose them again."
     return _plain("posed", verdict, posed / total, says, advice)
@@ -106,7 +106,7 @@ def _on_overlap(shared: dict[str, int]) -> Finding:
     verdict = graded(len(weak) / len(shared), 0.0, 0.1)
     says = f"each photo shares {min(shared.values()):,} points or more with others"
     if weak:
-        says = f"few points connect {_names(weak)} with the others"
+        says = f"few points connect {some(weak)} with the others"
     advice = "Take photos between these and the rest, or leave them out."
     return _plain("overlap", verdict, len(weak), says, advice)
 
@@ -137,7 +137,7 @@ def on_sides(coverage: Coverage, photos: int) -> Finding:
         says = f"a wall, seen from the front over {arc} degrees; views from behind will be empty"
         return Finding("sides", "good", arc, says)
     if photos < FEW or arc < 30:
-        says = f"{_count(photos, 'photo')} from one side only, {arc} of 360 degrees"
+        says = f"{counted(photos, 'photo')} from one side only, {arc} of 360 degrees"
         return Finding("sides", "poor", arc, says, "Walk around the object.")
     says = f"seen from one side, {arc} of 360 degrees; views from behind will be empty"
     return Finding("sides", "fair", arc, says, "Walk around it if they are wanted.")
@@ -145,7 +145,7 @@ def on_sides(coverage: Coverage, photos: int) -> Finding:
 
 def on_heights(coverage: Coverage) -> Finding:
     """From how many heights it is shown."""
-    says = f"{_count(coverage.heights, 'height')}, {coverage.elevations}"
+    says = f"{counted(coverage.heights, 'height')}, {coverage.elevations}"
     advice = "Go around again with the camera higher, looking down, or lower."
     return _plain("heights", graded(coverage.heights, 2, 1), coverage.heights, says, advice)
 
@@ -174,7 +174,7 @@ def blurred_rows(looks: PhotoLooks) -> list[int]:
 def on_looks(looks: PhotoLooks, names: Sequence[str]) -> list[Finding]:
     """What the camera did: blur, exposure, white balance."""
     blurred = [names[row] for row in blurred_rows(looks)]
-    says = f"blurred: {_names(blurred)}" if blurred else "no photo is much less sharp than others"
+    says = f"blurred: {some(blurred)}" if blurred else "no photo is much less sharp than others"
     remedy = "Leave them out or take them again, with more light or a steadier hand."
     sharp = graded(len(blurred) / len(names), 0.0, 0.1)
     stops, warmth = _spread(looks.stops), _spread(looks.warmth)
@@ -206,9 +206,9 @@ def on_lenses(cameras: Cameras) -> Finding:
     # Of the longer side, so that a phone on its side counts as the same
     focal = (cameras.Ks[:, 0, 0].cpu() / cameras.sizes.amax(dim=1)).double()
     ratio = float(focal.max() / focal.min())
-    says = f"{_count(len(sizes), 'size')}, one lens"
+    says = f"{counted(len(sizes), 'size')}, one lens"
     if ratio > ZOOM:
-        says = f"{_count(len(sizes), 'size')}, focal lengths that differ by {ratio:.1f} times"
+        says = f"{counted(len(sizes), 'size')}, focal lengths that differ by {ratio:.1f} times"
     advice = "Fine for several lenses; zooming while walking makes poses vague, so do not zoom."
     return _plain("lenses", graded(ratio, ZOOM, float("inf")), ratio, says, advice)
 
@@ -222,13 +222,3 @@ def _spread(values: Float[Tensor, " C"]) -> float:
     """Between the photos on either end, but for one in twenty."""
     known = values[values.isfinite()]
     return float(known.quantile(0.95) - known.quantile(0.05)) if len(known) else 0.0
-
-
-def _names(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:SHOWN])
-    more = len(names) - SHOWN
-    return f"{shown} and {more} more" if more > 0 else shown
-
-
-def _count(count: int, what: str) -> str:
-    return f"{count} {what}" + ("s" if count != 1 else "")

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.one_line import counted, one_line, pixels, some
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,9 @@ class Cameras:
     """Width and height in pixels."""
     names: tuple[str, ...]
     """The image's file name of each camera."""
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self), "view"), pixels(self.sizes), some(self.names))
 
     def __len__(self) -> int:
         return len(self.names)

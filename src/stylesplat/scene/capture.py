@@ -13,6 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import OwnLabels
 from stylesplat.scene.lazy import Lazy
+from stylesplat.scene.one_line import counted, one_line, pixels, some
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,17 @@ class Capture:
                 raise StyleSplatError(
                     f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
                 )
+
+    def __repr__(self) -> str:
+        of = f" of {some(self.object_names.values())}" if self.object_names else ""
+        return one_line(
+            self,
+            counted(len(self), "photo"),
+            pixels(self.cameras.sizes),
+            None if self.label_maps is None else f"label maps{of}",
+            None if self.points is None else counted(len(self.points), "point"),
+            self.path,
+        )
 
     def __len__(self) -> int:
         return len(self.cameras)

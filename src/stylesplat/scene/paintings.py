@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.scene.one_line import counted, one_line, some
 from stylesplat.scene.splats import Splats
 
 
@@ -43,6 +44,12 @@ class Painting:
     upon: Mapping[str, float] = field(default_factory=dict)
     """The paintings that were there before, by name, and how strong they were then."""
 
+    def __repr__(self) -> str:
+        pictures = some(each.path.name if each.path else "a picture" for each in self.styles)
+        gaussians = counted(int(self.picked.sum()), "Gaussian")
+        strength = f"intensity {self.intensity:g}"
+        return one_line(self, f"{self.name} like {pictures}", gaussians, strength, self.features)
+
 
 @dataclass(frozen=True)
 class Gone:
@@ -67,6 +74,9 @@ class Unsplit:
     opacities: Float[Tensor, " R"]
     """Theirs before."""
 
+    def __repr__(self) -> str:
+        return one_line(self, f"{len(self.rows):,} of {counted(self.count, 'Gaussian')} were split")
+
 
 @dataclass(frozen=True)
 class Colors:
@@ -76,6 +86,9 @@ class Colors:
     """Constant band."""
     shN: Float[Tensor, "N _ 3"]
     """Higher bands."""
+
+    def __repr__(self) -> str:
+        return one_line(self, f"of {counted(len(self.sh0), 'Gaussian')}")
 
     @classmethod
     def of(cls, splats: Splats) -> "Colors":
@@ -106,6 +119,9 @@ class Painted:
     """The folder of the scene before; None if it had none."""
     gone: tuple[Gone, ...] = ()
     """What else it takes to paint all this again, the oldest first."""
+
+    def __repr__(self) -> str:
+        return one_line(self, some(self.names))
 
     @property
     def names(self) -> tuple[str, ...]:

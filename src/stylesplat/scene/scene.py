@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief, check_choice
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.one_line import counted, one_line, some
 from stylesplat.scene.paintings import Painted
 from stylesplat.scene.splats import Splats
 
@@ -30,6 +31,11 @@ class SceneObject:
     """Which they are."""
     how: Mapping[str, Any] = field(default_factory=dict)
     """How they were chosen, as plain values: `ids`, `threshold`, `gaussians` and so on."""
+
+    def __repr__(self) -> str:
+        named = " ".join(map(str, self.how.get("ids", ())))
+        share = f"{int(self.picked.sum()):,} of {counted(len(self.picked), 'Gaussian')}"
+        return one_line(self, share, f"label ids {named}" if named else None)
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,17 @@ class Scene:
     """How it was made, as plain values: settings, versions of libraries."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
     """What was measured, as plain values."""
+
+    def __repr__(self) -> str:
+        held_out = f" ({len(self.held_out)} held out)" if self.held_out else ""
+        return one_line(
+            self,
+            counted(len(self.splats), "Gaussian"),
+            counted(len(self.cameras), "view") + held_out,
+            f"objects: {some(self.objects)}" if self.objects else None,
+            f"painted: {some(self.painted.names)}" if self.painted else None,
+            self.path,
+        )
 
     def views(self, which: Which = "all") -> Cameras:
         """The cameras of the held-out (test), training or all views, at the photos' size.

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.scene.one_line import counted, one_line
+
 SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour
 IDENTITY_SIZE = 16  # numbers per Gaussian that encode its object (Gaussian Grouping)
 
@@ -20,6 +22,9 @@ class Classifier:
     """One number per class."""
     ids: tuple[int, ...]
     """The user's label id of each class; 0 is background."""
+
+    def __repr__(self) -> str:
+        return one_line(self, f"label ids {' '.join(map(str, self.ids))}")
 
     def logits(self, identities: Float[Tensor, "*B 16"]) -> Float[Tensor, "*B K"]:
         """Class scores before the softmax, one column per entry of `ids`."""
@@ -57,6 +62,15 @@ class Splats:
     confidence: Float[Tensor, " N"] | None = None
     """The share of a Gaussian's pixels that have its label, 0 if no label map shows it; None if
     identities were not lifted from label maps."""
+
+    def __repr__(self) -> str:
+        return one_line(
+            self,
+            counted(len(self), "Gaussian"),
+            f"SH degree {self.sh_degree}",
+            None if self.identities is None else "with identities",
+            None if self.device.type == "cpu" else self.device,
+        )
 
     def __len__(self) -> int:
         return self.means.shape[0]

@@ -21,6 +21,7 @@ from stylesplat.selection.text import clear_winner, rank_objects
 
 # Selections with these are not the whole object
 SHAPING = frozenset({"plus", "minus", "box3d", "sphere", "all", "background", "grow", "shrink"})
+ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where there is one
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,11 @@ class Choice:
     """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
     """Objects that are not meant."""
-    text: str | None = None
-    """A few words: the object that they mean."""
-    box3d: tuple[float, ...] = ()
+    text: tuple[str, ...] = ()
+    """A few words: the object that they mean. And others."""
+    box3d: tuple[tuple[float, ...], ...] = ()
     """Two corners in the world, the lower one first."""
-    sphere: tuple[str, tuple[float, ...]] | None = None
+    sphere: tuple[tuple[str, tuple[float, ...]], ...] = ()
     """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
     plus: tuple[str, ...] = ()
     """Earlier names that are part of it."""
@@ -57,7 +58,7 @@ class Choice:
     def __post_init__(self) -> None:
         if self.grow is not None and self.shrink is not None:
             raise StyleSplatError("An object cannot grow and shrink. Pass --grow or --shrink.")
-        if self.text is not None and not self.text.strip():
+        if not all(text.strip() for text in self.text):
             raise StyleSplatError(
                 "The text is empty. Say what to find, such as --text 'red chair'."
             )
@@ -100,11 +101,12 @@ def choose(
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     if choice.background:
         masks.append(rest(scene, name, threshold=rules.threshold))
-    named, scores = _ids(scene, choice), {}
-    if choice.text is not None:
+    named, scores = _ids(scene, choice), dict[int, float]()
+    for text in choice.text:
         assert detector is not None  # whoever takes texts loads one
-        scores = _scores(scene, choice.text, detector, without)
-        named += (_winner(scene, scores, choice.text),)
+        fits = _scores(scene, text, detector, without)
+        named += (_winner(scene, fits, text),)
+        scores |= {id: max(score, scores.get(id, score)) for id, score in fits.items()}
     ids = tuple(id for id in dict.fromkeys(named) if id not in without)
     if ids:
         masks.append(pick(scene.splats, object_id=ids, **rules._asdict()))
@@ -121,7 +123,8 @@ def choose(
     mask = _resized(scene, mask, choice)
     how: dict[str, Any] = {"ids": list(ids), "threshold": rules.threshold}
     how |= {"gaussians": int(mask.sum())}
-    how |= {key: value for key, value in asdict(choice).items() if value and key != "ids"}
+    given = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
+    how |= {key: _said(key, value) for key, value in given.items()}
     return SceneObject(mask, how | ({"scores": scores} if scores else {}))
 
 
@@ -202,17 +205,21 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
     splats = scene.splats
     if choice.all:
         yield torch.ones_like(splats.opacities, dtype=torch.bool)
-    if choice.box3d:
-        low, high = torch.tensor(choice.box3d).view(2, 3)
+    for corners in choice.box3d:
+        low, high = torch.tensor(corners).view(2, 3)
         yield in_box(splats, low, high)
-    if choice.sphere:
-        view, (*place, radius) = choice.sphere
+    for view, (*place, radius) in choice.sphere:
         if view:
             x, y = place
             centre = surface_point(splats, _camera(scene, view), (x, y))
         else:
             centre = torch.tensor(place)
         yield in_sphere(splats, centre, radius)
+
+
+def _said(key: str, value: Any) -> Any:
+    """What is written down of a choice."""
+    return value[0] if key in ALONE and len(value) == 1 else value
 
 
 def _resized(scene: Scene, mask: Bool[Tensor, " N"], choice: Choice) -> Bool[Tensor, " N"]:

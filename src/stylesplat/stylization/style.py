@@ -1,7 +1,7 @@
 """What an object is to look like: pictures, and how to take their style."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_bytes
+from stylesplat.scene.one_line import one_line, some
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
@@ -63,6 +64,11 @@ class Style:
         object.__setattr__(self, "pictures", pictures)
         object.__setattr__(self, "config", with_settings(config or PRESETS[preset], settings))
 
+    def __repr__(self) -> str:
+        default, config = asdict(StyleConfig()), asdict(self.config)
+        changed = (f"{name}={config[name]!r}" for name in config if config[name] != default[name])
+        return one_line(self, some(map(_called, self.pictures)), *changed)
+
     def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
         """The pictures as they are to be used: cropped and turned.
 
@@ -102,6 +108,10 @@ class StyledObject:
     gone: bool = False
     """Whether it is there only as long as others are painted upon it."""
 
+    def __repr__(self) -> str:
+        intensity = None if self.intensity is None else f"intensity={self.intensity:g}"
+        return one_line(self, self.name, repr(self.style), self.features, intensity)
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -109,6 +119,11 @@ class Recipe:
 
     objects: tuple[StyledObject, ...] = field(default_factory=tuple)
     """In order, each once, but for those that are gone in the end."""
+
+    def __repr__(self) -> str:
+        pictures = (some(map(_called, each.style.pictures)) for each in self.objects)
+        names = (each.name for each in self.objects)
+        return one_line(self, *(f"{n}: {p}" for n, p in zip(names, pictures, strict=True)))
 
 
 def as_recipe(
@@ -134,6 +149,11 @@ def digest(path: Path) -> str:
         StyleSplatError: If it cannot be read.
     """
     return sha256(read_bytes(path)).hexdigest()
+
+
+def _called(picture: Picture) -> str:
+    """A picture in a word."""
+    return "a picture" if isinstance(picture, Tensor) else Path(picture).name
 
 
 def _source(picture: Picture) -> Source:

@@ -12,7 +12,7 @@ def export(
     what: Scene | Splats,
     path: Path | str,
     *,
-    overwrite: bool = True,
+    overwrite: bool = False,
     sh_degree: int | None = None,
 ) -> None:
     """Write a scene's splats for a viewer, in the format that the file's suffix names.

@@ -10,6 +10,7 @@ from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.one_line import counted, one_line, some
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 
@@ -28,6 +29,9 @@ class Views:
     """What each sees, on the CPU: an image, or the ids of labels, or depths."""
     scale: float | None = None
     """World units in a step of `depth-16bit`."""
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self), "picture"), some(self.names))
 
     def __len__(self) -> int:
         return len(self.names)

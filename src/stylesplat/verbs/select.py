@@ -1,6 +1,6 @@
 """`select`: name some Gaussians of a scene."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from typing import Any
 
 from stylesplat.errors import StyleSplatError
@@ -24,9 +24,9 @@ def select(
     box: Places = (),
     point: Places = (),
     not_point: Places = (),
-    text: str | None = None,
-    box3d: Sequence[float] = (),
-    sphere: Place | None = None,
+    text: str | Sequence[str] | None = None,
+    box3d: Sequence[Any] = (),
+    sphere: Places | None = None,
     plus: str | Sequence[str] = (),
     minus: str | Sequence[str] = (),
     all: bool = False,
@@ -49,10 +49,11 @@ def select(
         box: `(view, x0, y0, x1, y1)`, or several: the object that shows most inside.
         point: `(view, x, y)`, or several: the object that shows there.
         not_point: The same for objects that are not meant.
-        text: A few words: the object that they mean, if it is clear which one.
-        box3d: `(x0, y0, z0, x1, y1, z1)` in world units: what lies inside, whatever it is.
+        text: A few words: the object that they mean, if it is clear which one. Or several texts.
+        box3d: `(x0, y0, z0, x1, y1, z1)` in world units, or several: what lies inside, whatever
+            it is.
         sphere: `(x, y, z, radius)` in world units; or `(view, x, y, radius)` around what shows at
-            that pixel.
+            that pixel. Or several.
         plus: Names of earlier selections that belong to it.
         minus: Names of earlier selections that do not.
         all: Everything.
@@ -73,14 +74,15 @@ def select(
         >>> scene = select(scene, "pot", point=("IMG_0007.jpg", 640, 420))  # doctest: +SKIP
     """
     check_name(name)
+    texts = (text,) if isinstance(text, str) else tuple(text or ())
     choice = Choice(
         ids=(id,) if isinstance(id, int) else tuple(id),
         boxes=_in_views(box, 4, "box"),
         points=_in_views(point, 2, "point"),
         not_points=_in_views(not_point, 2, "not_point"),
-        text=text,
-        box3d=_box3d(box3d),
-        sphere=_sphere(sphere) if sphere else None,
+        text=texts,
+        box3d=tuple(map(_box3d, _several(box3d))),
+        sphere=tuple(map(_sphere, _several(sphere))),
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),
         all=all,
@@ -89,7 +91,7 @@ def select(
         shrink=shrink,
     )
     detector = None
-    if text is not None:
+    if texts:
         object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
         detector = load_detector(model, pick_device(device))
     rules = Rules(threshold, remove_outliers)
@@ -114,8 +116,16 @@ def _in_views(places: Places, count: int, what: str) -> Any:
     return tuple(found)
 
 
+def _several(shapes: Sequence[Any] | None) -> Sequence[Any]:
+    """A shape, or several, as several."""
+    if shapes is None or not len(shapes):
+        return ()
+    alone = isinstance(shapes[0], str) or not isinstance(shapes[0], Sized)
+    return (shapes,) if alone else shapes
+
+
 def _box3d(corners: Sequence[float]) -> tuple[float, ...]:
-    if len(corners) not in (0, 6):
+    if len(corners) != 6:
         raise StyleSplatError(f"Cannot select by box3d={corners!r}. Give x0, y0, z0, x1, y1, z1.")
     return tuple(map(float, corners))
 

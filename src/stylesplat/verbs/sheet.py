@@ -17,6 +17,7 @@ from stylesplat.progress import Task, task
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -43,6 +44,10 @@ class Sheet:
     """How many there are, the object as it is aside."""
     repainted: int
     """How many of them were painted; the others are blends of these."""
+
+    def __repr__(self) -> str:
+        height, width, _ = self.picture.shape
+        return one_line(self, counted(self.cells, "cell"), f"{width}x{height}", f"from {self.view}")
 
 
 def sheet(

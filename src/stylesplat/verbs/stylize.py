@@ -106,6 +106,9 @@ def stylize(
     return replace(with_origin(at_intensities(scene, wanted), before), metrics=metrics)
 
 
+stylise = stylize
+
+
 def load_network(
     styles: Sequence[Style],
     features: str,

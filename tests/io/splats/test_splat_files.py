@@ -134,7 +134,7 @@ def test_hostile_spz(tmp_path: Path):
     path.write_bytes(gzip.compress(spz_header(1) + bytes(19)) + gzip.compress(bytes(10**6)))
     with pytest.raises(StyleSplatError, match="holds more than its header says"):
         read_splats(path)
-    export(PLAIN, path)
+    export(PLAIN, path, overwrite=True)
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(StyleSplatError, match="Cannot read"):
         read_splats(path)

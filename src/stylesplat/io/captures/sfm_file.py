@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Meta
 
 from stylesplat.io.json_files import FilePath, read_json_as, write_json
+from stylesplat.scene.one_line import counted, one_line
 
 SFM_FILE = "sfm.json"
 FORMAT = 1
@@ -42,6 +43,10 @@ class SfmRecord(msgspec.Struct, kw_only=True):
     """What was measured, and how long it took."""
     libraries: dict[str, Text]
     """Versions."""
+
+    def __repr__(self) -> str:
+        found = f"{self.registered:,} of {counted(self.given, 'photo')} with a pose"
+        return one_line(self, found, self.source)
 
 
 def read_sfm(folder: Path) -> SfmRecord | None:

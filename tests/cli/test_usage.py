@@ -1,0 +1,106 @@
+"""What the command line says of itself."""
+
+import re
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import stylesplat as ss
+from command_line import complaint, run
+from stylesplat.cli import VERBS, main
+from stylesplat.io.splats.splat_files import read_splats
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+def test_alone_it_shows_the_way_and_the_verbs(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as stopped:
+        main([])
+    assert stopped.value.code == 2
+    out, err = capsys.readouterr()
+    way = [line.split()[1] for line in err.splitlines() if line.startswith("  stylesplat ")]
+    assert way == ["mask", "train", "stylize", "view", "export"] and not out
+    listed = err.partition("verbs:")[2].splitlines()
+    assert [line.split()[0] for line in listed if re.match(r"  \w", line)] == [*VERBS]
+    assert max(map(len, err.splitlines())) <= 80
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert capsys.readouterr().out == err
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["--version"])
+    assert not stopped.value.code
+    assert capsys.readouterr().out == f"stylesplat {version('stylesplat')}\n"
+
+
+@pytest.mark.parametrize(
+    ("word", "guess"), [("trane", " Is it 'train'?"), ("Stylise", " Is it 'stylise'?"), ("xyz", "")]
+)
+def test_a_verb_that_is_none(word: str, guess: str, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([word])
+    assert stopped.value.code == 2
+    expected = f"stylesplat: there is no verb {word!r}.{guess} See `stylesplat --help`.\n"
+    assert capsys.readouterr().err == expected
+
+
+def test_both_spellings(scene: Path, capsys):
+    assert "--recipe" in complaint(capsys, "stylise", scene, "-o", scene.parent / "x")
+    assert ss.stylise is ss.stylize
+
+
+def test_export_takes_its_file_either_way(scene: Path, tmp_path: Path, capsys):
+    assert run("export", scene, tmp_path / "a.ply") == 0
+    assert run("export", scene, "-o", tmp_path / "b.ply") == 0
+    assert len(read_splats(tmp_path / "a.ply")) == len(read_splats(tmp_path / "b.ply"))
+    assert "Name one file" in complaint(capsys, "export", scene)
+    assert "Name one file" in complaint(capsys, "export", scene, "a.ply", "-o", "b.ply")
+
+
+def test_the_sheet_of_objects_goes_where_it_is_told(scene: Path, tmp_path: Path, capsys):
+    assert run("objects", scene, "-o", tmp_path / "sheet.png") == 0
+    assert (tmp_path / "sheet.png").is_file() and not (scene / "objects.png").exists()
+    assert "--overwrite" in complaint(capsys, "objects", scene, "-o", tmp_path / "sheet.png")
+
+
+def test_results_are_in_words(scene: Path, capsys):
+    assert run("select", scene, "--name", "red", "--id", 3, 7, "--grow", 0.05) == 0
+    said = capsys.readouterr().err
+    assert "ids: 3, 7\n" in said and not set("[](){}'") & set(said)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts(shell: str, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["--tyro-print-completion", shell])
+    assert not stopped.value.code
+    script = capsys.readouterr().out
+    assert all(word in script for word in ("stylize", "--view-dependence", "free"))
+
+
+def test_bash_completes(tmp_path: Path):
+    script = tmp_path / "completion.bash"
+    write = ["-m", "stylesplat", "--tyro-write-completion", "bash", str(script)]
+    subprocess.run([sys.executable, *write], check=True, capture_output=True)
+    lines = (
+        f"source {script}",
+        "COMP_WORDS=(stylesplat stylize garden --color '') COMP_CWORD=4",
+        "$(complete -p stylesplat | sed 's/.*-F \\([^ ]*\\).*/\\1/') stylesplat '' --color",
+        'echo "${COMPREPLY[@]}"',
+    )
+    bash = ["bash", "--norc", "-c", "\n".join(lines)]
+    done = subprocess.run(bash, capture_output=True, text=True, check=True)
+    assert {*done.stdout.split()} == {"style", "keep", "blend", "free"}, done.stderr
+
+
+def test_the_readme_counts_the_verbs():
+    text = README.read_text(encoding="utf-8")
+    assert f"{len(VERBS)} verbs" in text
+    missing = [verb for verb in VERBS if f"stylesplat {verb}" not in text]
+    assert not missing

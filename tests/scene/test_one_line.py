@@ -1,0 +1,108 @@
+"""What Python prints of nouns."""
+
+from pathlib import Path
+
+import torch
+
+import stylesplat as ss
+from balls import CAMERAS, SPLATS, enlarged
+from stylesplat.io.captures.sfm_file import SfmRecord
+from stylesplat.posing.capture_report import CaptureReport
+from stylesplat.posing.coverage import Coverage
+from stylesplat.posing.findings import Finding
+from stylesplat.scene.frames import SAME
+from stylesplat.scene.lazy import Lazy
+from stylesplat.scene.paintings import Colors, Painted, Painting, Source, Unsplit
+from stylesplat.scene.scene import SceneObject
+from stylesplat.stylization.style import Recipe, StyledObject
+from stylesplat.verbs.render import Views
+from stylesplat.verbs.sheet import Sheet
+
+VASE = torch.arange(len(SPLATS)) < 20
+
+
+def test_captures_read_no_photos_for_it():
+    read = []
+    photos = Lazy([lambda: read.append("photo") or torch.zeros(36, 48, 3, dtype=torch.uint8)] * 8)
+    maps = Lazy([lambda: read.append("map") or torch.zeros(36, 48, dtype=torch.int64)] * 8)
+    plain = ss.Capture(CAMERAS, photos, path=Path("garden"))
+    names = {3: "vase", 7: "pot"}
+    labelled = ss.Capture(CAMERAS, photos, maps, torch.zeros(1, 3), object_names=names)
+    read.clear()  # types were checked
+    assert repr(plain) == "Capture(8 photos, 48x36, garden)"
+    assert repr(labelled) == "Capture(8 photos, 48x36, label maps of vase, pot, 1 point)"
+    assert not read
+
+
+def test_cameras_of_one_size_and_of_several():
+    assert repr(CAMERAS[0]) == "Cameras(1 view, 48x36, 0000.jpg)"
+    both = enlarged(CAMERAS, 2) + CAMERAS
+    assert repr(both).startswith("Cameras(16 views, 48x36 to 96x72, 0000.jpg, 0001.jpg, 0002.jpg")
+    assert repr(both).endswith("and 13 more)")
+    assert repr(CAMERAS[[]]) == "Cameras(0 views)"
+
+
+def test_scenes_and_what_is_in_them():
+    count = f"{len(SPLATS):,} Gaussians"
+    assert repr(SPLATS) == f"Splats({count}, SH degree {SPLATS.sh_degree}, with identities)"
+    assert repr(SPLATS.classifier) == "Classifier(label ids 0 3 7 300)"
+    scene = ss.Scene(SPLATS, CAMERAS)
+    assert repr(scene) == f"Scene({count}, 8 views)"
+    vase = SceneObject(VASE, {"ids": [3]})
+    assert repr(vase) == f"SceneObject(20 of {count}, label ids 3)"
+    sources = (Source(Path("styles/wave.jpg")), Source(None))
+    painting = Painting("vase", VASE, sources, {}, 0.7, "compact")
+    expected = "vase like wave.jpg, a picture, 20 Gaussians, intensity 0.7, compact"
+    assert repr(painting) == f"Painting({expected})"
+    painted = Painted((painting,), Colors.of(SPLATS), Colors.of(SPLATS))
+    assert repr(painted) == "Painted(vase)"
+    assert repr(painted.before) == f"Colors(of {count})"
+    scene = ss.Scene(
+        SPLATS, CAMERAS, ("0000.jpg",), 1.0, {"vase": vase}, painted, Path("garden-wave")
+    )
+    expected = "8 views (1 held out), objects: vase, painted: vase, garden-wave"
+    assert repr(scene) == f"Scene({count}, {expected})"
+    rows = torch.tensor([4])
+    unsplit = Unsplit(60_000, rows, torch.zeros(1, 3), torch.zeros(1))
+    assert repr(unsplit) == "Unsplit(1 of 60,000 Gaussians were split)"
+
+
+def test_styles_say_what_is_not_as_usual():
+    style = ss.Style("styles/wave.jpg", torch.zeros(4, 4, 3), scale=3, color="keep")
+    assert repr(style) == "Style(wave.jpg, a picture, scale=3.0, color='keep')"
+    each = StyledObject("vase", style, "vgg16", intensity=0.5)
+    assert repr(each) == f"StyledObject(vase, {style!r}, vgg16, intensity=0.5)"
+    recipe = Recipe((each, StyledObject("pot", ss.Style("night.jpg"))))
+    assert repr(recipe) == "Recipe(vase: wave.jpg, a picture, pot: night.jpg)"
+
+
+def test_records_and_reports():
+    record = SfmRecord(
+        source="/photos",
+        digest="",
+        given=9,
+        registered=7,
+        left_out={},
+        unregistered={},
+        origins={},
+        frame={},
+        settings={},
+        numbers={},
+        libraries={},
+    )
+    assert repr(record) == "SfmRecord(7 of 9 photos with a pose, /photos)"
+    coverage = Coverage(
+        360.0, 20.0, torch.zeros(1), 1, 0.0, 9.0, 0.8, 1.2, 1.0, outward=False, facing=False
+    )
+    findings = (Finding("sharpness", "good", 1, "sharp"), Finding("sides", "poor", 2, "few"))
+    report = CaptureReport(findings, (), (), coverage, SAME)
+    assert repr(report) == "CaptureReport(sharpness: good, sides: poor)"
+    views = Views(("a.jpg", "b.jpg"), iter([]))
+    assert repr(views) == "Views(2 pictures, a.jpg, b.jpg)"
+    sheet = Sheet(torch.zeros(20, 30, 3, dtype=torch.uint8), "a.jpg", 6, 2)
+    assert repr(sheet) == "Sheet(6 cells, 30x20, from a.jpg)"
+
+
+def test_it_is_one_line_whatever_names_hold():
+    recipe = Recipe((StyledObject("a\nb" + 200 * "c", ss.Style("night\x1b.jpg")),))
+    assert repr(recipe).isprintable()
