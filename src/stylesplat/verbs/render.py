@@ -7,10 +7,13 @@ from typing import Literal
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from stylesplat.drawing.orbit import orbit_cameras
+from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.drawing.pictures import render_pictures
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of
+from stylesplat.scene.ring import FOCAL, has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 
@@ -63,7 +66,7 @@ def render(
         ...     Image.fromarray(picture.numpy()).save(name)
     """
     if views == "orbit":
-        cameras = orbit_cameras(scene.cameras, ORBIT_FRAMES)
+        cameras = _orbit(scene)
     else:
         cameras = scene.views(views)
     cameras = cameras.downscale(downscale)
@@ -74,3 +77,10 @@ def render(
     pictures = render_pictures(splats, cameras, what, picked=picked)
     counted = track(pictures, "rendering", total=len(cameras))
     return Views(cameras.names, counted)
+
+
+def _orbit(scene: Scene) -> Cameras:
+    """Around what the photos show, where they were taken; without photos around the content."""
+    if has_no_photos(scene):
+        return orbit_around(content_of(scene.splats), scene.cameras, FOCAL, ORBIT_FRAMES)
+    return orbit_cameras(scene.cameras, ORBIT_FRAMES)
