@@ -1,6 +1,7 @@
 """Splats of other programs, as they come without photos: things of several shapes."""
 
 import math
+from dataclasses import replace
 
 import torch
 
@@ -28,7 +29,9 @@ def cloud(points: torch.Tensor, sigma: float = 0.01, opacity: float = 2.0) -> Sp
 def joined(*splats: Splats) -> Splats:
     """All of them as one."""
     tensors = [each.tensors() for each in splats]
-    return Splats(**{name: torch.cat([each[name] for each in tensors]) for name in tensors[0]})
+    return replace(
+        splats[0], **{name: torch.cat([t[name] for t in tensors]) for name in tensors[0]}
+    )
 
 
 def box(count: int, low: list[float], high: list[float], seed: int = 0) -> torch.Tensor:
@@ -79,7 +82,9 @@ def room() -> Splats:
     return joined(cloud(things), cloud(walls, 0.2, opacity=4.0))
 
 
-def shares(cameras: Cameras, points: torch.Tensor, weights: torch.Tensor | None = None) -> list[float]:
+def shares(
+    cameras: Cameras, points: torch.Tensor, weights: torch.Tensor | None = None
+) -> list[float]:
     """The share of some points' weight that lies inside each view."""
     weights = torch.ones(len(points)) if weights is None else weights
     points = points.double()

@@ -13,7 +13,7 @@ SHEET = "objects.png"
 
 @dataclass(frozen=True)
 class Objects:
-    """List the objects of a scene and draw a contact sheet of them.
+    """List the objects of a scene, say where they are, and draw a contact sheet of them.
 
     Example: stylesplat objects garden-scene
     """
@@ -28,12 +28,17 @@ class Objects:
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.objects import objects
+        from stylesplat.progress import say
+        from stylesplat.selection.identities import UNLABELLED
+        from stylesplat.verbs.objects import extents, objects
 
         scene = open(self.scene)
+        if scene.splats.classifier is None:
+            say(f"No objects are known. {UNLABELLED}")
+            return {"objects": [], "sheet": None, **extents(scene)}
         found = objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
         sheet = object_sheet(scene.splats, scene.cameras, names=names)
         with changing(self.scene):
             write_image(sheet, self.scene / SHEET)
-        return {"objects": found, "sheet": self.scene / SHEET}
+        return {"objects": found, "sheet": self.scene / SHEET, **extents(scene)}

@@ -64,6 +64,8 @@ class Content:
     """Centres of Gaussians that float around it, or lie behind it."""
     areas: Float[Tensor, " L"]
     """How much of what is behind them each hides, for all that it stands for; square units."""
+    blurs: Float[Tensor, " L"]
+    """Their largest standard deviations."""
 
     @cached_property
     def outline(self) -> Float[Tensor, "_ 3"]:
@@ -99,7 +101,15 @@ def content_of(splats: Splats) -> Content:
     each = max(1.0, shown / len(rows))  # so many does one of the sample stand for
     areas = each * 2 * torch.pi * weights * sizes[:, :2].prod(dim=1)
     own, apart = kept & inside, ~kept & ~inside
-    return Content(points[own], weights[own], float(blur), extent, points[apart], areas[apart])
+    return Content(
+        points=points[own],
+        weights=weights[own],
+        blur=float(blur),
+        extent=extent,
+        others=points[apart],
+        areas=areas[apart],
+        blurs=sizes[apart, 0],
+    )
 
 
 def extent_of(splats: Splats, picked: Bool[Tensor, " N"]) -> Extent:

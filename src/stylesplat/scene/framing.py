@@ -13,7 +13,7 @@ FILLED = 0.92  # of the picture's width or height; the rest is room around
 CLEAR = 0.5  # of the content's radius, between its nearest point and the camera
 NEAREST = 0.1  # world units from the camera; nothing nearer than 0.01 is drawn
 WIDEST = 0.5  # focal length over the picture's width: 90 degrees
-HIDDEN = 0.3  # share of its middle that something else may hide
+HIDDEN = 0.1  # share of its middle that something else may hide
 MIDDLE = 0.6  # of its radius, which its middle reaches to
 BEFORE = 0.95  # of the way to what would hide it, where the camera stands
 TINY = 1e-9
@@ -120,8 +120,9 @@ def _free(content: Content, sight: Sight, radius: float) -> float:
     ahead = offsets @ sight.outward
     aside = (offsets.square().sum(dim=1) - ahead.square()).clamp(min=0).sqrt()
     within = MIDDLE * radius
-    between = (ahead > 0) & (aside < within)
-    along, order = ahead[between].sort()
-    hidden = content.areas[between][order].cumsum(0) / (torch.pi * within**2)
-    walls = along[hidden > HIDDEN]
+    between = (ahead > 0) & (aside < within + content.blurs)
+    blurs = content.blurs[between]
+    along, order = (ahead[between] - blurs).sort()
+    shares = content.areas[between] / (torch.pi * (within**2 + blurs.square()))
+    walls = along[shares[order].cumsum(0) > HIDDEN]
     return float(walls[0]) if len(walls) else float("inf")

@@ -72,7 +72,7 @@ def has_no_photos(scene: Scene) -> bool:
 def _picture_size(points: Float[Tensor, "M 3"]) -> tuple[int, int]:
     """Width and height of pictures of points, of which the last coordinate points up."""
     lengths = points.amax(dim=0) - points.amin(dim=0)
-    return SIZE[::-1] if lengths[2] > TALL * lengths[:2].max() else SIZE
+    return (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
 
 
 def _parts(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:

@@ -43,10 +43,10 @@ def import_(
 
     Args:
         splat: A .ply, .spz or .splat file, or what was read from one.
-        capture: The photos that it was made from. Without them the scene gets cameras on circles
-            around the content.
+        capture: The photos that it was made from. Without them the scene gets views around
+            the content, most of which have all of it in their pictures.
         frame: The world frame of the splat, if it is not the capture's.
-        up: Which way is up, for the circles; by default -y, as COLMAP has it.
+        up: Which way is up, for these views; by default -y, as COLMAP has it.
         device: Where to render.
 
     Returns:
@@ -68,8 +68,8 @@ def import_(
     if capture is None:
         scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
         say(
-            f"No photos: {len(scene.cameras)} views around the content. "
-            "`stylesplat render` shows them."
+            f"No photos: {len(scene.cameras)} views around the content. `stylesplat render` shows "
+            "them, `stylesplat mask` finds objects in them."
         )
     else:
         splats = splats.to(pick_device(device))
