@@ -109,8 +109,10 @@ def test_photos_by_the_names_that_the_user_knows(photos: Path, tmp_path: Path):
     record.origins, record.left_out = {"a/1_png.png": "a/1.png"}, {"2.jpg": "blurred"}
     assert view_called("a/1.png", record) == "a/1_png.png"
     assert view_called("3.jpg", record) == view_called("3.jpg", None) == "3.jpg"
-    with pytest.raises(StyleSplatError, match=r"2\.jpg has no pose: blurred"):
-        view_called("2.jpg", record)
+    assert view_called("a/1", record) == "a/1_png.png", "suffixes may be left out"
+    for name in ("2.jpg", "2"):
+        with pytest.raises(StyleSplatError, match=r"2\.jpg has no pose: blurred"):
+            view_called(name, record)
 
 
 def test_a_damaged_record(photos: Path):

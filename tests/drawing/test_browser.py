@@ -39,8 +39,14 @@ def test_serves_on_loopback_until_stopped(free_port):
 def test_starts_without_cameras(free_port):
     server = serve(SPLATS, port=free_port, block=False)
     try:
-        distance = np.linalg.norm(server.initial_camera.position - server.initial_camera.look_at)
-        assert distance > 1  # outside the balls
+        camera = server.initial_camera
+        ahead = camera.look_at - camera.position
+        ahead /= np.linalg.norm(ahead)
+        offsets = SPLATS.means.numpy() - camera.position
+        depths = offsets @ ahead
+        aside = np.linalg.norm(offsets - depths[:, None] * ahead, axis=1)
+        assert depths.min() > 0.3, "outside the balls"
+        assert (aside / depths).max() < np.tan(camera.fov / 2) * 4 / 3, "which are in sight"
     finally:
         server.stop()
 

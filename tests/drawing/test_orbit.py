@@ -5,10 +5,14 @@ import pytest
 import torch
 
 from balls import CAMERAS
-from stylesplat.drawing.orbit import orbit_cameras
+from bare_splats import figure, floaters, guitar, joined, room, shares
+from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of
 from stylesplat.scene.poses import focus_point, look_at, up_vector
+from stylesplat.scene.ring import FOCAL, ring_cameras
+from stylesplat.scene.splats import Splats
 
 UP = torch.tensor([0.0, 0.0, 1.0]).double()
 
@@ -100,3 +104,19 @@ def test_outward_cameras():
     flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
     with pytest.raises(StyleSplatError, match=r"outwards.*--views all"):
         orbit_cameras(replace(CAMERAS, viewmats=flip @ CAMERAS.viewmats), 10)
+
+
+@pytest.mark.parametrize(
+    ("splats", "own"),
+    [(guitar(), 3300), (joined(figure(), floaters()), 4000), (room(), 6000)],
+    ids=["guitar", "figure", "room"],
+)
+def test_without_photos_all_content_is_in_every_frame(splats: Splats, own: int):
+    views = ring_cameras(splats, UP.float())
+    path = orbit_around(content_of(splats), views, FOCAL, 24)
+    assert min(shares(path, splats.means[:own])) > 0.99
+    steps = (path.positions.roll(-1, 0) - path.positions).norm(dim=1)
+    assert steps.max() < 1.5 * steps.min(), "closed and even"
+    assert path.size == views.size and len(set(path.names)) == 24
+    if own == 6000:
+        assert path.positions[:, :2].abs().max() < 3, "within the walls"

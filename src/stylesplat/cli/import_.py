@@ -25,7 +25,7 @@ class Import:
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None
     """Folder with the posed photos that it was made from, and label maps in object_mask/. Without
-    it the scene gets views on circles around the content."""
+    it the scene gets views around the content, which `mask` takes for photos."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     labels: Path | None = None

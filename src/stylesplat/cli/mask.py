@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
+from stylesplat.cli.mask_scene import is_without_photos, mask_scene
+from stylesplat.cli.options import (
+    CONTINUES,
+    Device,
+    Json,
+    OptionalOutput,
+    Overwrite,
+    refuse_given,
+)
 from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
 from stylesplat.cli.results import write_or_rescue
@@ -38,7 +46,9 @@ class Mask:
     first: ClassVar = ("box", "method", "source")
     capture: Positional[Path]
     """Folder with the posed photos; the label maps go into its object_mask/. Of photos without
-    poses, or a video, `sfm` makes a capture first, beside them; the label maps go into that one."""
+    poses, or a video, `sfm` makes a capture first, beside them; the label maps go into that one.
+    Or a scene that was imported without photos: views of it are masked, as `render` draws them,
+    and the objects go into the scene."""
     method: Method | None = None
     """files takes masks of another program and grabcut cuts out what boxes hold, by default what
     the other options call for; the others find all objects with that model."""
@@ -60,6 +70,8 @@ class Mask:
     trained for about a minute."""
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    output: OptionalOutput = None
+    """Folder of the scene to make, where a scene is masked; by default it is changed itself."""
     overwrite: Overwrite = False
     json: Json = False
 
@@ -83,6 +95,9 @@ class Mask:
 
         method = self._method
         self._refuse_contradictions(method)
+        if is_without_photos(self.capture):
+            return mask_scene(self, method, self._boxes(None), self._strokes(None))
+        refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
         scene = self._scene()
         folder = posed(self.capture, beside=self.capture)
         output = folder / OBJECT_MASK

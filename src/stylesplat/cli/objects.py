@@ -13,7 +13,7 @@ SHEET = "objects.png"
 
 @dataclass(frozen=True)
 class Objects:
-    """List the objects of a scene and draw a contact sheet of them.
+    """List the objects of a scene, say where they are, and draw a contact sheet of them.
 
     Example: stylesplat objects garden-scene
     """
@@ -33,11 +33,17 @@ class Objects:
         from stylesplat.io.places import refuse_file
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.objects import objects
+        from stylesplat.progress import say
+        from stylesplat.selection.identities import UNLABELLED
+        from stylesplat.verbs.objects import extents, objects
 
         if self.output is not None:
             refuse_picture(self.output, overwrite=self.overwrite)
         scene = open(self.scene)
+        scene = open(self.scene)
+        if scene.splats.classifier is None:
+            say(f"No objects are known. {UNLABELLED}")
+            return {"objects": [], "sheet": None, **extents(scene)}
         refuse_file(self.scene / SHEET, overwrite=True)
         found = objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
@@ -45,4 +51,4 @@ class Objects:
         target = self.output or self.scene / SHEET
         with changing(self.output or self.scene):
             write_image(sheet, target)
-        return {"objects": found, "sheet": target}
+        return {"objects": found, "sheet": target, **extents(scene)}

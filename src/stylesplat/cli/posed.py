@@ -93,10 +93,14 @@ def view_called(name: str, record: "SfmRecord | None") -> str:
     """
     if record is None:
         return name
-    why = (record.left_out | record.unregistered).get(name)
-    if why is not None:
-        raise StyleSplatError(f"The photo {name} has no pose: {why}. Take another one.")
-    return {own: view for view, own in record.origins.items()}.get(name, name)
+    unposed = record.left_out | record.unregistered
+    views = {own: view for view, own in record.origins.items()}
+    if name not in unposed | views:
+        alike = [own for own in unposed | views if Path(own).with_suffix("").as_posix() == name]
+        name = alike[0] if len(alike) == 1 else name
+    if name in unposed:
+        raise StyleSplatError(f"The photo {name} has no pose: {unposed[name]}. Take another one.")
+    return views.get(name, name)
 
 
 def is_under_way(given: Path, *, beside: Path) -> bool:

@@ -12,11 +12,11 @@ from torch.nn.functional import normalize
 from stylesplat.progress import track
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import solid
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.in_images import in_images
-from stylesplat.selection.margins import solid
 from stylesplat.stylization.object_views import SURVEY_SIZE
 
 VIEWS = 3  # of an object

@@ -1,5 +1,6 @@
 """Splats in a browser."""
 
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of
+from stylesplat.scene.framing import Sight, distances, focal_at
 from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import Terminated
@@ -19,7 +22,9 @@ from stylesplat.signals import Terminated
 if TYPE_CHECKING:
     import viser
 
-START_DISTANCE = 2.0  # from the middle along each axis, in median distances of the Gaussians
+UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where nobody knows it
+WINDOW = (1600, 1200)  # pixels, or wider: what all content fits into at the start
+FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
@@ -33,7 +38,7 @@ def serve(
     Args:
         splats: The Gaussians.
         cameras: Where the photos were taken, to start at the first of them and to know what is
-            up; without them the start is a guess.
+            up; without them all content is in sight, and up is a guess.
         port: Port on 127.0.0.1, or the next free one.
         block: Serve until Ctrl-C; otherwise return at once.
 
@@ -71,17 +76,23 @@ def _add_splats(server: "viser.ViserServer", splats: Splats) -> None:
 
 
 def _place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
-    middle = splats.means.median(dim=0).values
+    content = content_of(splats)
+    middle = content.extent.centre
     if cameras is None:
-        spread = (splats.means - middle).norm(dim=-1).median()
-        position = middle + START_DISTANCE * spread
+        outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
+        sight = Sight(middle, outward, UP, WINDOW)
+        distance = distances(content, sight, FOCAL).best
+        position, up = middle + distance * outward, UP
+        focal = focal_at(content.outline, sight, distance)
+        server.initial_camera.fov = 2 * math.atan(WINDOW[1] / (2 * focal))
     else:
-        position, forward = cameras.positions[0], cameras.viewmats[0, 2, :3]
+        position, forward = cameras.positions[0].double(), cameras.viewmats[0, 2, :3].double()
         middle = position + ((middle - position) @ forward).clamp(min=MIN_DISTANCE) * forward
-        server.scene.set_up_direction(up_vector(cameras).numpy())
+        up = up_vector(cameras)
         server.initial_camera.fov = 2 * float(
             torch.atan(cameras.sizes[0, 1] / (2 * cameras.Ks[0, 1, 1]))
         )
+    server.scene.set_up_direction(up.numpy())
     server.initial_camera.position = position.numpy()
     server.initial_camera.look_at = middle.numpy()
 

@@ -22,11 +22,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import solid
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
-from stylesplat.selection.margins import solid
 from stylesplat.selection.pick import pick_objects
 from stylesplat.stylization.object_views import SURVEY_SIZE
 

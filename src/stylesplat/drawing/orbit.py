@@ -8,11 +8,21 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import Content
+from stylesplat.scene.framing import (
+    Distances,
+    Sight,
+    centred_K,
+    distances,
+    focal_at,
+    level_axes,
+)
 from stylesplat.scene.poses import focus_point, look_at, up_vector
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
 RADIUS_RANK = 0.75  # of the photos' distances: close-ups would cut off what the others show whole
 SWAY = 0.5  # height varies along the path by this share of the captures' own deviation
+TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
 EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
 
 
@@ -61,8 +71,43 @@ def orbit_cameras(cameras: Cameras, count: int) -> Cameras:
         viewmats=look_at(frame.to_world(path), focus, frame.axes[2]).to(cameras.viewmats),
         Ks=K.expand(count, 3, 3).to(cameras.Ks),
         sizes=torch.tensor(size).expand(count, 2).clone(),
-        names=tuple(f"orbit_{i:04d}.png" for i in range(count)),
+        names=_frame_names(count),
     )
+
+
+def orbit_around(content: Content, views: Cameras, focal: float, count: int) -> Cameras:
+    """A smooth closed path around what a splat without photos is of, all of it in every frame.
+
+    Args:
+        content: What to show.
+        views: Those that the splat was given, for what is up and for the pictures' size.
+        focal: Pixels, where there is room enough.
+        count: Number of frames; the one after the last would be the first again.
+    """
+    up, size = up_vector(views), views.size
+    side, ahead = level_axes(up)
+    phase = 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
+    tilt = (TILT + NOD * phase.sin())[:, None]
+    level = phase.cos()[:, None] * side + phase.sin()[:, None] * ahead
+    outward = tilt.cos() * level + tilt.sin() * up
+    sights = [Sight(content.extent.centre, each, up, size) for each in outward]
+    found = [distances(content, sight, focal) for sight in sights]
+    distance = Distances(
+        wanted=max(each.wanted for each in found),
+        closest=max(each.closest for each in found),
+        free=min(each.free for each in found),
+    ).best
+    focal = min(focal_at(content.outline, sight, distance) for sight in sights)
+    return Cameras(
+        viewmats=torch.cat([sight.viewmats(distance) for sight in sights]).to(views.viewmats),
+        Ks=centred_K(focal, size).to(views.Ks).expand(count, 3, 3),
+        sizes=torch.tensor(size).expand(count, 2).clone(),
+        names=_frame_names(count),
+    )
+
+
+def _frame_names(count: int) -> tuple[str, ...]:
+    return tuple(f"orbit_{i:04d}.png" for i in range(count))
 
 
 def _axes(cameras: Cameras, focus: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:

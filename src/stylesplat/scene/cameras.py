@@ -72,7 +72,10 @@ class Cameras:
         return -torch.einsum("cji,cj->ci", rotations, self.viewmats[:, :3, 3])
 
     def index(self, name: str) -> int:
-        """The row of the camera of this file name, without the extension or with another one.
+        """The row of the camera of this file name.
+
+        The extension may be left out or be another one, and so may folders if one file alone has
+        that name.
 
         Raises:
             StyleSplatError: If no camera, or more than one, has that name.
@@ -80,9 +83,11 @@ class Cameras:
         if name in self.names:
             return self.names.index(name)
         stems = [n.rsplit(".", 1)[0] for n in self.names]
-        for stem in (name, name.rsplit(".", 1)[0]):
-            if stems.count(stem) == 1:
-                return stems.index(stem)
+        bare = [stem.rsplit("/", 1)[-1] for stem in stems]
+        for known in (stems, bare):
+            for stem in (name, name.rsplit(".", 1)[0]):
+                if known.count(stem) == 1:
+                    return known.index(stem)
         raise StyleSplatError(
             f"No view is called {name!r}. Views: {', '.join(self.names[:8])}"
             f"{', ...' if len(self) > 8 else '.'}"

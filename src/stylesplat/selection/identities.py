@@ -12,6 +12,12 @@ from stylesplat.scene.splats import Classifier, Splats
 
 MIN_COVERAGE = 0.5  # of a pixel, below which it shows mostly what lies behind all Gaussians
 
+UNLABELLED = (
+    "Train from a capture with label maps, or import with one (`object_mask/` or --masks); of a "
+    "splat without photos `stylesplat mask SCENE --box NAME=VIEW:x0,y0,x1,y1` makes some; or pick "
+    "by shape, with --box3d or --sphere."
+)
+
 
 def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifier]:
     """The identities and their classifier.
@@ -21,9 +27,7 @@ def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifie
     """
     if splats.identities is None or splats.classifier is None:
         raise StyleSplatError(
-            "These splats have no identities, so no objects are known. Train from a capture with "
-            "label maps, or import with one (`object_mask/` or --masks); or pick by shape, with "
-            "--box3d or --sphere."
+            f"These splats have no identities, so no objects are known. {UNLABELLED}"
         )
     return splats.identities, splats.classifier
 

@@ -5,9 +5,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import solid
 from stylesplat.scene.projection import shown
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.margins import solid
 
 SAMPLE = 1000  # points of an object that are projected into every image
 

@@ -6,11 +6,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.content import FAINT, solid
 from stylesplat.scene.splats import Splats
 
-# Opacity below which a Gaussian is no surface. In two trained scenes 30 to 70 % of an object's are
-# fainter, and many lie far from it: with them, an object measured up to 60 times its size.
-FAINT = 0.05
 INSIDE = 0.9  # share of an object's solid centres that make up its extent; the rest may be strays
 
 
@@ -55,12 +53,6 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
             f"Shrinking by {share:g} of its extent leaves nothing of the object. Shrink it less."
         )
     return picked.index_fill(0, own[near], False)
-
-
-def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
-    """Those of the picked that show; all of them if none does."""
-    solid = picked & (torch.sigmoid(splats.opacities) >= FAINT)
-    return solid if solid.any() else picked
 
 
 def extent(points: Float[Tensor, "M 3"]) -> float:

@@ -1,7 +1,7 @@
 """Label maps onto any splats, in closed form: what contributes to a pixel takes its label."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -55,7 +55,49 @@ def lift(
     seen = votes.sum(dim=1)
     confidence = votes.amax(dim=1) / seen.clamp(min=PRIOR)
     votes[:, ids.index(BACKGROUND)] += PRIOR
-    shares = votes / votes.sum(dim=1, keepdim=True)
+    return _labelled(splats, ids, votes / votes.sum(dim=1, keepdim=True), confidence)
+
+
+@torch.no_grad()
+def with_labels_of(splats: Splats, newer: Splats, renamed: Mapping[int, int]) -> Splats:
+    """The labels that splats have, and on top of them those that were lifted onto them anew.
+
+    Args:
+        splats: With identities.
+        newer: The same Gaussians, with other identities.
+        renamed: By id of the newer labels, background aside, what they are to have. Those that are
+            ids of the earlier labels replace these.
+    """
+    assert splats.classifier is not None and newer.classifier is not None
+    before, after = _probabilities(splats), _probabilities(newer)
+    ids = (BACKGROUND, *sorted({*splats.classifier.ids, *renamed.values()} - {BACKGROUND}))
+    columns = {id: column for column, id in enumerate(ids)}
+    shares = before.new_zeros(len(splats), len(ids))
+    left = after[:, newer.classifier.ids.index(BACKGROUND)]
+    for column, id in enumerate(splats.classifier.ids):
+        kept = BACKGROUND if id in renamed.values() else id
+        shares[:, columns[kept]] += left * before[:, column]
+    for column, id in enumerate(newer.classifier.ids):
+        if id != BACKGROUND:
+            shares[:, columns[renamed[id]]] += after[:, column]
+    confidence = newer.confidence
+    if confidence is not None and splats.confidence is not None:
+        confidence = torch.where(left > 0.5, splats.confidence, confidence)
+    return _labelled(splats, ids, shares, confidence)
+
+
+def _probabilities(splats: Splats) -> Float[Tensor, "N K"]:
+    assert splats.identities is not None and splats.classifier is not None
+    return splats.classifier.logits(splats.identities).softmax(dim=-1)
+
+
+def _labelled(
+    splats: Splats,
+    ids: tuple[int, ...],
+    shares: Float[Tensor, "N K"],
+    confidence: Float[Tensor, " N"] | None,
+) -> Splats:
+    """Splats whose identities say what share each label has of them."""
     codes = class_codes(len(ids)).to(shares)
     classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
     return replace(splats, identities=shares @ codes, classifier=classifier, confidence=confidence)

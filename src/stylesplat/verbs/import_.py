@@ -49,10 +49,10 @@ def import_(
 
     Args:
         splat: A .ply, .spz or .splat file, or what was read from one.
-        capture: The photos that it was made from. Without them the scene gets cameras on circles
-            around the content.
+        capture: The photos that it was made from. Without them the scene gets views around
+            the content, most of which have all of it in their pictures.
         frame: The world frame of the splat, if it is not the capture's.
-        up: Which way is up, for the circles; by default -y, as COLMAP has it.
+        up: Which way is up, for these views; by default -y, as COLMAP has it.
         labels: The label id of every Gaussian, or a file of them (see `read_row_labels`); they
             take the place of the capture's label maps.
         device: Where to render.
@@ -81,8 +81,8 @@ def import_(
     if capture is None:
         scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
         say(
-            f"No photos: {len(scene.cameras)} views around the content. "
-            "`stylesplat render` shows them."
+            f"No photos: {len(scene.cameras)} views around the content. `stylesplat render` shows "
+            "them, `stylesplat mask` finds objects in them."
         )
     else:
         splats = splats.to(pick_device(device))

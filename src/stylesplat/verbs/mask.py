@@ -1,8 +1,8 @@
-"""`mask`: give a capture its label maps."""
+"""`mask`: give a capture its label maps, or a scene without photos its objects."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.captures.label_folder import with_drawn_maps
@@ -10,9 +10,14 @@ from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes, refuse
 from stylesplat.masks.foreign import foreign_label_maps, refuse_foreign
 from stylesplat.masks.models import sam
 from stylesplat.masks.models.from_model import mask_with_model
+from stylesplat.masks.rendered import rendered_capture
+from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.ring import has_no_photos
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.relabelled import relabelled
 
+Photos = TypeVar("Photos", Capture, Scene)
 Method = Literal["files", "grabcut"] | sam.Method
 # What the ways to make label maps go by; what another goes by would change nothing
 TAKES = {"files": {"source"}, "grabcut": {"boxes", "strokes", "scene"}}
@@ -20,7 +25,7 @@ MODELS_TAKE = {"model", "scene", "progress"}
 
 
 def mask(
-    capture: Capture,
+    capture: Photos,
     *,
     boxes: Boxes | None = None,
     strokes: Strokes | None = None,
@@ -30,14 +35,19 @@ def mask(
     scene: Scene | None = None,
     device: str = "auto",
     progress: Path | None = None,
-) -> Capture:
+) -> Photos:
     """Say what object each pixel of the photos shows.
+
+    A scene that came without photos is masked in renders of its views, under their names; what
+    they show is lifted onto its Gaussians. Objects from boxes join those that it has, or replace
+    those of the same names; others replace all that were chosen by label.
 
     Boxes and strokes are in the pixels of the capture's photos as they are: the photos' own if it
     was loaded at full size, those of the smaller ones if it was loaded with a `downscale`.
 
     Args:
-        capture: Posed photos; what label maps they have does not matter.
+        capture: Posed photos; what label maps they have does not matter. Or a scene that was
+            imported without photos.
         boxes: By object's name a view and a rectangle around the object, x0, y0, x1, y1; several
             in a list. One view often suffices.
         strokes: By object's name a view that has a box, and a line over the object or over what
@@ -48,19 +58,26 @@ def mask(
             default what is given; the others find all objects with a model of that family.
         model: Folder or hub name of a checkpoint; by default a small one of the family.
         scene: A scene of these photos, on which the masks of different photos meet; by default a
-            splat is trained for about a minute.
+            splat is trained for about a minute. Renders of a scene meet on that scene.
         device: Where to compute: `auto`, `cpu` or `cuda`.
         progress: A folder for what a model has found so far, from where an interrupted run goes
             on. It stays until its owner removes it.
 
     Returns:
-        The same photos with label maps of their size, made on access, and the objects' names.
+        The same photos with label maps of their size, made on access, and the objects' names. Of
+        a scene that scene, its objects with names.
 
     Raises:
         StyleSplatError: If nothing says what to mask, something given does not fit the photos or
             means nothing with the method, an object cannot be called so, a model cannot be had,
-            or nothing is found.
+            or nothing is found. If a scene has photos, which are what to mask then.
     """
+    if isinstance(capture, Scene):
+        if scene is not None:
+            raise StyleSplatError("`scene` means nothing for a scene. Leave it out.")
+        options = {"boxes": boxes, "strokes": strokes, "source": source, "method": method}
+        options |= {"model": model, "progress": progress}
+        return _mask_scene(capture, options, device)
     given = {"boxes": boxes, "strokes": strokes, "source": source, "model": model}
     method = settled_method(method, given | {"scene": scene, "progress": progress})
     if method == "files":
@@ -96,6 +113,22 @@ def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
     if method == "grabcut":
         refuse_without_box(given.get("boxes") or {})
     return method
+
+
+def _mask_scene(scene: Scene, options: dict[str, Any], device: str) -> Scene:
+    """What the renders of a scene show, lifted onto it."""
+    if not has_no_photos(scene):
+        raise StyleSplatError(
+            "This scene was made from photos. Mask those, and train or import again; or name what "
+            "it has with `select`."
+        )
+    place = pick_device(device)
+    foreign = options["method"] == "files" or options["source"] is not None
+    masked = mask(
+        rendered_capture(scene, place), **options, scene=None if foreign else scene, device=device
+    )
+    drawn = options["method"] in (None, "grabcut") and not foreign
+    return relabelled(scene, masked, add=drawn, device=place)
 
 
 def _refuse_unused(method: Method, given: Mapping[str, Any]) -> None:

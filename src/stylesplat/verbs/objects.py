@@ -5,6 +5,7 @@ from typing import Any
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
@@ -15,8 +16,8 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     """List the objects that a scene's label maps named.
 
     Returns:
-        By id: `id`, `names`, `gaussians`, and if labels were lifted the mean `confidence` of
-        these.
+        By id: `id`, `names`, `gaussians`, if labels were lifted the mean `confidence` of these,
+        and as `extents` gives it where they are.
 
     Raises:
         StyleSplatError: If the scene has no identities.
@@ -28,9 +29,31 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
             "names": names_of(scene, id),
             "gaussians": int(mask.sum()),
             **_confidence(scene, mask),
+            **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
         }
         for id, mask in picked.items()
     ]
+
+
+def extents(scene: Scene) -> dict[str, Any]:
+    """Where a scene's content and all that has a name are, in world units.
+
+    Returns:
+        `content`, without what floats around it or lies far behind it, and by name `named`: `box`
+        along the world's axes, as `select` takes a `box3d`, its `centre` and its `size`.
+    """
+    named = {
+        name: _place(extent_of(scene.splats, each.picked))
+        for name, each in scene.objects.items()
+        if each.picked.any()
+    }
+    return {"content": _place(content_of(scene.splats).extent), "named": named}
+
+
+def _place(extent: Extent) -> dict[str, list[float]]:
+    corners = [*extent.low.tolist(), *extent.high.tolist()]
+    parts = {"box": corners, "centre": extent.centre.tolist(), "size": extent.size.tolist()}
+    return {what: [float(f"{value:.4g}") for value in values] for what, values in parts.items()}
 
 
 def _confidence(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, float]:

@@ -4,13 +4,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from stylesplat.drawing.orbit import orbit_cameras
+from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.drawing.pictures import depth_step, render_pictures
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of
 from stylesplat.scene.one_line import counted, one_line, some
+from stylesplat.scene.ring import FOCAL, has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 
@@ -89,7 +91,14 @@ def render(
 
 def _cameras(scene: Scene, views: Which | Names, frames: int | None) -> Cameras:
     if views == "orbit":
-        return orbit_cameras(scene.cameras, ORBIT_FRAMES if frames is None else frames)
+        return _orbit(scene, ORBIT_FRAMES if frames is None else frames)
     if isinstance(views, str):
         return scene.views(views)
     return scene.cameras[[scene.cameras.index(name) for name in views]]
+
+
+def _orbit(scene: Scene, frames: int) -> Cameras:
+    """Around what the photos show, where they were taken; without photos around the content."""
+    if has_no_photos(scene):
+        return orbit_around(content_of(scene.splats), scene.cameras, FOCAL, frames)
+    return orbit_cameras(scene.cameras, frames)

@@ -1,0 +1,111 @@
+"""`stylesplat mask SCENE`, of a scene without photos: the objects go into the scene."""
+
+import os
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stylesplat.cli.options import refuse_given
+from stylesplat.errors import StyleSplatError
+
+if TYPE_CHECKING:
+    from stylesplat.cli.mask import Mask, Method
+    from stylesplat.masks.boxes.from_boxes import Boxes, Strokes
+    from stylesplat.scene.scene import Scene
+
+PREVIEW = "masks.jpg"  # in the scene's folder
+
+
+def is_without_photos(folder: Path) -> bool:
+    """Whether a folder is a scene that was imported without photos.
+
+    Raises:
+        StyleSplatError: If it is a scene that cannot be read.
+    """
+    from stylesplat.io.scene_folder import SCENE, open
+    from stylesplat.scene.ring import has_no_photos
+
+    # Unlike Path.is_file, it takes any name
+    return os.path.isfile(folder / SCENE) and has_no_photos(open(folder))  # noqa: PTH113
+
+
+def mask_scene(
+    command: "Mask", method: "Method", boxes: "Boxes", strokes: "Strokes"
+) -> dict[str, Any]:
+    """Mask the views of a scene.
+
+    Raises:
+        StyleSplatError: As `mask` does; or if all labels of the scene would be lost, or the output
+            holds something, and `--overwrite` is not given.
+    """
+    from stylesplat.io.folders import partial_of, refuse_occupied
+    from stylesplat.io.recovery import changing
+    from stylesplat.io.scene_folder import SCENE, open, revise, save
+    from stylesplat.verbs.mask import mask
+
+    refuse_given(command, ("scene",), "a scene, which is that scene itself")
+    place = command.output or command.capture
+    with changing(place):
+        if command.output is not None:
+            refuse_occupied(place, marker=SCENE, overwrite=command.overwrite)
+        before = open(command.capture)
+        if method != "grabcut" and before.splats.classifier and not command.overwrite:
+            raise StyleSplatError(
+                f"{command.capture} knows objects already, which --method {method} would replace. "
+                "Pass --overwrite, or add objects with --box."
+            )
+        drawn = method == "grabcut" or method == "files"
+        progress = None if drawn else partial_of(place / "masks")
+        after = mask(
+            before,
+            boxes=boxes,
+            strokes=strokes,
+            source=command.source,
+            method=method,
+            model=command.model,
+            device=command.device,
+            progress=progress,
+        )
+        if command.output is None:
+            revise(before, after, place)
+        else:
+            save(after, place, overwrite=command.overwrite)
+        if progress:
+            shutil.rmtree(progress, ignore_errors=True)
+        return _result(after, place)
+
+
+def _result(scene: "Scene", place: Path) -> dict[str, Any]:
+    from stylesplat.io.recovery import changing
+    from stylesplat.selection.choose import names_of
+    from stylesplat.selection.identities import object_ids
+
+    ids = object_ids(scene.splats)
+    names = {id: name for id in ids for name in names_of(scene, id)[:1]}
+    with changing(place / PREVIEW):
+        shown = _draw(scene, names, place / PREVIEW)
+    return {
+        "scene": place,
+        "preview": place / PREVIEW,
+        "photos": shown,
+        "of": len(scene.cameras),
+        "ids": list(ids),
+        "names": names,
+    }
+
+
+def _draw(scene: "Scene", names: dict[int, str], target: Path) -> int:
+    """Draw what the Gaussians' labels look like in the views; how many of these show any."""
+    from dataclasses import replace
+
+    from stylesplat.drawing.preview import mask_preview
+    from stylesplat.io.images import write_image
+    from stylesplat.masks.rendered import rendered_capture
+    from stylesplat.rendering.device import pick_device
+    from stylesplat.scene.resized import at_most
+    from stylesplat.selection.identities import render_labels
+
+    small = at_most(rendered_capture(scene, pick_device("cpu")), 480)
+    maps = [render_labels(scene.splats, small.cameras[row]) for row in range(len(small))]
+    write_image(mask_preview(replace(small, label_maps=maps), names), target)
+    return sum(bool(labels.any()) for labels in maps)

@@ -1,0 +1,42 @@
+"""`stylesplat mask` and `objects` of a scene that came without photos."""
+
+from pathlib import Path
+
+import pytest
+
+from balls import BALLS
+from bare_balls import BARE, agreement, around
+from command_line import complaint, result
+from stylesplat.io import scene_folder
+
+
+def test_as_it_is_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder, other = tmp_path / "scene", tmp_path / "other"
+    scene_folder.save(BARE, folder)
+    before = result(capsys, "objects", folder)
+    assert before["objects"] == [] and before["sheet"] is None
+    assert before["content"]["size"][2] == pytest.approx(0.7, abs=0.15)
+    box = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
+    found = result(capsys, "mask", folder, "--box", box, "-o", other, "--device", "cpu")
+    assert found["names"] == {"1": "red"} and found["of"] == 36
+    assert (other / "masks.jpg").is_file() and str(other) == found["scene"]
+    assert scene_folder.open(folder).splats.classifier is None, "left as it was"
+    assert agreement(scene_folder.open(other).objects["red"].picked, 3) > 0.8
+    listed = result(capsys, "objects", other)
+    (red,) = listed["objects"]
+    assert listed["named"]["red"] == {key: red[key] for key in ("box", "centre", "size")}
+    assert red["centre"] == pytest.approx(BALLS[3][0], abs=0.1)
+    corners = ",".join(map(str, red["box"]))
+    again = result(capsys, "select", other, "--name", "again", f"--box3d={corners}")
+    assert again["gaussians"] > 60
+    refused = complaint(capsys, "mask", other, "--from", tmp_path)
+    assert "would replace. Pass --overwrite" in refused
+    assert "means nothing" in complaint(capsys, "mask", other, "--box", box, "--scene", other)
+    assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", other)
+
+
+def test_captures_take_no_output(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    box = "red=0001.jpg:1,2,9,9"
+    assert "label maps go into object_mask" in complaint(
+        capsys, "mask", capture, "--box", box, "-o", tmp_path / "out"
+    )
