@@ -22,6 +22,7 @@ from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
+from stylesplat.cli.telling import told
 from stylesplat.cli.train import Train
 from stylesplat.cli.view import View
 from stylesplat.progress import observed
@@ -80,19 +81,4 @@ def _run(command: Any) -> None:
     if command.json:
         print(strict_json(result), flush=True)
     else:
-        print(*_lines(result), sep="\n", file=sys.stderr)
-
-
-def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:
-    """A result as text, one value a line."""
-    lines = []
-    for name, value in result.items():
-        if isinstance(value, dict):
-            lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            rows = (", ".join(f"{k} {v}" for k, v in row.items() if v != []) for row in value)
-            lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
-        else:
-            shown = f"{value:.4g}" if isinstance(value, float) else value
-            lines.append(f"{indent}{name}: {shown}")
-    return lines
+        print(*told(command, result), sep="\n", file=sys.stderr)
