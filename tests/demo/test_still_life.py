@@ -1,3 +1,4 @@
+import numba
 import numpy as np
 import pytest
 import torch
@@ -17,13 +18,18 @@ def views() -> list[View]:
     return list(photograph(CAMERAS, seed=0))
 
 
+@numba.njit
+def signed_distance(object_id, point):
+    return distance(object_id, point)  # only kernels can call it
+
+
 def object_distances(points: np.ndarray, layout: np.ndarray) -> np.ndarray:
     """Signed distance from each world point to each object."""
     result = np.empty((len(points), len(NAMES)))
     for i, (x, y, c, s, _) in enumerate(layout):
         px, py = points[:, 0] - x, points[:, 1] - y
         local = np.column_stack([c * px + s * py, c * py - s * px, points[:, 2]])
-        result[:, i] = [distance(i + 1, tuple(p)) for p in local.tolist()]
+        result[:, i] = [signed_distance(i + 1, tuple(p)) for p in local.tolist()]
     return result
 
 

@@ -1,12 +1,14 @@
 """`stylesplat evaluate`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Device, Json
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import Device, Json, Verbose
 from stylesplat.errors import StyleSplatError
 
 
@@ -25,13 +27,16 @@ class Evaluate:
     capture: Path | None = None
     """Folder of the photos; by default where they were when the scene was trained."""
     masks: Path | None = None
-    """Folder of label maps to compare with; by default the capture's object_mask/."""
+    """Folder of label maps to compare with; by default the capture's object_mask_exact/ if it has
+    one, else its object_mask/."""
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.captures.capture_folder import exact_masks
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
         from stylesplat.progress import say
@@ -45,7 +50,8 @@ class Evaluate:
                 f"{self.scene} does not say what it was trained on. Pass --capture."
             )
         if source is not None and (self.capture or scene.painted is None or source.is_dir()):
-            capture = load(source, downscale=scene.downscale, masks=self.masks)
+            masks = self.masks or exact_masks(source)
+            capture = load(source, downscale=scene.downscale, masks=masks)
         elif source is not None:
             say(f"The photos are no longer in {source}, so only the style is measured.")
         metrics = evaluate(scene, capture, device=self.device)
@@ -54,3 +60,13 @@ class Evaluate:
             measured = {**latest.metrics, "evaluate": metrics}
             revise(latest, replace(latest, metrics=measured), self.scene)
         return metrics
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        from stylesplat.evaluation.in_words import photo_lines, style_lines
+
+        yield from photo_lines(result)
+        if "changed_gaussians" in result:
+            yield from style_lines(result, result.get("content_ssim", {}))
+        video = unused(self.scene, ".mp4")
+        yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))

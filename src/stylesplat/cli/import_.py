@@ -1,13 +1,16 @@
 """`stylesplat import`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite
+from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
+from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose
 from stylesplat.cli.results import save_or_rescue
+from stylesplat.cli.scene_pictures import look
 from stylesplat.errors import StyleSplatError
 
 
@@ -34,6 +37,7 @@ class Import:
     device: Device = "auto"
     """Where to render; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -44,6 +48,15 @@ class Import:
             raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
         with changing(self.output):
             return self._import()
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        close = f", {result['psnr']:.1f} dB from the photos" if "psnr" in result else ""
+        yield f"{self.output}: {result['gaussians']:,} Gaussians{close}."
+        yield from look_lines(result)
+        yield from next_lines(
+            *object_commands(self.output, result["objects"], labelled=result["labelled"])
+        )
 
     def _import(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
@@ -57,4 +70,4 @@ class Import:
             capture = load(self.capture, masks=self.masks)
         scene = import_(self.splat, capture, frame=self.frame, up=self.up, device=self.device)
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
-        return dict(scene.metrics)
+        return {**scene.metrics, **look(scene, capture, self.output, device=self.device)}

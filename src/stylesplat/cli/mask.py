@@ -1,13 +1,15 @@
 """`stylesplat mask`: read the photos, find what they show, write the label maps."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, refuse_given
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import CONTINUES, Device, Json, Overwrite, Verbose, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
 from stylesplat.io.folders import partial_of
@@ -59,6 +61,7 @@ class Mask:
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     @property
@@ -88,6 +91,15 @@ class Mask:
         capture = load(folder, masks=False)
         with changing(output):
             return self._mask(capture, method, output, progress)
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        shown = ", ".join(result["names"].get(id, f"id {id}") for id in result["ids"])
+        photos = f"{result['photos']} of {result['of']} photos"
+        yield f"{result['masks']}: label maps of {photos}, which show {shown or 'no objects'}."
+        yield f"Picture: {result['preview']}, what they say on some of the photos."
+        scene = unused(self.capture, "-scene")
+        yield from next_lines(pasted("train", self.capture, "-o", scene))
 
     def _mask(
         self, capture: "Capture", method: Method, output: Path, progress: Path | None

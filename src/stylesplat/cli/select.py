@@ -1,12 +1,14 @@
 """`stylesplat select`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from stylesplat.cli.options import Json
+from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.options import Json, Verbose
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.errors import StyleSplatError
 
@@ -57,6 +59,7 @@ class Select:
     """Probability of the object above which a Gaussian belongs to it."""
     keep_outliers: FlagCreatePairsOff[bool] = False
     """Keep Gaussians that lie apart from the rest of the object."""
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -92,6 +95,13 @@ class Select:
             revise(before, after, self.scene)
             picture = self._draw(after, target)
         return {"name": self.name, **after.objects[self.name].how, "picture": picture}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        yield f"{self.name}: {result['gaussians']:,} Gaussians."
+        if result["picture"]:
+            yield f"Picture: {result['picture']}, in colour what was picked."
+        yield from next_lines(stylize_command(self.scene, self.name))
 
     def _sphere(self) -> tuple[Any, ...] | None:
         if not self.sphere:

@@ -34,6 +34,8 @@ from stylesplat.stylization.style import (
 )
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
 
+ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over runs
+
 
 @dataclass(frozen=True)
 class Run:
@@ -235,6 +237,6 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
     for name, value in earlier.items():
         if isinstance(value, dict):
             joined[name] = value | later.get(name, {})
-        elif name in ("steps", "changed_gaussians"):
+        elif name in ADDED:
             joined[name] = value + later[name]
     return joined
