@@ -118,7 +118,9 @@ def test_distances_never_overstep(object_id: int):
     rng = np.random.default_rng(object_id)
     starts = rng.uniform((-0.7, -0.7, 0.0), (0.7, 0.7, 1.2), (5000, 3))
     ends = starts + rng.normal(0, 0.004, starts.shape)
-    fields = np.array([[distance(object_id, tuple(p)) for p in q.tolist()] for q in (starts, ends)])
+    fields = np.array(
+        [[signed_distance(object_id, tuple(p)) for p in q.tolist()] for q in (starts, ends)]
+    )
     slopes = np.abs(fields[0] - fields[1]) / np.linalg.norm(ends - starts, axis=1)
     assert slopes[(fields > 0).all(axis=0)].max() < 1.03  # the ball's seams, where it is harmless
 

@@ -67,6 +67,7 @@ class Evaluate:
 
         yield from photo_lines(result)
         if "changed_gaussians" in result:
-            yield from style_lines(result, result.get("content_ssim", {}))
+            measured = [result.get(name, {}) for name in ("nnfm_after", "content_ssim")]
+            yield from style_lines(result, {**measured[0], **measured[1]})
         video = unused(self.scene, ".mp4")
         yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))

@@ -28,7 +28,7 @@ def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
         metrics: As `evaluate_views` reports them; of nothing compared, no lines.
     """
     lines = []
-    if "psnr" in metrics:
+    if {"psnr", "ssim"} <= metrics.keys():
         close = f"PSNR {metrics['psnr']:.2f} dB, SSIM {metrics['ssim']:.3f}"
         lines.append(f"Renders against photos: {close}.")
     if "miou" in metrics:
