@@ -35,7 +35,7 @@ def test_what_no_view_shows_has_no_picture(styled: Scene):
 
 
 def test_a_photo_beside_its_render(tmp_path: Path):
-    capture = load(write_ball_capture(tmp_path / "balls"), downscale=2)
+    capture = load(write_ball_capture(tmp_path / "balls"), downscale=2.0)
     picture = beside_photo(TRAINED, capture, CAMERAS.names[2], device="cpu")
     assert picture.shape == (18, 2 * 24 + GAP, 3)
     photo, render = picture[:, :24].float(), picture[:, 24 + GAP :].float()
