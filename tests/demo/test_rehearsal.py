@@ -1,5 +1,7 @@
 """Kernels compile in another process while photos are made."""
 
+from typing import Any
+
 import pytest
 
 from stylesplat.demo import rehearsal
@@ -14,7 +16,7 @@ def test_whoever_is_interrupted_does_not_wait_for_it(monkeypatch: pytest.MonkeyP
     started = []
     popen = rehearsal.subprocess.Popen
 
-    def start(*arguments: object, **options: object):
+    def start(*arguments: Any, **options: Any) -> Any:
         started.append(popen(*arguments, **options))
         return started[-1]
 

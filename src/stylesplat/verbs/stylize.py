@@ -96,6 +96,7 @@ def stylize(
     for run in _runs(recipe, scene, features, weights):
         scene, found = _painted(scene, run, max_memory, device)
         measured = _joined(measured, found)
+    _forget_ways(measured, recipe)
     wanted = strengths(before) | {each.name: _final(each) for each in recipe.objects}
     metrics = {"seconds": time.perf_counter() - start, **measured}
     metrics["train"] = before.metrics.get("train", before.metrics)
@@ -162,6 +163,14 @@ def _upon(each: StyledObject, there: Mapping[str, float]) -> Mapping[str, float]
 def _final(each: StyledObject) -> float:
     """How strong an object is to be in the end."""
     return each.style.config.intensity if each.intensity is None else each.intensity
+
+
+def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
+    """Say nothing of how close objects come that were measured at another intensity."""
+    for each in recipe.objects:
+        if _final(each) != each.style.config.intensity:
+            for name in ("nnfm_of_style", "share_of_way"):
+                measured.get(name, {}).pop(each.name, None)
 
 
 def _painted(
