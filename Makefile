@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 demo: $(VENV)/installed
 	$(BIN)/stylesplat demo -o demo-output
 
-test: $(VENV)/installed
+test: $(VENV)/installed-dev
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
@@ -18,7 +18,13 @@ test: $(VENV)/installed
 clean:
 	rm -rf $(VENV) demo-output
 
+# Of what is installed Python compiles, later, what is imported: that is sooner than all of it
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable '.[dev]' --constraint constraints.txt
+	$(BIN)/pip install --quiet --no-compile --editable . --constraint constraints.txt
 	touch $@
+
+$(VENV)/installed-dev: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --editable '.[dev]' --constraint constraints.txt
+	touch $(VENV)/installed $@

@@ -29,7 +29,7 @@ CAPTURES = {
     "missing": "There is no folder {at}/missing: nothing has that name. Check it",
     "scene": "scene is a scene, not a capture, which has the photos. It was made from {at}/capture",
     "scene/splats.ply": "scene is a scene, not a capture",
-    "import": "a scene, not a capture, and has no photos. Objects are chosen in it by `stylesplat",
+    "import": "a scene, not a capture, and has no photos. Objects are cut out of its",
     "splat.ply": "splat.ply is a splat, not photos. {import_} {at}/splat.ply -o splat-scene`",
 }
 POSED = CAPTURES | {

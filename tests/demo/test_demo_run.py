@@ -1,10 +1,12 @@
 """The whole demo, on a still life of few small photos."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import stylesplat as ss
 from stylesplat.demo import demo_run as run
@@ -24,6 +26,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         return path
 
     monkeypatch.setattr(run, "demo_capture", capture)
+    monkeypatch.setattr(run, "SHOWN", "000")
+    monkeypatch.setattr(run, "compiled_meanwhile", nullcontext)  # see test_rehearsal
     monkeypatch.setattr(run, "TRAINING", replace(run.TRAINING, steps=60))
     # Labels that are lifted are there after few steps
     monkeypatch.setattr(run, "train", partial(train, segment="lift"))
@@ -47,6 +51,10 @@ def test_all_of_it_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert made.keys() == {"report", "splat", "video", "seconds"}
     assert all(made[what].stat().st_size > 0 for what in ("report", "splat", "video"))
     assert not [*out.glob("*.partial")]
+    page = (out / "report.html").read_text()
+    assert "painted Gaussians</th>" in page and "of the way" in page
+    with Image.open(out / "after" / "000.png") as picture:
+        assert picture.size == (240, 180), "twice the photos' size"
     scene, styled = ss.open(out / "scene"), ss.open(out / "styled")
     assert {*scene.objects} >= {"vase", "teapot"}
     assert styled.painted is not None and styled.painted.names == ("vase", "teapot")

@@ -14,6 +14,7 @@ def test_report_holds_everything_and_names_no_file(tmp_path: Path):
         tmp_path / "report.html",
         before=picture,
         after=picture,
+        cut=0.57,
         sections=(section,),
         numbers={"PSNR": "30 dB"},
     )
@@ -23,4 +24,5 @@ def test_report_holds_everything_and_names_no_file(tmp_path: Path):
     assert "Heads &amp; tails" in page and "1 &lt; 2" in page
     assert "<th>PSNR</th><td>30 dB</td>" in page
     assert "http" not in page and str(tmp_path) not in page
+    assert page.count("var(--at, 57%)") == 2 and 'value="57"' in page
     assert "$" not in page, "every placeholder is filled"

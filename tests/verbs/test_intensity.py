@@ -1,19 +1,20 @@
 """What an intensity between 0 and 1 shows: the blend of both renders, but for clamped colours."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from jaxtyping import Bool
 
 from balls import SPLATS
-from painted_balls import TRAINED, painted, write_pictures
+from painted_balls import FAST, TRAINED, painted, write_pictures
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import sh_basis
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.style import Style
+from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.stylize import stylize
 
@@ -98,3 +99,12 @@ def test_no_other_gaussian_changes_with_the_intensity(strong: Scene):
         for name, tensor in strong.splats.tensors().items():
             rows = others if name in ("sh0", "shN") else slice(None)
             assert torch.equal(found[name][rows], tensor[rows]), name
+
+
+def test_no_way_is_told_that_was_measured_at_another_intensity(tmp_path: Path):
+    style = Style(write_pictures(tmp_path)[0], config=FAST)
+    measured = stylize(TRAINED, Recipe((StyledObject("red", style),)), device="cpu").metrics
+    assert "red" in measured["nnfm_of_style"] and "red" in measured["nnfm_after"]
+    softer = Recipe((StyledObject("red", style, intensity=0.1),))
+    measured = stylize(TRAINED, softer, device="cpu").metrics
+    assert "red" not in measured["nnfm_of_style"] and "red" in measured["nnfm_after"]

@@ -24,9 +24,9 @@ from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
+from stylesplat.cli.telling import told
 from stylesplat.cli.train import Train
 from stylesplat.cli.usage import read
-from stylesplat.cli.values import said
 from stylesplat.cli.view import View
 from stylesplat.progress import observed
 from stylesplat.signals import WHOLE
@@ -74,26 +74,16 @@ def _run(command: Any) -> None:
     """Do it, and print what came of it."""
     from stylesplat.io.json_files import strict_json
 
-    with closing(Bars() if sys.stderr.isatty() else LogLines()) as observer, observed(observer):
+    with closing(_observer()) as observer, observed(observer):
         result = command.run()
     if command.json:
         print(strict_json(result), flush=True)
     else:
-        print(*_lines(result), sep="\n", file=sys.stderr)
+        print(*told(command, result), sep="\n", file=sys.stderr)
     if isinstance(result, Answer):
-        with closing(Bars()) as bars, observed(bars):
+        with closing(_observer()) as observer, observed(observer):
             result.rest()
 
 
-def _lines(result: dict[Any, Any], indent: str = "") -> list[str]:
-    """A result as text, one value a line."""
-    lines = []
-    for name, value in result.items():
-        if isinstance(value, dict) and value:
-            lines += [f"{indent}{name}:", *_lines(value, indent + "  ")]
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            rows = (said({k: v for k, v in row.items() if v != []}) for row in value)
-            lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
-        else:
-            lines.append(f"{indent}{name}: {said(value)}")
-    return lines
+def _observer() -> Bars | LogLines:
+    return Bars() if sys.stderr.isatty() else LogLines()

@@ -1,12 +1,15 @@
 """`stylesplat adjust`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from stylesplat.cli.options import Json, OptionalOutput, Overwrite
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
+from stylesplat.cli.scene_pictures import write_before_after
 from stylesplat.errors import StyleSplatError
 
 
@@ -30,6 +33,7 @@ class Adjust:
     output: OptionalOutput = None
     """Folder of a scene to make; without it the scene itself is changed."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -43,7 +47,8 @@ class Adjust:
             raise StyleSplatError(
                 "Undoing keeps the styled scene. Pass a folder for the other with -o."
             )
-        with changing(self.output or self.scene):
+        folder = self.output or self.scene
+        with changing(folder):
             if self.output is not None:
                 refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
             before = open(self.scene)
@@ -52,6 +57,19 @@ class Adjust:
                 revise(before, after, self.scene)
             else:
                 save(after, self.output, overwrite=self.overwrite)
+            picture = write_before_after(after, folder) if after.painted else None
         painted = after.painted.paintings if after.painted else ()
         shown = {"intensity": {each.name: each.intensity for each in painted}} if painted else {}
-        return {"scene": self.output or self.scene, **shown}
+        return {"scene": folder, **shown, "before_after": picture}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        if self.undo:
+            yield f"{self.output}: the scene before it was painted."
+            return
+        shown = (f"{name} at {100 * share:.0f} %" for name, share in result["intensity"].items())
+        yield f"{result['scene']}: {', '.join(shown)} of the style."
+        if result["before_after"]:
+            yield f"Picture: {result['before_after']}"
+        scene = Path(result["scene"])
+        yield from next_lines(pasted("export", scene, unused(scene, ".ply")))

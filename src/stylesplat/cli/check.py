@@ -1,12 +1,14 @@
 """`stylesplat check`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json, OptionalOutput, Overwrite, refuse_picture
+from stylesplat.cli.next_steps import mask_command, next_lines, pasted, unused
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose, refuse_picture
 from stylesplat.cli.posed import earlier_capture
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ class Check:
     output: OptionalOutput = None
     """Picture to make: cameras and points from above and from the side."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -44,9 +47,18 @@ class Check:
         capture = files.at(files.cameras.shrink_to(SIDE))
         report = check(capture)
         picture = {} if self.output is None else {"picture": self._draw(capture, report)}
-        if self.json:
-            return report.summary() | picture
-        return {each.what: f"{each.verdict}. {each.line}" for each in report.findings} | picture
+        return report.summary() | picture
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        for what, found in result["findings"].items():
+            advice = f" {found['advice']}" if found["advice"] else ""
+            yield f"{what}: {found['verdict']}. {found['says']}.{advice}"
+        if "picture" in result:
+            yield f"Picture: {result['picture']}, the cameras and points from above and the side."
+        masked = (self.capture / "object_mask").is_dir()
+        train = pasted("train", self.capture, "-o", unused(self.capture, "-scene"))
+        yield from next_lines(train if masked else mask_command(self.capture))
 
     def _draw(self, capture: "Capture", report: "CaptureReport") -> Path:
         from stylesplat.drawing.capture_picture import capture_picture

@@ -1,10 +1,12 @@
 """`stylesplat demo`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite
+from stylesplat.cli.next_steps import next_lines, pasted
+from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite, Verbose
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,7 @@ class Demo:
     output: Output = Path("stylesplat-demo")
     """Folder for everything that is made."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
     after_interruption: ClassVar[str] = CONTINUES
 
@@ -28,3 +31,12 @@ class Demo:
 
         with changing(self.output):
             return run_demo(self.output, overwrite=self.overwrite)
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        yield f"Report: {result['report']}"
+        yield f"Splat: {result['splat']}, which SuperSplat, Blender and other programs open."
+        yield f"Video: {result['video']}"
+        yield f"It took {result['seconds']} s."
+        own = [pasted("mask", "MyPhotos", "--box", "NAME=PHOTO:x0,y0,x1,y1")]
+        yield from next_lines(*own)

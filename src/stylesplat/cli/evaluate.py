@@ -1,12 +1,14 @@
 """`stylesplat evaluate`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Device, Json
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import Device, Json, Verbose
 from stylesplat.errors import StyleSplatError
 
 
@@ -27,13 +29,16 @@ class Evaluate:
     """Folder of the photos; by default where they were when the scene was trained, or where they
     were moved to together with it."""
     masks: Path | None = None
-    """Folder of label maps to compare with; by default the capture's object_mask/."""
+    """Folder of label maps to compare with; by default the capture's object_mask_exact/ if it has
+    one, else its object_mask/."""
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.captures.capture_folder import exact_masks
         from stylesplat.io.places import refuse_unwritable
         from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
@@ -60,10 +65,22 @@ class Evaluate:
                 "--capture says where they are."
             )
         elif source is not None:
-            capture = load(source, downscale=scene.downscale, masks=self.masks)
+            masks = self.masks or exact_masks(source)
+            capture = load(source, downscale=scene.downscale, masks=masks)
         metrics = evaluate(scene, capture, device=self.device)
         with changing(self.scene):
             latest = open(self.scene)  # measuring takes long
             measured = {**latest.metrics, "evaluate": metrics}
             revise(latest, replace(latest, metrics=measured), self.scene)
         return metrics
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        from stylesplat.evaluation.in_words import photo_lines, style_lines
+
+        yield from photo_lines(result)
+        if "changed_gaussians" in result:
+            measured = [result.get(name, {}) for name in ("nnfm_after", "content_ssim")]
+            yield from style_lines(result, {**measured[0], **measured[1]})
+        video = unused(self.scene, ".mp4")
+        yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))

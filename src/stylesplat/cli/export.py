@@ -1,12 +1,14 @@
 """`stylesplat export`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json, OptionalOutput, Overwrite
+from stylesplat.cli.next_steps import next_lines, pasted, size_of, unused
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.errors import StyleSplatError
 
 
@@ -28,6 +30,7 @@ class Export:
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -43,3 +46,11 @@ class Export:
         scene = open(self.scene)
         export(scene, file, overwrite=self.overwrite, sh_degree=self.sh_degree)
         return {"file": file, "gaussians": len(scene.splats)}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        file = result["file"]
+        count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
+        yield f"{file}: {count}. SuperSplat, Blender and other programs open it."
+        video = unused(self.scene, ".mp4")
+        yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))

@@ -1,13 +1,16 @@
 """`stylesplat import`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite
+from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
+from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose
 from stylesplat.cli.results import save_or_rescue
+from stylesplat.cli.scene_pictures import look
 from stylesplat.errors import StyleSplatError
 
 
@@ -38,6 +41,7 @@ class Import:
     device: Device = "auto"
     """Where to render; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -50,6 +54,16 @@ class Import:
             raise StyleSplatError("--labels and --masks both say what is what. Pass one of them.")
         with changing(self.output):
             return self._import()
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        close = f", {result['psnr']:.1f} dB from the photos" if "psnr" in result else ""
+        yield f"{self.output}: {result['gaussians']:,} Gaussians{close}."
+        yield from look_lines(result)
+        photos = self.capture is not None
+        labelled = result["labelled"]
+        commands = object_commands(self.output, result["objects"], labelled=labelled, photos=photos)
+        yield from next_lines(*commands)
 
     def _import(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
@@ -70,4 +84,4 @@ class Import:
             device=self.device,
         )
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
-        return dict(scene.metrics)
+        return {**scene.metrics, **look(scene, capture, self.output, device=self.device)}

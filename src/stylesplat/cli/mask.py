@@ -1,19 +1,22 @@
 """`stylesplat mask`: read the photos, find what they show, write the label maps."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from stylesplat.cli.mask_scene import is_without_photos, mask_scene
+from stylesplat.cli.mask_scene import is_without_photos, mask_scene, scene_words
+from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import (
     CONTINUES,
     Device,
     Json,
     OptionalOutput,
     Overwrite,
+    Verbose,
     refuse_given,
 )
 from stylesplat.cli.parse import parse_named_box, parse_stroke
@@ -73,6 +76,7 @@ class Mask:
     output: OptionalOutput = None
     """Folder of the scene to make, where a scene is masked; by default it is changed itself."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     @property
@@ -115,6 +119,18 @@ class Mask:
         refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), why)
         drawn = {"boxes": self._boxes(None), "strokes": self._strokes(None)}
         settled_method(method, drawn | {"source": self.source})
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        if "scene" in result:
+            yield from scene_words(result)
+            return
+        shown = ", ".join(result["names"].get(id, f"id {id}") for id in result["ids"])
+        photos = f"{result['photos']} of {result['of']} photos"
+        yield f"{result['masks']}: label maps of {photos}, which show {shown or 'no objects'}."
+        yield f"Picture: {result['preview']}, what they say on some of the photos."
+        scene = unused(self.capture, "-scene")
+        yield from next_lines(pasted("train", self.capture, "-o", scene))
 
     def _mask(
         self, capture: "Capture", scene: "Scene | None", output: Path, progress: Path | None

@@ -2,9 +2,11 @@
 
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stylesplat.cli.next_steps import next_lines, stylize_command
 from stylesplat.cli.options import refuse_given
 from stylesplat.errors import StyleSplatError
 
@@ -73,6 +75,15 @@ def mask_scene(
         if progress:
             shutil.rmtree(progress, ignore_errors=True)
         return _result(after, place)
+
+
+def scene_words(result: dict[str, Any]) -> Iterator[str]:
+    """What was made, and how to go on."""
+    names = list(result["names"].values())
+    yield f"{result['scene']}: it has {', '.join(names) or 'no objects'} now."
+    yield f"Picture: {result['preview']}, what its Gaussians belong to in some of the views."
+    if names:
+        yield from next_lines(stylize_command(result["scene"], names[-1]))
 
 
 def _result(scene: "Scene", place: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ Device = Literal["auto", "cpu", "cuda"]
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
+Verbose = Annotated[FlagCreatePairsOff[bool], arg(help="Print the numbers as well.")]
 Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 CONTINUES = "The same command goes on where it stopped."  # said of verbs that do

@@ -1,12 +1,14 @@
 """`stylesplat render`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose
 from stylesplat.errors import StyleSplatError
 
 
@@ -36,6 +38,7 @@ class Render:
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -63,3 +66,8 @@ class Render:
         )
         scale = {} if views.scale is None else {"world_units_per_step": views.scale}
         return {"output": self.output, "views": len(views), **scale}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        yield f"{self.output}: {result['views']} views."
+        yield from next_lines(pasted("export", self.scene, unused(self.scene, ".ply")))

@@ -1,5 +1,6 @@
 """`stylesplat select`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from stylesplat.cli.options import Json
+from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.options import Json, Verbose
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError
@@ -79,6 +81,7 @@ class Select:
     """Keep Gaussians that lie apart from the rest of the object."""
     picture: FlagCreatePairsOff[bool] = True
     """Draw no picture of it. Else it is drawn into the scene, after the answer."""
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -99,6 +102,13 @@ class Select:
         result = {"name": self.name, **after.objects[self.name].how}
         result["picture"] = target if shows else None
         return Answer(result, partial(self._draw, after, target)) if shows else result
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        yield f"{self.name}: {result['gaussians']:,} Gaussians."
+        if result["picture"]:
+            yield f"Picture: {result['picture']}, in colour what was picked."
+        yield from next_lines(stylize_command(self.scene, self.name))
 
     def _selected(self, scene: "Scene") -> "Scene":
         from stylesplat.verbs.select import select

@@ -1,12 +1,14 @@
 """`stylesplat sfm`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite
+from stylesplat.cli.next_steps import mask_command, next_lines, pasted, unused
+from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite, Verbose
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Sfm:
     seed: int = 0
     """The same seed and number of threads give the same poses."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
     after_interruption: ClassVar[str] = CONTINUES
 
@@ -54,3 +57,12 @@ class Sfm:
         if self.json:  # else they have been named
             found |= {"left_out": record.left_out, "unregistered": record.unregistered}
         return dict(record.numbers) | found
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        posed = f"{result['registered']} of {result['photos']} photos with their cameras"
+        yield f"{self.output}: {posed}."
+        yield from next_lines(
+            pasted("check", self.output, "-o", unused(self.output, "-check.jpg")),
+            mask_command(self.output),
+        )

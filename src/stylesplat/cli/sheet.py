@@ -1,12 +1,14 @@
 """`stylesplat sheet`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite, given, refuse_picture
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given, refuse_picture
 from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError
@@ -46,6 +48,7 @@ class Sheet:
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -54,6 +57,13 @@ class Sheet:
 
         with changing(self.output):
             return self._draw()
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        yield f"{self.output}: {result['cells']} pictures, seen from {result['view']}."
+        yield "With the settings that you like, in the spelling of `stylize --help`:"
+        chosen = ["--style", self.style[0], "-o", unused(self.scene, "-painted")]
+        yield from next_lines(pasted("stylize", self.scene, *chosen))
 
     def _draw(self) -> dict[str, Any]:
         from stylesplat.io.images import write_image

@@ -1,14 +1,17 @@
 """`stylesplat stylize`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.options import Device, Json, Output, Overwrite, given
+from stylesplat.cli.next_steps import next_lines, painted_commands
+from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
 from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import save_or_rescue
+from stylesplat.cli.scene_pictures import write_before_after
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
@@ -87,6 +90,7 @@ class Stylize:
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -96,6 +100,16 @@ class Stylize:
         recipe = self._recipe()
         with changing(self.output):
             return self._stylize(recipe)
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        from stylesplat.evaluation.in_words import style_lines
+
+        yield f"{self.output}: painted."
+        if result["before_after"]:
+            yield f"Picture: {result['before_after']}"
+        yield from next_lines(*painted_commands(self.output))
+        yield from style_lines(result, result["seconds_by_object"])
 
     def _stylize(self, recipe: "Recipe") -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
@@ -112,7 +126,9 @@ class Stylize:
             device=self.device,
         )
         save_or_rescue(styled, self.output, overwrite=self.overwrite)
-        return {name: value for name, value in styled.metrics.items() if name != "train"}
+        picture = write_before_after(styled, self.output, device=self.device)
+        numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
+        return {"scene": self.output, "before_after": picture, **numbers}
 
     def _recipe(self) -> "Recipe":
         """The recipe of a file, or of objects and pictures that all have the same settings."""

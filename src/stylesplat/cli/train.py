@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,9 +10,11 @@ from typing import Any, ClassVar, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, given
+from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
+from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, Verbose, given
 from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
+from stylesplat.cli.scene_pictures import look
 from stylesplat.io.files import MARK
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
@@ -72,6 +75,7 @@ class Train:
     overwrite: Overwrite = False
     restart: FlagCreatePairsOff[bool] = False
     """Forget an interrupted run."""
+    verbose: Verbose = False
     json: Json = False
 
     @property
@@ -91,6 +95,16 @@ class Train:
 
         with changing(self.output):
             return self._train()
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        where = f"{result['gaussians']:,} Gaussians after {result['steps']:,} steps"
+        close = f", {result['psnr']:.1f} dB from photos held out" if "psnr" in result else ""
+        yield f"{self.output}: {where}{close}."
+        yield from look_lines(result)
+        yield from next_lines(
+            *object_commands(self.output, result["objects"], labelled=result["labelled"])
+        )
 
     def _train(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
@@ -112,7 +126,7 @@ class Train:
         )
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
         _forget(partial)
-        return dict(scene.metrics)
+        return {**scene.metrics, **look(scene, capture, self.output, device=self.device)}
 
 
 def _forget(partial: Path) -> None:

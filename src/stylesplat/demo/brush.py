@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from stylesplat.demo.noise import noise
-from stylesplat.demo.vectors import kernel, smoothstep
+from stylesplat.demo.vectors import FAST, kernel, smoothstep
+from stylesplat.rendering.kernels.jit import cached
 
 STEP = 0.5  # pixels between neighbouring bristles, and between stamps along a stroke
 BRISTLE = 0.42  # bristle tracks per pixel
@@ -54,7 +55,7 @@ def _lay(
 
 
 @no_type_check
-@kernel
+@cached(**FAST)
 def _paint(color: np.ndarray, relief: np.ndarray, field: np.ndarray, strokes: np.ndarray) -> None:
     for k in range(len(strokes)):
         x, y = strokes[k, 0], strokes[k, 1]

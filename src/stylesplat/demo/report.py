@@ -39,6 +39,7 @@ def write_report(
     *,
     before: Path,
     after: Path,
+    cut: float,
     sections: tuple[Section, ...],
     numbers: dict[str, str],
 ) -> None:
@@ -48,6 +49,7 @@ def write_report(
         path: The HTML file to make.
         before: A view of the scene as it was.
         after: The same view, styled; a slider lies between the two.
+        cut: Where the slider is at first, 0 to 1 from left to right.
         sections: The story, in order.
         numbers: A table of what was measured.
 
@@ -58,6 +60,7 @@ def write_report(
     page = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         before=_embed(before),
         after=_embed(after),
+        cut=f"{100 * cut:.0f}",
         sections="\n".join(_section(section) for section in sections),
         numbers="\n".join(rows),
     )

@@ -17,6 +17,7 @@ from stylesplat.demo.surroundings import (
     table_normal,
 )
 from stylesplat.demo.vectors import (
+    FAST,
     Vec,
     along,
     dot,
@@ -27,7 +28,7 @@ from stylesplat.demo.vectors import (
     scaled,
     unit,
 )
-from stylesplat.rendering.kernels.jit import cached
+from stylesplat.rendering.kernels.jit import ONLY_PRANGE, cached
 
 OBJECTS = len(NAMES)
 TABLE, BACKDROP = 0, -1  # both are label 0
@@ -174,7 +175,7 @@ def _ray(x: float, y: float, K: np.ndarray, c2w: np.ndarray) -> Vec:
 
 
 @no_type_check
-@cached(fastmath=True, parallel=True)
+@cached(**FAST, parallel=ONLY_PRANGE)
 def render_view(
     K: np.ndarray, c2w: np.ndarray, layout: np.ndarray, photo: np.ndarray, geometry: np.ndarray
 ) -> None:

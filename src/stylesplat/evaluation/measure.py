@@ -72,10 +72,11 @@ def changes(
         picked: The Gaussians that were repainted.
 
     Returns:
-        `changed_gaussians`; `outside_psnr` (120 at most) and `outside_max_difference` over
-        pixels that none of them touches; `edge_psnr` over those that they cover in part, but
-        by less than half; `rim_error`, the mean absolute difference in a band of 5 pixels
-        around what they cover by half or more.
+        `changed_gaussians`, new ones included; `painted_gaussians` and `changed_outside`, those of
+        the picked and of all others that differ; `outside_psnr` (120 at most) and
+        `outside_max_difference` over pixels that none of them touches; `edge_psnr` over those that
+        they cover in part, but by less than half; `rim_error`, the mean absolute difference in a
+        band of 5 pixels around what they cover by half or more.
     """
     outside, edge, rim = [], [], []
     for index in range(len(cameras)):
@@ -86,10 +87,13 @@ def changes(
         outside.append(difference[covered == 0].flatten())
         edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
         rim.append(difference[_rim(covered >= COVERED)].flatten())
+    changed = _changed(base, styled)
     largest = max((float(d.abs().max()) for d in outside if len(d)), default=0.0)
     errors = torch.cat(rim).abs()
     return {
-        "changed_gaussians": _changed_gaussians(base, styled),
+        "changed_gaussians": int(changed.sum()) + len(styled) - len(base),
+        "painted_gaussians": int((changed & picked).sum()),
+        "changed_outside": int((changed & ~picked).sum()),
         "outside_psnr": _psnr(torch.cat(outside)),
         "outside_max_difference": largest,
         "edge_psnr": _psnr(torch.cat(edge)),
@@ -97,15 +101,15 @@ def changes(
     }
 
 
-def _changed_gaussians(base: Splats, styled: Splats) -> int:
-    """How many Gaussians differ in any number, or are new."""
+def _changed(base: Splats, styled: Splats) -> Bool[Tensor, " N"]:
+    """Which Gaussians differ in any number."""
     pairs = [
         (old.view(len(old), -1), styled.tensors()[name][: len(old)].reshape(len(old), -1))
         for name, old in base.tensors().items()
         if old.numel()
     ]
     differs = [(old != new).any(dim=1) for old, new in pairs]
-    return int(torch.stack(differs).any(dim=0).sum()) + len(styled) - len(base)
+    return torch.stack(differs).any(dim=0)
 
 
 def _rim(covered: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:

@@ -1,6 +1,6 @@
 """The numbers by which a stylisation is judged, for each object and for the scene around it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.evaluation.measure import changes, object_nnfm
+from stylesplat.evaluation.own_distance import own_nnfm, share_of_way
 from stylesplat.evaluation.statistics import content_ssim, object_statistics_distance
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
@@ -90,7 +91,8 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
 
     Returns:
         `nnfm_before`, `nnfm_after`, `statistics_before` and `statistics_after` (see
-        `style_statistics_distance`).
+        `style_statistics_distance`); where they can be told, `nnfm_of_style` (see `own_nnfm`) and
+        `share_of_way` between what it was and that.
     """
     layers, boxes = job.config.layers, see_object(studio, job, studio.cameras)
     views, targets = _object_in_styles(studio, job, boxes, layers)
@@ -99,6 +101,7 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
         "nnfm_before": object_nnfm(studio.splats, *rest),
         "nnfm_after": object_nnfm(styled, *rest),
     }
+    numbers |= _way(numbers, studio, job)
     layers = STATISTICS[: studio.network.depth]
     views, targets = _object_in_styles(studio, job, boxes, layers)
     rest = (views, targets, studio.network, layers)
@@ -106,6 +109,16 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
         "statistics_before": object_statistics_distance(studio.splats, *rest),
         "statistics_after": object_statistics_distance(styled, *rest),
     }
+
+
+def _way(nnfm: Mapping[str, float], studio: Studio, job: StyleJob) -> dict[str, float]:
+    """How far the style is from itself, and the share of the way there that is done."""
+    length = job.config.scale * LENGTH
+    own = own_nnfm(job.styles, studio.network, job.config.layers, length=length)
+    if own is None:
+        return {}
+    share = share_of_way(nnfm["nnfm_before"], nnfm["nnfm_after"], own)
+    return {"nnfm_of_style": own} | ({} if share is None else {"share_of_way": share})
 
 
 @torch.no_grad()

@@ -134,8 +134,8 @@ def _no_capture_but_scene(scene: Path) -> StyleSplatError:
     capture, fault = capture_of(scene), f"{scene} is a scene, not a capture"
     if capture is not None:
         return _told(f"{fault}, which has the photos", f"It was made from {capture}: give that")
-    way = f"stylesplat select {shlex.quote(str(scene))} --name NAME"
-    return _told(f"{fault}, and has no photos", f"Objects are chosen in it by `{way}`")
+    way = f"stylesplat mask {shlex.quote(str(scene))} --box NAME=VIEW:x0,y0,x1,y1"
+    return _told(f"{fault}, and has no photos", f"Objects are cut out of its views by `{way}`")
 
 
 def _kind_of_folder(path: Path) -> Kind:

@@ -36,6 +36,8 @@ from stylesplat.stylization.style import (
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
 from stylesplat.stylization.undo import unpainted
 
+ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over runs
+
 
 @dataclass(frozen=True)
 class Run:
@@ -99,6 +101,7 @@ def stylize(
         scene, found = _painted(scene, run, max_memory, device)
         measured = _joined(measured, found)
         passing = passing - _names(run) | {each.name for each in run.objects if each.gone}
+    _forget_ways(measured, recipe)
     scene = unpainted(scene, passing & strengths(scene).keys())
     wanted = strengths(before) | {o.name: _final(o) for o in recipe.objects if not o.gone}
     metrics = {"seconds": time.perf_counter() - start, **measured}
@@ -184,6 +187,14 @@ def _cleared(scene: Scene, run: Run, passing: Set[str]) -> Scene:
     return unpainted(scene, {*anew, *(passing & there)})
 
 
+def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
+    """Say nothing of how close objects come that were measured at another intensity."""
+    for each in recipe.objects:
+        if _final(each) != each.style.config.intensity:
+            for name in ("nnfm_of_style", "share_of_way"):
+                measured.get(name, {}).pop(each.name, None)
+
+
 def _painted(
     scene: Scene, run: Run, max_memory: float, device: str
 ) -> tuple[Scene, dict[str, Any]]:
@@ -257,6 +268,6 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
     for name, value in earlier.items():
         if isinstance(value, dict):
             joined[name] = value | later.get(name, {})
-        elif name in ("steps", "changed_gaussians"):
+        elif name in ADDED:
             joined[name] = value + later[name]
     return joined

@@ -28,6 +28,7 @@ from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.poses import are_rigid
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
+EXACT = "object_mask_exact"  # that of those to measure with, where the others have mistakes
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,14 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
 def is_posed(folder: Path) -> bool:
     """Whether a folder has camera poses."""
     return find_sparse(folder) is not None or (folder / TRANSFORMS).is_file()
+
+
+def exact_masks(folder: Path) -> Path | None:
+    """The label maps that a capture has to measure with, besides those to train on; says so."""
+    if not (folder / EXACT).is_dir():
+        return None
+    say(f"Objects are compared with {folder / EXACT}, the exact label maps.")
+    return folder / EXACT
 
 
 def _read_poses(folder: Path) -> PosedFiles:

@@ -1,0 +1,77 @@
+"""Pictures that commands leave in the scenes that they make."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stylesplat.errors import StyleSplatError
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from torch import Tensor
+
+    from stylesplat.scene.capture import Capture
+    from stylesplat.scene.scene import Scene
+
+BEFORE_AFTER = "before_after.png"
+PHOTO_AND_RENDER = "photo_and_render.png"
+VIEW = "view.png"
+
+
+def write_before_after(scene: "Scene", folder: Path, *, device: str = "auto") -> Path | None:
+    """Draw what was painted on a scene, in the view that shows most of it; see `before_after`."""
+    from stylesplat.drawing.side_by_side import before_after
+
+    return _written(lambda: before_after(scene, device=device), folder / BEFORE_AFTER)
+
+
+def look(
+    scene: "Scene", capture: "Capture | None", folder: Path, *, device: str = "auto"
+) -> dict[str, Any]:
+    """What a scene that is new shows and knows, for words about it."""
+    return {
+        "scene": folder,
+        "picture": write_look(scene, capture, folder, device=device),
+        "objects": sorted(scene.objects),
+        "labelled": scene.splats.classifier is not None,
+    }
+
+
+def write_look(
+    scene: "Scene", capture: "Capture | None", folder: Path, *, device: str = "auto"
+) -> Path | None:
+    """Draw a view of a scene beside its photo, one that was not trained on if there is one.
+
+    Without photos the view alone.
+    """
+    from stylesplat.drawing.side_by_side import beside_photo, one_view
+
+    names = scene.held_out or scene.cameras.names
+    name = names[len(names) // 2]
+    if capture is None:
+        return _written(lambda: one_view(scene, name, device=device), folder / VIEW)
+    return _written(
+        lambda: beside_photo(scene, capture, name, device=device), folder / PHOTO_AND_RENDER
+    )
+
+
+def _written(draw: "Callable[[], UInt8[Tensor, 'H W 3'] | None]", target: Path) -> Path | None:
+    """The picture's file; None if there is nothing to draw, or no room for it.
+
+    The scene is there by then, so a picture that cannot be written is no failure.
+    """
+    from stylesplat.io.images import write_image
+    from stylesplat.io.recovery import changing
+    from stylesplat.progress import say
+
+    try:
+        with changing(target):
+            picture = draw()
+            if picture is None:
+                target.unlink(missing_ok=True)
+                return None
+            write_image(picture, target)
+    except StyleSplatError as error:
+        say(f"There is no picture: {error}")
+        return None
+    return target

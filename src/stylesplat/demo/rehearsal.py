@@ -1,0 +1,73 @@
+"""The CPU kernels compiled by a second process, while the first one traces the photos.
+
+numba compiles on one core at a time. What it compiles it keeps for all processes.
+"""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import torch
+
+from stylesplat.demo.still_life import dome_cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.verbs.select import select
+from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.train import train
+
+VIEWS, WIDTH, HEIGHT = 9, 96, 72
+GAUSSIANS = 400
+LONGEST = 120  # seconds; whoever waited so long compiles what is missing
+
+
+@contextmanager
+def compiled_meanwhile() -> Iterator[None]:
+    """Compile all kernels of the demo in another process; the block ends when it has."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", __name__],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield
+        process.wait(LONGEST)
+    except subprocess.TimeoutExpired:
+        pass
+    finally:
+        process.kill()
+        process.wait()
+
+
+def rehearse() -> None:
+    """Train and paint on noise, in a few seconds, so that every kernel is called once."""
+    generator = torch.Generator().manual_seed(0)
+    cameras = dome_cameras(VIEWS, WIDTH, HEIGHT)
+    photos = torch.randint(
+        256, (VIEWS, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=generator
+    ).unbind()
+    points = torch.randn(GAUSSIANS, 3, generator=generator) / 2
+    labels = torch.ones(HEIGHT, WIDTH, dtype=torch.long)
+    capture = Capture(
+        cameras,
+        photos,
+        label_maps=[labels] * VIEWS,
+        points=points,
+        point_colors=torch.full((GAUSSIANS, 3), 99, dtype=torch.uint8),
+    )
+    config = replace(TrainConfig(), steps=2, object_pixels=2.5, coarse_to_fine=False)
+    scene = select(train(capture, config, segment="lift", device="cpu"), "noise", id=1)
+    stylize(
+        scene,
+        {"noise": Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, pattern="large"))},
+        device="cpu",
+    )
+
+
+if __name__ == "__main__":
+    rehearse()

@@ -1,0 +1,71 @@
+"""What a stylisation did, in words."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
+WHOLE = "as close to the painting as the painting's parts are to each other"
+
+
+def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
+    """One line per object, and what became of all else.
+
+    Args:
+        metrics: As `stylize` and `evaluate` report them.
+        names: What was painted.
+    """
+    lines = [f"{each}: {_way(metrics, each)}" for each in names]
+    rest = around(metrics)
+    if len(lines) == 1:
+        return [f"{lines[0]}, {rest}."]
+    return [*(f"{line}." for line in lines), f"{rest[:1].upper()}{rest[1:]}."]
+
+
+def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """How close renders are to photos, and rendered labels to label maps.
+
+    Args:
+        metrics: As `evaluate_views` reports them; of nothing compared, no lines.
+    """
+    lines = []
+    if {"psnr", "ssim"} <= metrics.keys():
+        close = f"PSNR {metrics['psnr']:.2f} dB, SSIM {metrics['ssim']:.3f}"
+        lines.append(f"Renders against photos: {close}.")
+    if "miou" in metrics:
+        objects = f"IoU {metrics['miou']:.2f}, of their borders {metrics['boundary_miou']:.2f}"
+        lines.append(f"Objects against label maps: {objects}, on average.")
+    return lines
+
+
+def around(metrics: Mapping[str, Any]) -> str:
+    """What changed that was not painted."""
+    changed, largest = metrics["changed_outside"], metrics["outside_max_difference"]
+    if changed:
+        return f"{changed:,} Gaussians outside changed as well"
+    if largest >= VISIBLE:
+        levels = max(1, round(255 * largest))
+        return f"no other Gaussian changed, pixels beside by {levels} of 255 levels at most"
+    return "nothing else changed"
+
+
+def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:
+    """How many Gaussians were painted, and what splitting made of them.
+
+    Args:
+        metrics: As `stylize` reports them.
+        total: How many Gaussians the scene had.
+    """
+    painted = metrics["painted_gaussians"]
+    after = metrics["changed_gaussians"] - metrics["changed_outside"]
+    split = f", split into {after:,}" if after > painted else ""
+    return f"{painted:,} of {total:,}{split}"
+
+
+def _way(metrics: Mapping[str, Any], name: str) -> str:
+    share = metrics.get("share_of_way", {}).get(name)
+    own = metrics.get("nnfm_of_style", {}).get(name)
+    if own is not None and metrics["nnfm_after"][name] <= own:
+        return WHOLE
+    if share is None:  # it was as close before, or the style is too small to tell
+        return "painted"
+    return f"{min(99, round(100 * share))} % of the way to the painting"

@@ -1,0 +1,72 @@
+"""What verbs say at the end: what was made, a picture, what to do next."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from ball_photos import write_ball_capture
+from command_line import run
+from stylesplat.io.captures.capture_folder import EXACT
+
+
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str]):
+    """The lines that a command which succeeds says."""
+
+    def said(*arguments: object) -> list[str]:
+        capsys.readouterr()
+        assert run(*arguments) == 0
+        return capsys.readouterr().err.splitlines()
+
+    return said
+
+
+def test_a_painted_scene_and_its_picture(styled: Path, said):
+    with Image.open(styled / "before_after.png") as picture:
+        assert picture.size == (2 * 48 + 8, 36)
+    before = (styled / "before_after.png").read_bytes()
+    lines = said("adjust", styled, "--intensity", 1)
+    assert f"{styled}: 3 at 100 %, 7 at 100 % of the style." in lines
+    assert f"Picture: {styled / 'before_after.png'}" in lines
+    assert f"Next: stylesplat export {styled} {styled}.ply" in lines
+    assert (styled / "before_after.png").read_bytes() != before, "it is drawn anew"
+    out = styled.with_name("plain")
+    assert said("adjust", styled, "--undo", "-o", out)[-1].startswith(f"{out}: ")
+    assert not (out / "before_after.png").exists()
+
+
+def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, small_measurements, said):
+    out = scene.with_name("painted")
+    options = ("--steps", 2, "--pattern", "large", "--max-growth", 1, "--device", "cpu")
+    lines = said("stylize", scene, "--style", f"3={style}", "-o", out, *options)
+    at = lines.index(f"{out}: painted.")
+    assert lines[at + 1] == f"Picture: {out / 'before_after.png'}"
+    assert lines[at + 2].startswith("Next: stylesplat adjust ")
+    assert lines[-1].startswith("3: ") and lines[-1].endswith(", nothing else changed.")
+    assert not any("nnfm" in line for line in lines)
+    assert any(line.startswith("nnfm_after") for line in said("evaluate", out, "--verbose"))
+
+
+def test_import_shows_a_photo_or_a_view(scene: Path, capture: Path, tmp_path: Path, said):
+    splat = scene / "splats.ply"
+    lines = said("import", splat, capture, "-o", tmp_path / "with photos", "--device", "cpu")
+    assert any("dB from the photos" in line for line in lines)
+    assert (tmp_path / "with photos" / "photo_and_render.png").is_file()
+    assert lines[-2] == f"Next: stylesplat objects '{tmp_path / 'with photos'}'"
+    said("import", splat, "-o", tmp_path / "alone", "--device", "cpu")
+    assert (tmp_path / "alone" / "view.png").is_file()
+
+
+def test_exact_label_maps_are_what_is_compared_with(scene: Path, tmp_path: Path, said):
+    capture = write_ball_capture(tmp_path / "capture")
+    shutil.copytree(capture / "object_mask", capture / EXACT)
+    for wrong in (capture / "object_mask").glob("*.png"):
+        with Image.open(wrong) as labels:
+            labels.point(lambda _: 0).save(wrong)
+    lines = said("evaluate", scene, "--capture", capture)
+    assert any(str(capture / EXACT) in line for line in lines)
+    assert any("IoU 1.00" in line for line in lines)
+    wrong = said("evaluate", scene, "--capture", capture, "--masks", capture / "object_mask")
+    assert not any("IoU 1.00" in line for line in wrong)

@@ -1,0 +1,50 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS, enlarged
+from painted_balls import TRAINED, painted, write_pictures
+from stylesplat.drawing.side_by_side import GAP, before_after, beside_photo, one_view, side_by_side
+from stylesplat.scene.scene import Scene
+from stylesplat.verbs.load import load
+
+
+@pytest.fixture(scope="module")
+def styled(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    scene = replace(TRAINED, cameras=enlarged(CAMERAS, 2))
+    return painted(scene, "red", write_pictures(tmp_path_factory.mktemp("pictures")), intensity=1.0)
+
+
+def test_before_and_after_at_the_photos_size(styled: Scene):
+    picture = before_after(styled, device="cpu")
+    assert picture is not None and picture.shape == (72, 2 * 96 + GAP, 3)
+    before, after = picture[:, :96].float(), picture[:, 96 + GAP :].float()
+    assert bool((picture[:, 96 : 96 + GAP] == 255).all())
+    changed = (before - after).abs().amax(dim=-1) > 0
+    assert 20 < int(changed.sum()) < 0.3 * changed.numel(), "the ball, and nothing else"
+    assert before[changed][:, 0].mean() > 100 > before[changed][:, 2].mean(), "it was red before"
+
+
+def test_what_no_view_shows_has_no_picture(styled: Scene):
+    away = replace(styled.cameras, viewmats=styled.cameras.viewmats + 0)
+    away.viewmats[:, 2, 3] -= 100
+    assert before_after(replace(styled, cameras=away), device="cpu") is None
+
+
+def test_a_photo_beside_its_render(tmp_path: Path):
+    capture = load(write_ball_capture(tmp_path / "balls"), downscale=2.0)
+    picture = beside_photo(TRAINED, capture, CAMERAS.names[2], device="cpu")
+    assert picture.shape == (18, 2 * 24 + GAP, 3)
+    photo, render = picture[:, :24].float(), picture[:, 24 + GAP :].float()
+    assert (photo - render).abs().mean() < 12, "they show the same"
+    other = one_view(TRAINED, CAMERAS.names[5], longest=24, device="cpu").float()
+    assert (photo - other).abs().mean() > 20
+
+
+def test_pictures_of_different_heights():
+    tall, low = torch.zeros(4, 2, 3, dtype=torch.uint8), torch.zeros(2, 3, 3, dtype=torch.uint8)
+    sheet = side_by_side([tall, low])
+    assert sheet.shape == (4, 5 + GAP, 3) and bool((sheet[2:, 2 + GAP :] == 255).all())

@@ -1,0 +1,72 @@
+"""What is said of a stylisation is true."""
+
+import pytest
+
+from stylesplat.evaluation.in_words import (
+    WHOLE,
+    around,
+    painted_gaussians,
+    photo_lines,
+    style_lines,
+)
+
+QUIET = {"changed_outside": 0, "outside_max_difference": 0.0}
+VASE = {
+    "nnfm_after": {"vase": 0.12},
+    "nnfm_of_style": {"vase": 0.1},
+    "share_of_way": {"vase": 0.714},
+}
+
+
+def test_one_object_in_one_line():
+    expected = "vase: 71 % of the way to the painting, nothing else changed."
+    assert style_lines(QUIET | VASE, ["vase"]) == [expected]
+
+
+def test_several_objects_have_a_line_each():
+    lines = style_lines(QUIET | VASE, ["vase", "pot"])
+    assert lines == [
+        "vase: 71 % of the way to the painting.",
+        "pot: painted.",
+        "Nothing else changed.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("after", "share", "expected"),
+    [(0.1, 1.0, WHOLE), (0.08, 1.0, WHOLE), (0.1001, 0.999, "99 % of"), (0.3, 0.0, "0 % of")],
+)
+def test_the_end_of_the_way(after: float, share: float, expected: str):
+    numbers = {
+        "nnfm_after": {"a": after},
+        "nnfm_of_style": {"a": 0.1},
+        "share_of_way": {"a": share},
+    }
+    assert expected in style_lines(QUIET | numbers, ["a"])[0]
+
+
+def test_what_was_close_before_has_no_way():
+    near = QUIET | {"nnfm_of_style": {"a": 0.1}}
+    assert WHOLE in style_lines(near | {"nnfm_after": {"a": 0.05}}, ["a"])[0]
+    assert "a: painted" in style_lines(near | {"nnfm_after": {"a": 0.2}}, ["a"])[0]
+
+
+def test_what_changed_around_is_said():
+    assert around(QUIET) == "nothing else changed"
+    assert "by 3 of 255 levels" in around(QUIET | {"outside_max_difference": 3 / 255})
+    assert around(QUIET | {"changed_outside": 1200}).startswith("1,200 Gaussians outside")
+
+
+def test_how_many_gaussians_were_painted():
+    counts = {"painted_gaussians": 20_000, "changed_gaussians": 87_936, "changed_outside": 0}
+    assert painted_gaussians(counts, 60_000) == "20,000 of 60,000, split into 87,936"
+    counts["changed_gaussians"] = 20_000
+    assert painted_gaussians(counts, 60_000) == "20,000 of 60,000"
+
+
+def test_photos_and_label_maps():
+    assert photo_lines({}) == []
+    photos, objects = photo_lines(
+        {"psnr": 30.554, "ssim": 0.9, "miou": 0.956, "boundary_miou": 0.8}
+    )
+    assert "30.55 dB" in photos and "0.96" in objects and "0.80" in objects
