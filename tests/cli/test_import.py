@@ -22,7 +22,7 @@ def test_import_with_labels(scene: Path, tmp_path: Path, capsys):
     (tmp_path / "labels.json").write_text(str([0] * 200 + [3] * 240))
     labels = ("--labels", tmp_path / "labels.json")
     metrics = result(capsys, "import", splat, *labels, "-o", out, "--up", "z")
-    assert metrics["objects"] == 1 and metrics["unlabelled_gaussians"] == 200
+    assert metrics["label_ids"] == 1 and metrics["unlabelled_gaussians"] == 200
     assert result(capsys, "select", out, "--name", "it", "--id", 3)["gaussians"] > 220
     bad = ("import", splat, "--labels", tmp_path / "lost.npy", "-o", tmp_path / "other")
     assert "lost.npy" in complaint(capsys, *bad) and not (tmp_path / "other").exists()

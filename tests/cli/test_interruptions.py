@@ -1,14 +1,18 @@
 """Ctrl-C and SIGTERM at processes of the command line: one line, and the status of shells."""
 
 import os
+import pty
 import re
 import signal
 import subprocess
 import sys
+import termios
 import time
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -26,13 +30,25 @@ pytestmark = pytest.mark.skipif(
 
 
 class Begun:
-    """A process of the command line, with what it has said so far."""
+    """A process of the command line in a terminal, with what it has said so far."""
 
     def __init__(self, folder: Path, *arguments: object) -> None:
         self.said, self.out = folder / "stderr", folder / "stdout"
-        with self.said.open("wb") as said, self.out.open("wb") as out:
-            command = [sys.executable, "-m", "stylesplat", *map(str, arguments)]
-            self.process = subprocess.Popen(command, env=ENVIRONMENT, stdout=out, stderr=said)
+        self.said.touch()
+        command = [sys.executable, "-m", "stylesplat", *map(str, arguments)]
+        terminal, end = pty.openpty()
+        termios.tcsetwinsize(end, (24, 200))
+        with self.out.open("wb") as out:
+            self.process = subprocess.Popen(command, env=ENVIRONMENT, stdout=out, stderr=end)
+        os.close(end)
+        self.listener = Thread(target=self._listen, args=(terminal,))
+        self.listener.start()
+
+    def _listen(self, terminal: int) -> None:
+        with self.said.open("ab", buffering=0) as said, suppress(OSError):  # raised at the end
+            while words := os.read(terminal, 4096):
+                said.write(words)
+        os.close(terminal)
 
     def wait_for(self, reached: Callable[["Begun"], bool]) -> None:
         while not reached(self):
@@ -48,7 +64,9 @@ class Begun:
     def ended_by(self, number: signal.Signals) -> str:
         """How to go on, as the one line says with which it ends; bars end with carriage returns."""
         self.process.send_signal(number)
-        status, said = self.process.wait(timeout=60), self.said.read_text()
+        status = self.process.wait(timeout=60)
+        self.listener.join()
+        said = self.said.read_text()
         assert status == 128 + number, said
         assert self.out.read_text() == ""
         assert not any(word in said for word in ("Traceback", "***", "gnored")), said

@@ -70,7 +70,7 @@ def test_the_sheet_of_objects_goes_where_it_is_told(scene: Path, tmp_path: Path,
 
 
 def test_results_are_in_words(scene: Path, capsys):
-    assert run("select", scene, "--name", "red", "--id", 3, 7, "--grow", 0.05) == 0
+    assert run("select", scene, "--name", "red", "--id", 3, 7, "--grow", 0.05, "--verbose") == 0
     said = capsys.readouterr().err
     assert "ids: 3, 7\n" in said and not set("[](){}'") & set(said)
 

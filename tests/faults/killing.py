@@ -121,7 +121,7 @@ def read_scene(folder: Path) -> object:
     try:
         scene_folder.open(folder / "scene")
     except StyleSplatError as error:
-        assert "is not a scene" in str(error)
+        assert "There is no scene" in str(error)
         return None
     return visible(folder / "scene")
 

@@ -159,7 +159,7 @@ def test_degrees_that_are_asked_for(tmp_path: Path, suffix: str, degree: int):
     if suffix == "ply":
         assert torch.equal(found.shN, splats.shN[:, :bands])
     # Bands that nobody has are 0
-    export(replace(splats, shN=splats.shN[:, :0]), path, sh_degree=degree)
+    export(replace(splats, shN=splats.shN[:, :0]), path, sh_degree=degree, overwrite=True)
     assert read_splats(path).shN.shape[1] == bands
 
 

@@ -29,7 +29,7 @@ def file(tmp_path: Path) -> Path:
 
 def test_objects_are_what_the_labels_say(file: Path, tmp_path: Path, said: list[str]):
     scene = import_(SPLATS, labels=file, up="z", device="cpu")
-    assert scene.metrics["objects"] == 3 and scene.metrics["unlabelled_gaussians"] == 200
+    assert scene.metrics["label_ids"] == 3 and scene.metrics["unlabelled_gaussians"] == 200
     scene_folder.save(scene, tmp_path / "scene")
     scene = scene_folder.open(tmp_path / "scene")
     assert [each["id"] for each in objects(scene)] == [*BALLS]

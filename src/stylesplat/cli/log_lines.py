@@ -109,7 +109,7 @@ def _duration(seconds: float) -> str:
     """As people say it.
 
     Example:
-        >>> _duration(8.2), _duration(140), _duration(8000)
+        >>> _duration(8.2), _duration(140.0), _duration(8000.0)
         ('8 s', '2 min', '2.2 h')
     """
     if seconds < 99.5:

@@ -61,7 +61,7 @@ def import_(
         The scene. Its metrics are `seconds`, `gaussians`, and with photos `psnr` and `ssim`, with
         label maps `confidence` (mean share of a Gaussian's pixels that have its label),
         `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps; with
-        labels `objects` and `unlabelled_gaussians`.
+        labels `label_ids` and `unlabelled_gaussians`.
 
     Raises:
         StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
@@ -104,7 +104,7 @@ def _labelled(
     splats = labelled(splats, labels)
     assert splats.classifier is not None
     unlabelled = int((labels == BACKGROUND).sum())
-    return splats, {"objects": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
+    return splats, {"label_ids": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
 
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:

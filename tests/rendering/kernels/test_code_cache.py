@@ -15,6 +15,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 import stylesplat
 from stylesplat.rendering.kernels import code_cache
 from stylesplat.rendering.kernels.code_cache import NOWHERE, TEMPORARY, private_folder
+from stylesplat.rendering.kernels.compiling import ONCE
 from stylesplat.rendering.kernels.jit import cached
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs POSIX's owners of files")
@@ -141,4 +142,5 @@ def test_a_user_who_can_write_nowhere_else(temporary: Path):
         text=True,
     )
     assert (done.returncode, done.stdout) == (0, "[0 1 2]\n"), done.stderr
-    assert done.stderr.splitlines() == [TEMPORARY.format(temporary / f"stylesplat-{NOBODY}")]
+    place = temporary / f"stylesplat-{NOBODY}"
+    assert done.stderr.splitlines() == [TEMPORARY.format(place), ONCE]
