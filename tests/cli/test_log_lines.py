@@ -77,6 +77,14 @@ def test_each_task_has_its_own_lines(clock: Clock, lines):
     assert ended == "outer: ended, 1 of 2 photos in 22 s"
 
 
+def test_the_first_step_tells_nothing_of_the_rest(clock: Clock, lines):
+    with task("painting", 300) as painting:
+        for _ in range(2):
+            clock.now += 20
+            painting.advance(3)
+    assert lines()[:2] == ["painting: 3 of 300 steps", "painting: 6 of 300 steps, 33 min left"]
+
+
 def test_what_an_earlier_run_did_makes_this_one_no_faster(clock: Clock, lines):
     with task("training", 100, done=80) as training:
         clock.now += 20

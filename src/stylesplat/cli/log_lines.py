@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 EVERY = 10.0  # seconds between two lines of a task
+SURE = 0.02  # of the whole: the first step alone takes much longer than the others
 MEGA = 1_000_000
 
 
@@ -61,7 +62,7 @@ class _Counted:
     def _left(self, now: float) -> str:
         """How long it will take from now on, at the speed so far."""
         done = self._done - self._first
-        if self._total is None or done <= 0 or self._done >= self._total:
+        if self._total is None or done < SURE * self._total or self._done >= self._total:
             return ""
         return f", {_duration((now - self._start) * (self._total - self._done) / done)} left"
 
