@@ -150,8 +150,8 @@ def _is_open(kind: Any) -> bool:
 
 def _hint(default: Any) -> str:
     """What help says of a default that its text does not."""
-    unsaid = default is not dataclasses.MISSING and default not in (None, False, ())
-    return f"(default: {default})" if unsaid else ""
+    plain = default is dataclasses.MISSING or default in (None, ()) or isinstance(default, bool)
+    return "" if plain else f"(default: {default})"
 
 
 def _spec(kind: Any, name: str, *, choices: bool) -> PrimitiveConstructorSpec[Any]:
