@@ -23,6 +23,9 @@ def said(capsys: pytest.CaptureFixture[str]):
     return said
 
 
+EXPORT = "stylesplat export"
+
+
 def test_a_painted_scene_and_its_picture(styled: Path, said):
     with Image.open(styled / "before_after.png") as picture:
         assert picture.size == (2 * 48 + 8, 36)
@@ -33,8 +36,24 @@ def test_a_painted_scene_and_its_picture(styled: Path, said):
     assert f"Next: stylesplat export {styled} {styled}.ply" in lines
     assert (styled / "before_after.png").read_bytes() != before, "it is drawn anew"
     out = styled.with_name("plain")
-    assert said("adjust", styled, "--undo", "-o", out)[-1].startswith(f"{out}: ")
+    lines = said("adjust", styled, "--undo", "-o", out)
+    assert lines == [f"{out}: as before it was painted.", f"Next: {EXPORT} {out} {out}.ply"]
     assert not (out / "before_after.png").exists()
+    one = styled.with_name("one")
+    lines = said("adjust", styled, "--object", 3, "--undo", "-o", one)
+    assert lines[0] == f"{one}: 3 as before; 7 as painted."
+    assert lines[1] == f"Picture: {one / 'before_after.png'}"
+
+
+def test_objects_are_a_line_each(scene: Path, said):
+    said("select", scene, "--name", "red", "--id", 3)
+    lines = said("objects", scene)
+    assert lines[0].startswith("id 3, red: ") and " Gaussians" in lines[0]
+    assert lines[1].startswith("id 7: ") and ", --box3d=" in lines[1]
+    assert f"Picture: {scene / 'objects.png'}" in lines
+    assert lines[-1].startswith(f"Next: stylesplat stylize {scene} --style red=")
+    assert said("rename", scene, "red", "ball")[0] == "red is called ball now."
+    assert said("delete", scene, "ball")[-1].endswith("nothing is called ball now. Names: none.")
 
 
 def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, small_measurements, said):

@@ -64,11 +64,14 @@ class Adjust:
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
+        painted = result.get("intensity", {})
         if self.undo:
-            yield f"{self.output}: the scene before it was painted."
-            return
-        shown = (f"{name} at {100 * share:.0f} %" for name, share in result["intensity"].items())
-        yield f"{result['scene']}: {', '.join(shown)} of the style."
+            undone, left = ", ".join(self.object), ", ".join(painted)
+            how = f"{undone} as before; {left} as painted" if left else "as before it was painted"
+            yield f"{result['scene']}: {how}."
+        else:
+            shown = (f"{name} at {100 * share:.0f} %" for name, share in painted.items())
+            yield f"{result['scene']}: {', '.join(shown)} of the style."
         if result["before_after"]:
             yield f"Picture: {result['before_after']}"
         scene = Path(result["scene"])

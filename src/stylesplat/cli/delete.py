@@ -1,12 +1,13 @@
 """`stylesplat delete`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json
+from stylesplat.cli.options import Json, Verbose
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,7 @@ class Delete:
     """Folder of the scene."""
     name: Positional[str]
     """What the object is called."""
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -36,3 +38,8 @@ class Delete:
             revise(before, after, self.scene)
             picture.unlink(missing_ok=True)
         return {"deleted": self.name, "names": [*after.objects]}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was done, and what is left."""
+        left = ", ".join(result["names"]) or "none"
+        yield f"{self.scene}: nothing is called {result['deleted']} now. Names: {left}."

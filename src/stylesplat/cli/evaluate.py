@@ -51,7 +51,7 @@ class Evaluate:
         source, capture = self.capture or scene.capture, None
         if source is None and scene.painted is None:
             raise StyleSplatError(
-                f"{self.scene} does not say what it was trained on. Pass --capture."
+                f"{self.scene} knows no photos to compare with. Pass --capture with their folder."
             )
         gone = self.capture is None and source is not None and not source.is_dir()
         if gone and scene.painted is None:

@@ -51,6 +51,10 @@ class Export:
         """What was made, and how to go on."""
         file = result["file"]
         count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
-        yield f"{file}: {count}. SuperSplat, Blender and other programs open it."
+        plain = file.suffix == ".ply" and not file.name.endswith(".compressed.ply")
+        opened_by = "SuperSplat opens it"
+        if plain and self.sh_degree is None:
+            opened_by = "SuperSplat, Blender and other programs open it"
+        yield f"{file}: {count}. {opened_by}."
         video = unused(self.scene, ".mp4")
         yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))

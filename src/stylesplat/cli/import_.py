@@ -61,6 +61,8 @@ class Import:
         yield f"{self.output}: {result['gaussians']:,} Gaussians{close}."
         yield from look_lines(result)
         photos = self.capture is not None
+        if not photos and self.up is None:
+            yield "If it lies on its side there, import it again with another --up, such as --up z."
         labelled = result["labelled"]
         commands = object_commands(self.output, result["objects"], labelled=labelled, photos=photos)
         yield from next_lines(*commands)

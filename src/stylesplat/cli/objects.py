@@ -1,12 +1,14 @@
 """`stylesplat objects`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json, OptionalOutput, Overwrite, refuse_picture
+from stylesplat.cli.next_steps import next_lines, object_commands
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose, refuse_picture
 
 SHEET = "objects.png"
 
@@ -24,6 +26,7 @@ class Objects:
     output: OptionalOutput = None
     """Picture of the sheet; by default objects.png in the scene, which is replaced."""
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -40,11 +43,11 @@ class Objects:
         if self.output is not None:
             refuse_picture(self.output, overwrite=self.overwrite)
         scene = open(self.scene)
-        scene = open(self.scene)
         if scene.splats.classifier is None:
-            say(f"No objects are known. {UNLABELLED}")
+            say(f"No objects are known, so there is no sheet. {UNLABELLED}")
             return {"objects": [], "sheet": None, **extents(scene)}
-        refuse_file(self.scene / SHEET, overwrite=True)
+        if self.output is None:
+            refuse_file(self.scene / SHEET, overwrite=True)
         found = objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
         sheet = object_sheet(scene.splats, scene.cameras, names=names)
@@ -52,3 +55,27 @@ class Objects:
         with changing(self.output or self.scene):
             write_image(sheet, target)
         return {"objects": found, "sheet": target, **extents(scene)}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What there is, a line each, and how to go on."""
+        from stylesplat.scene.one_line import counted
+
+        for each in result["objects"]:
+            called = f"id {each['id']}" + "".join(f", {name}" for name in each["names"])
+            sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
+            yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{sure}{_where(each)}"
+        for name, place in result["named"].items():
+            yield f"{name}{_where(place)}"
+        yield f"all content{_where(result['content'])}"
+        if result["sheet"]:
+            yield f"Picture: {result['sheet']}"
+        if result["named"] or result["objects"]:  # else it was said how to make some
+            names = [*result["named"]]
+            yield from next_lines(object_commands(self.scene, names, labelled=True)[-1])
+
+
+def _where(place: dict[str, Any]) -> str:
+    """Its box, as `--box3d` takes it."""
+    if "box" not in place:
+        return ""
+    return f", --box3d={','.join(f'{number:.3g}' for number in place['box'])}"

@@ -1,12 +1,14 @@
 """`stylesplat rename`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json
+from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.options import Json, Verbose
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,7 @@ class Rename:
     """What the object is called."""
     new: Positional[str]
     """What to call it."""
+    verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
@@ -41,3 +44,8 @@ class Rename:
                 picture.replace(target)
         found = {"name": self.new, "was": self.old, **after.objects[self.new].how}
         return found | {"picture": target if shown else None}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        """What was made, and how to go on."""
+        yield f"{result['was']} is called {result['name']} now."
+        yield from next_lines(stylize_command(self.scene, self.new))

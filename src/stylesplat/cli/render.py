@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose
 from stylesplat.errors import StyleSplatError
 
@@ -69,5 +68,6 @@ class Render:
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
-        yield f"{self.output}: {result['views']} views."
-        yield from next_lines(pasted("export", self.scene, unused(self.scene, ".ply")))
+        from stylesplat.scene.one_line import counted
+
+        yield f"{self.output}: {counted(result['views'], 'view')}."

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
-from stylesplat.cli.next_steps import mask_command, next_lines, pasted, unused
+from stylesplat.cli.next_steps import mask_command, next_lines
 from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite, Verbose
 
 
@@ -62,7 +62,8 @@ class Sfm:
         """What was made, and how to go on."""
         posed = f"{result['registered']} of {result['photos']} photos with their cameras"
         yield f"{self.output}: {posed}."
-        yield from next_lines(
-            pasted("check", self.output, "-o", unused(self.output, "-check.jpg")),
-            mask_command(self.output),
-        )
+        from stylesplat.verbs.sfm import PICTURE
+
+        if (picture := self.output / PICTURE).is_file():
+            yield f"Picture: {picture}, the cameras and points from above and the side."
+        yield from next_lines(mask_command(self.output))

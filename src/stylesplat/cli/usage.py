@@ -64,7 +64,7 @@ def _meant(word: str, verbs: Mapping[str, type]) -> str:
     """A guess at the verb of a word."""
     from difflib import get_close_matches
 
-    close = get_close_matches(word, [*verbs, *ALIASES], n=1)
+    close = get_close_matches(word, [*verbs, *ALIASES], n=1, cutoff=0.7)
     return f" Is it {close[0]!r}?" if close else ""
 
 

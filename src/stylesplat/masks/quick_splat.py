@@ -46,7 +46,7 @@ def with_splat(capture: Capture, scene: Scene | None, device: str) -> Working:
     torch_device = pick_device(device)
     capture = replace(capture, label_maps=None, object_names={})
     if scene is None:
-        say("Training a quick splat, for about a minute; --scene takes one that you have.")
+        say("Training a quick splat, for a minute or more; --scene takes one that you have.")
         state = fit(at_most(capture, QUICK_SIZE), QUICK, device=torch_device)
         return Working(capture, state.splats.detach())
     missing = set(capture.cameras.names) - set(scene.cameras.names)

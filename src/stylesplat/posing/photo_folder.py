@@ -8,6 +8,7 @@ from itertools import chain, count
 from pathlib import Path, PurePosixPath
 
 from stylesplat.errors import StyleSplatError, brief
+from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
 from stylesplat.io.captures.colmap import find_sparse
 from stylesplat.io.captures.posed_files import check_path
 from stylesplat.io.captures.transforms import TRANSFORMS
@@ -16,7 +17,17 @@ from stylesplat.posing.ordering import natural_key
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 # Folders of pictures that are no photos of the scene
-SKIPPED = ("object_mask", "object_masks", "mask", "masks", "sparse", "depth", "depths", "thumbs")
+SKIPPED = (
+    OBJECT_MASK,
+    EXACT,
+    "object_masks",
+    "mask",
+    "masks",
+    "sparse",
+    "depth",
+    "depths",
+    "thumbs",
+)
 UNFINISHED = ".partial"
 
 

@@ -25,7 +25,10 @@ FINE = 0.25  # share of the opacity that is surely what photos were about
 COARSE = 8.0
 NEAR = 0.15  # of the diagonal: parts that lie closer belong to it, be they ever so light
 FARTHER = 10.0  # diagonals more that a part may lie apart, times its share of the opacity
-EDGE = 0.001  # of the opacity, at each end of each axis, that bounds do not reach
+EDGE = 0.001  # of the opacity, at each end of each axis, that the content's bounds do not reach
+# The same of an object, some of whose Gaussians lie astray. With 0.001 a toy cube of 0.74 measured
+# 1.08 by 0.74, with 0.01 a vase lost 4 % of its height
+STRAY = 0.005
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def extent_of(splats: Splats, picked: Bool[Tensor, " N"]) -> Extent:
     points = splats.means[rows].detach().cpu().double()
     weights = torch.sigmoid(splats.opacities[rows]).detach().cpu().double()
     sizes = splats.scales[rows].detach().cpu().double().exp().amax(dim=1)
-    return _bounds(points, weights, weighted_quantile(sizes, weights, 0.5))
+    return _bounds(points, weights, weighted_quantile(sizes, weights, 0.5), edge=STRAY)
 
 
 def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
@@ -200,8 +203,12 @@ def _together(
 
 
 def _bounds(
-    points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"], blur: Float[Tensor, ""]
+    points: Float[Tensor, "M 3"],
+    weights: Float[Tensor, " M"],
+    blur: Float[Tensor, ""],
+    *,
+    edge: float = EDGE,
 ) -> Extent:
-    low = torch.stack([weighted_quantile(axis, weights, EDGE) for axis in points.T])
-    high = torch.stack([weighted_quantile(axis, weights, 1 - EDGE) for axis in points.T])
+    low = torch.stack([weighted_quantile(axis, weights, edge) for axis in points.T])
+    high = torch.stack([weighted_quantile(axis, weights, 1 - edge) for axis in points.T])
     return Extent(low - blur, high + blur)
