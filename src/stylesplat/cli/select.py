@@ -81,7 +81,7 @@ class Select:
     keep_outliers: FlagCreatePairsOff[bool] = False
     """Keep Gaussians that lie apart from the rest of the object."""
     picture: FlagCreatePairsOff[bool] = True
-    """Draw no picture of it. Else it is drawn into the scene, after the answer."""
+    """Draw no picture of it. Else it is drawn into the scene."""
     verbose: Verbose = False
     json: Json = False
 
