@@ -40,3 +40,17 @@ def test_captures_take_no_output(capture: Path, tmp_path: Path, capsys: pytest.C
     assert "label maps go into object_mask" in complaint(
         capsys, "mask", capture, "--box", box, "-o", tmp_path / "out"
     )
+
+
+def test_pictures_of_what_a_name_no_longer_means_go(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "scene"
+    scene_folder.save(BARE, folder)
+    pictures = {}
+    for name, x in (("red", 0), ("blue", 1)):
+        found = result(capsys, "select", folder, "--name", name, f"--sphere={x},0,0,1")
+        pictures[name] = Path(found["picture"])
+    box = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
+    result(capsys, "mask", folder, "--box", box, "--device", "cpu")
+    assert not pictures["red"].exists() and pictures["blue"].is_file()

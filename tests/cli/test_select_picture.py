@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from command_line import result
+from command_line import result, run
 from stylesplat.cli.results import Answer
-from stylesplat.cli.select import Select
+from stylesplat.cli.select import Select, picture_of
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.captures.photos import read_image
@@ -28,23 +28,28 @@ def selected(folder: Path, name: str, *ids: int) -> dict[str, Any]:
     found = Select(folder, name, id=ids).run()
     if isinstance(found, Answer):
         found.rest()
-    return found
+    picture = picture_of(folder, name)
+    return {**found, "picture": picture if picture.exists() else None}
 
 
-def test_the_answer_comes_before_the_picture(scene: Path):
+def test_the_answer_comes_before_the_picture(scene: Path, said: list[str]):
     found = Select(scene, "red", id=(3,)).run()
     assert isinstance(found, Answer)
     assert scene_folder.open(scene).objects.keys() == {"red"}, "it is selected"
-    assert found["picture"] == scene / "selections" / "red.png"
-    assert not found["picture"].exists()
+    picture = scene / "selections" / "red.png"
+    assert found["picture"] is None and not picture.exists()
+    assert not any("Picture" in line for line in Select(scene, "red").words(found))
+    assert not said
     found.rest()
-    assert read_image(found["picture"]).shape[1] > 3 * 480
+    assert said == [f"Picture: {picture}, in colour what was picked."]
+    assert read_image(picture).shape[1] > 3 * 480
 
 
 def test_a_picture_that_cannot_be_written(scene: Path, capsys):
     """What was asked for is done and told all the same."""
     (scene / "selections").write_text("mine")
     found = result(capsys, "select", scene, "--name", "red", "--id", 3)
+    assert found["picture"] is None, "no program is sent to look for it"
     assert found["ids"] == [3] and scene_folder.open(scene).objects.keys() == {"red"}
     assert (scene / "selections").read_text() == "mine"
 
@@ -97,3 +102,24 @@ def test_no_picture_is_drawn_through_a_link_that_leads_outside(scene: Path, tmp_
         selected(scene, "red", 3)
     assert not [*(tmp_path / "elsewhere").iterdir()]
     assert not scene_folder.open(scene).objects, "it is refused before it is done"
+
+
+def test_a_picture_that_json_names_is_there(scene: Path, capsys):
+    """Of what other things hide, though it lies within views, there is none."""
+    red = ("select", scene, "--name", "red", "--id", 3)
+    picture = Path(result(capsys, *red)["picture"])
+    assert picture.is_file()
+    picked = SPLATS.means[200:280]
+    inside = replace(SPLATS, opacities=SPLATS.opacities.clone())
+    inside.opacities[200:280] = -20.0  # nothing shows of it
+    scene_folder.save(Scene(inside, CAMERAS), scene / "other")
+    low, high = (edge - 0.01 for edge in (picked.amin(dim=0), picked.amax(dim=0) + 0.02))
+    corners = ",".join(f"{number:.4f}" for number in (*low.tolist(), *high.tolist()))
+    found = result(capsys, "select", scene / "other", "--name", "red", f"--box3d={corners}")
+    assert found["picture"] is None and found["gaussians"] >= 80
+
+
+def test_verbose_numbers_name_a_picture_that_is_there(scene: Path, capsys):
+    assert run("select", scene, "--name", "red", "--id", 3, "--verbose") == 0
+    assert f"picture: {picture_of(scene, 'red')}" in capsys.readouterr().err
+    assert picture_of(scene, "red").is_file()

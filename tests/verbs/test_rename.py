@@ -11,6 +11,8 @@ from painted_balls import TRAINED, assert_same_splats, painted, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.choose import find_object
+from stylesplat.stylization.bookkeeping import refuse_painted, require_painted
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.delete import delete
 from stylesplat.verbs.objects import objects
@@ -46,7 +48,7 @@ def test_an_object_gets_another_name(tmp_path: Path):
         ("blue", "it", r"No object of the scene is called 'blue'\. Names: red, green\."),
         ("3", "it", r"is called '3'"),
         ("red", "green", r"something else is called 'green'"),
-        ("red", "red", r"something else is called 'red'"),
+        ("red", "red", r"^'red' is called so already\."),
         ("red", "7", r"numbers are label ids"),
         ("red", "a/b", r"must not contain"),
     ],
@@ -78,7 +80,9 @@ def test_what_is_painted_keeps_its_name(styled: Scene):
 
 def test_what_is_painted_stays_so_without_a_name(styled: Scene, said: list[str]):
     scene = delete(styled, "red")
-    assert "red stays painted. `stylesplat adjust --object red --undo` takes that back." in said
+    assert styled.path is not None
+    way = f"stylesplat adjust {styled.path} --object red --undo -o OTHER"
+    assert f"red stays painted. `{way}` takes that back." in said
     assert_same_splats(scene.splats, styled.splats)
     assert_same_splats(adjust(scene, 0.2).splats, adjust(styled, 0.2).splats)
     undone = adjust(scene, objects="red", undo=True)
@@ -90,3 +94,25 @@ def test_both_are_of_objects_and_not_of_gaussians():
     count = torch.arange(len(SPLATS))
     assert_same_splats(rename(SCENE, "red", "it").splats[count], SPLATS)
     assert replace(delete(SCENE, "red"), objects=SCENE.objects) == SCENE
+
+
+def test_commands_in_messages_can_be_pasted(styled: Scene, tmp_path: Path, said: list[str]):
+    """Also where names and places have spaces."""
+    place, objects = tmp_path / "my garden", {"red pot": styled.objects["red"]}
+    assert styled.painted is not None
+    (red,) = styled.painted.paintings
+    known = replace(styled.painted, paintings=(replace(red, name="red pot"),))
+    scene = replace(styled, path=place, painted=known, objects=objects)
+    start, end = f"`stylesplat adjust '{place}' --object 'red pot' --undo -o ", "`"
+    delete(scene, "red pot")
+    assert f"{start}OTHER{end}" in said[-1]
+    with pytest.raises(StyleSplatError) as renamed:
+        rename(scene, "red pot", "vase")
+    with pytest.raises(StyleSplatError) as refused:
+        refuse_painted(scene, {"part": red.picked})
+    with pytest.raises(StyleSplatError, match=rf"`stylesplat stylize '{place}' --style"):
+        require_painted(replace(scene, painted=None))
+    assert f"{start}SCENE{end}" in str(renamed.value)
+    assert f"{start}SCENE{end}" in str(refused.value)
+    with pytest.raises(StyleSplatError, match=rf"`stylesplat select '{place}' --name NAME --id N`"):
+        find_object(scene, "lid")

@@ -22,8 +22,9 @@ from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.recipe import read_recipe
-from stylesplat.stylization.style import Style
+from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.delete import delete
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
@@ -187,3 +188,53 @@ def test_a_part_of_what_is_painted_is_not_painted(folder: Path):
     assert pick(both.splats, object_id=3).any()
     with pytest.raises(StyleSplatError, match=r"3 is styled in .* as a part of red"):
         painted(both, "3", folder / "wave.png")
+
+
+def test_names_are_known_before_anything_is_cleared_or_painted(folder: Path, said: list[str]):
+    """Also those of later runs, whose mistakes would else come after minutes."""
+    night = folder / "night.png"
+    nameless = delete(opened(folder / "once"), "red")
+    said.clear()
+    with pytest.raises(StyleSplatError, match=r"no object 'red'.*`stylesplat select \S*once "):
+        painted(nameless, "red", night)
+    assert not said
+    style = Style(night, config=FAST)
+    for later, fault in (("lid", "no object 'lid'"), ("both", "red and both at once")):
+        objects = StyledObject("red", style), StyledObject(later, style, upon={"red": 1.0})
+        with pytest.raises(StyleSplatError, match=fault):
+            stylize(opened(folder / "trained"), Recipe(objects), device="cpu")
+        assert not said, "not even the first is begun"
+
+
+def test_nothing_is_told_of_what_is_painted_only_in_passing(folder: Path, tmp_path: Path):
+    """Be it painted before what stays, or with it."""
+    night, wave = folder / "night.png", folder / "wave.png"
+    save(adjust(opened(folder / "twice"), objects="red", undo=True), tmp_path / "alone")
+    styles = {"red": Style(wave, config=FAST), "green": Style(night, config=FAST)}
+    two = stylize(opened(folder / "trained"), styles, device="cpu")
+    three = painted(two, "blue", wave)
+    save(adjust(three, objects="red", undo=True), tmp_path / "among")
+    for place, names in (("alone", {"7"}), ("among", {"green", "blue"})):
+        recipe = read_recipe(tmp_path / place / "recipe.json")
+        assert [each.name for each in recipe.objects if each.gone] == ["red"]
+        again = stylize(opened(folder / "trained"), recipe, device="cpu")
+        numbers = again.metrics
+        by_object = {key: each for key, each in numbers.items() if isinstance(each, dict)}
+        del by_object["train"]
+        assert {"seconds_by_object", "nnfm_after"} <= by_object.keys()
+        assert all(each.keys() <= names for each in by_object.values()), by_object
+        assert numbers["steps"] == FAST.steps * len(names)
+        assert numbers["changed_outside"] == 0
+        assert numbers["painted_gaussians"] <= 80 * len(names)
+        assert numbers["changed_gaussians"] == _changed(again, opened(folder / "trained"))
+
+
+def _changed(scene: Scene, before: Scene) -> int:
+    """How many Gaussians are not as they were, new ones included."""
+    first, count = scene.splats, len(before.splats)
+    differ = torch.zeros(count, dtype=torch.bool)
+    for name, tensor in before.splats.tensors().items():
+        if tensor.numel():
+            pairs = (first.tensors()[name][:count] != tensor).reshape(count, -1)
+            differ |= pairs.any(dim=1)
+    return int(differ.sum()) + len(first) - count

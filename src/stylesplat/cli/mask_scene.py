@@ -69,7 +69,10 @@ def mask_scene(
             progress=progress,
         )
         if command.output is None:
+            old = _old_pictures(before, after, place)
             revise(before, after, place)
+            for picture in old:
+                picture.unlink(missing_ok=True)
         else:
             save(after, place, overwrite=command.overwrite)
         if progress:
@@ -84,6 +87,14 @@ def scene_words(result: dict[str, Any]) -> Iterator[str]:
     yield f"Picture: {result['preview']}, what its Gaussians belong to in some of the views."
     if names:
         yield from next_lines(stylize_command(result["scene"], names[-1]))
+
+
+def _old_pictures(before: "Scene", after: "Scene", place: Path) -> list[Path]:
+    """Of selections that are others now, or none."""
+    from stylesplat.cli.select import picture_of
+
+    same = {name for name, each in before.objects.items() if after.objects.get(name) is each}
+    return [picture_of(place, name) for name in before.objects if name not in same]
 
 
 def _result(scene: "Scene", place: Path) -> dict[str, Any]:

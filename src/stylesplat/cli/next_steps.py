@@ -1,17 +1,13 @@
 """What to do after a verb, as commands that can be pasted."""
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from stylesplat.scene.pasted import pasted
+
 PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
 LATER = "      "  # in front of the second command, below the first
-
-
-def pasted(verb: str, *arguments: object) -> str:
-    """A command as a shell takes it."""
-    return shlex.join(["stylesplat", verb, *map(str, arguments)])
 
 
 def unused(near: Path, ending: str) -> Path:

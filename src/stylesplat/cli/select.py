@@ -1,6 +1,7 @@
 """`stylesplat select`."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -80,7 +81,7 @@ class Select:
     keep_outliers: FlagCreatePairsOff[bool] = False
     """Keep Gaussians that lie apart from the rest of the object."""
     picture: FlagCreatePairsOff[bool] = True
-    """Draw no picture of it. Else it is drawn into the scene, after the answer."""
+    """Draw no picture of it. Else it is drawn into the scene."""
     verbose: Verbose = False
     json: Json = False
 
@@ -98,16 +99,20 @@ class Select:
             refuse_unwritable(self.scene)
             after = self._selected(before)
             revise(before, after, self.scene)
-            shows = self._may_show(after, target)
-        result = {"name": self.name, **after.objects[self.name].how}
-        result["picture"] = target if shows else None
-        return Answer(result, partial(self._draw, after, target)) if shows else result
+            with suppress(OSError):
+                target.unlink()  # it shows what was called so before
+        result = {"name": self.name, **after.objects[self.name].how, "picture": None}
+        if self.picture and (self.json or self.verbose):  # these name the picture: it is there
+            result["picture"] = self._draw(after, target)
+        elif self.picture:
+            return Answer(result, partial(self._show, after, target))
+        return result
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
         yield f"{self.name}: {result['gaussians']:,} Gaussians."
         if result["picture"]:
-            yield f"Picture: {result['picture']}, in colour what was picked."
+            yield self._pictured(result["picture"])
         yield from next_lines(stylize_command(self.scene, self.name))
 
     def _selected(self, scene: "Scene") -> "Scene":
@@ -137,18 +142,17 @@ class Select:
             model=self.model,
         )
 
-    def _may_show(self, scene: "Scene", target: Path) -> bool:
-        """Whether there is a picture to draw; if not, that of an earlier selection goes."""
-        from stylesplat.selection.in_images import in_any_image
+    def _show(self, scene: "Scene", target: Path) -> None:
+        from stylesplat.progress import say
 
-        shows = in_any_image(scene.splats, scene.cameras, scene.objects[self.name].picked)
-        if not (self.picture and shows):
-            target.unlink(missing_ok=True)
-        if self.picture and not shows:
-            self._say_hidden()
-        return self.picture and shows
+        if self._draw(scene, target):
+            say(self._pictured(target))
 
-    def _draw(self, scene: "Scene", target: Path) -> None:
+    def _pictured(self, target: Path) -> str:
+        return f"Picture: {target}, in colour what was picked."
+
+    def _draw(self, scene: "Scene", target: Path) -> Path | None:
+        """Draw it; the picture if there is one."""
         from stylesplat.drawing.selection_picture import selection_picture
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
@@ -156,17 +160,13 @@ class Select:
 
         picked = scene.objects[self.name].picked
         picture = selection_picture(scene.splats, scene.cameras, picked)
+        if picture is None:
+            say(f"{self.name} shows in none of the views, so there is no picture of it.")
+            return None
         try:
             with changing(self.scene), changing(target):
-                if picture is None:
-                    self._say_hidden()
-                    target.unlink(missing_ok=True)
-                else:
-                    write_image(picture, target)
+                write_image(picture, target)
         except StyleSplatError as error:  # the selection is saved
             say(f"There is no picture of {self.name}: {error}")
-
-    def _say_hidden(self) -> None:
-        from stylesplat.progress import say
-
-        say(f"{self.name} shows in none of the views, so there is no picture of it.")
+            return None
+        return target

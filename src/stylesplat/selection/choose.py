@@ -10,6 +10,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.selection.detector import Detector
 from stylesplat.selection.identities import object_ids
@@ -146,9 +147,9 @@ def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
         return pick(scene.splats, object_id=int(name))
     ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
+    way = pasted("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
     raise StyleSplatError(
-        f"The scene has no object {name!r}. Names and ids: {known}. "
-        "Name one with `stylesplat select SCENE --name NAME --id N`."
+        f"The scene has no object {name!r}. Names and ids: {known}. Name one with `{way}`."
     )
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.paintings import Colors, Painted, Painting, Unsplit
+from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import blend_colors
@@ -23,9 +24,10 @@ def require_painted(scene: Scene) -> Painted:
         StyleSplatError: If nothing was.
     """
     if scene.painted is None:
+        options = ("--style", "OBJECT=IMAGE", "-o", "STYLED")
+        way = pasted("stylize", scene.path or "SCENE", *options)
         raise StyleSplatError(
-            f"{scene.path or 'The scene'} is not styled. Style it first: "
-            f"`stylesplat stylize {scene.path or 'SCENE'} --style OBJECT=IMAGE -o STYLED`."
+            f"{scene.path or 'The scene'} is not styled. Style it first: `{way}`."
         )
     return scene.painted
 
@@ -41,10 +43,11 @@ def refuse_painted(scene: Scene, picks: Mapping[str, Bool[Tensor, " N"]]) -> Non
     for name, picked in picks.items():
         for painting in scene.painted.paintings:
             if (painting.picked & picked.to("cpu")).any():
+                options = ("--object", painting.name, "--undo", "-o", "SCENE")
+                way = pasted("adjust", scene.path or "STYLED", *options)
                 raise StyleSplatError(
                     f"{name} is styled in {scene.path or 'the scene'} already, as a part of "
-                    f"{painting.name}. Take that back first: `stylesplat adjust "
-                    f"{scene.path or 'STYLED'} --object {painting.name} --undo -o SCENE`."
+                    f"{painting.name}. Take that back first: `{way}`."
                 )
 
 

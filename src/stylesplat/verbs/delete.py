@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from stylesplat.progress import say
+from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.naming import require_named
 
@@ -22,6 +23,8 @@ def delete(scene: Scene, name: str) -> Scene:
     """
     require_named(scene, name)
     if scene.painted and name in scene.painted.names:
-        say(f"{name} stays painted. `stylesplat adjust --object {name} --undo` takes that back.")
+        options = ("--object", name, "--undo", "-o", "OTHER")
+        way = pasted("adjust", scene.path or "SCENE", *options)
+        say(f"{name} stays painted. `{way}` takes that back.")
     objects = {other: each for other, each in scene.objects.items() if other != name}
     return replace(scene, objects=objects)

@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, brief
+from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.naming import require_named
 
@@ -24,13 +25,15 @@ def rename(scene: Scene, old: str, new: str) -> Scene:
     """
     require_named(scene, old)
     check_name(new)
+    if new == old:
+        raise StyleSplatError(f"{brief(old)!r} is called so already. Choose another name.")
     painted = scene.painted.names if scene.painted else ()
     if old in painted:
-        where = scene.path or "STYLED"
+        options = ("--object", old, "--undo", "-o", "SCENE")
+        way = pasted("adjust", scene.path or "STYLED", *options)
         raise StyleSplatError(
             f"Cannot rename {old!r}: it is painted, and the recipe calls it so. Rename it in the "
-            f"scene before, or take the paint back first: `stylesplat adjust {where} --object "
-            f"{old} --undo -o SCENE`."
+            f"scene before, or take the paint back first: `{way}`."
         )
     if new in scene.objects or new in painted:
         raise StyleSplatError(

@@ -1,8 +1,8 @@
 """`stylize`: repaint objects of a scene, each in the style of pictures."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -12,19 +12,18 @@ from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.paintings import Painting, Source
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object
 from stylesplat.stylization.bookkeeping import (
     at_intensities,
-    refuse_painted,
     strengths,
     with_origin,
     with_paintings,
 )
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.paint_objects import MAX_MEMORY, check_jobs, open_studio, paint_objects
+from stylesplat.stylization.paint_objects import MAX_MEMORY, open_studio, paint_objects
 from stylesplat.stylization.plain_settings import plain
 from stylesplat.stylization.repaint import StyleJob
+from stylesplat.stylization.runs import Run, check_runs, runs_of
 from stylesplat.stylization.style import (
     Picture,
     Recipe,
@@ -33,24 +32,10 @@ from stylesplat.stylization.style import (
     as_recipe,
     digest,
 )
-from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.undo import unpainted
 
 ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over runs
-
-
-@dataclass(frozen=True)
-class Run:
-    """Objects that are painted on the same scene, each by itself, with the same network."""
-
-    objects: tuple[StyledObject, ...]
-    """At least one."""
-    features: Network
-    """Whose features are matched."""
-    weights: Source | None
-    """The network's file; None for its own."""
-    upon: Mapping[str, float]
-    """What was painted before, and how strong it is to be meanwhile."""
 
 
 def stylize(
@@ -95,14 +80,15 @@ def stylize(
     if not recipe.objects:
         raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
     start = time.perf_counter()
-    before, measured, passing = scene, {}, set[str]()
-    for run in _runs(recipe, scene, features, weights):
-        scene = _cleared(scene, run, passing - run.upon.keys())
-        scene, found = _painted(scene, run, max_memory, device)
+    before, measured = scene, {}
+    runs = runs_of(recipe, scene, features, weights)
+    check_runs(scene, runs)
+    for run in runs:
+        scene, found = _painted(_cleared(scene, run), run, max_memory, device)
         measured = _joined(measured, found)
-        passing = passing - _names(run) | {each.name for each in run.objects if each.gone}
     _forget_ways(measured, recipe)
-    scene = unpainted(scene, passing & strengths(scene).keys())
+    gone = {name for name, gone in {o.name: o.gone for o in recipe.objects}.items() if gone}
+    scene = unpainted(scene, gone & strengths(scene).keys())
     wanted = strengths(before) | {o.name: _final(o) for o in recipe.objects if not o.gone}
     metrics = {"seconds": time.perf_counter() - start, **measured}
     metrics["train"] = before.metrics.get("train", before.metrics)
@@ -135,62 +121,23 @@ def load_network(
     return load_weights(cast("Network", features), path, depth=depth, download=download)
 
 
-def _runs(
-    recipe: Recipe, scene: Scene, features: Network | None, weights: Path | str | None
-) -> Iterator[Run]:
-    """The objects of a recipe in groups that are painted together, in order."""
-    upon = strengths(scene)
-    run: Run | None = None
-    networks = {features or each.features or DEFAULT_NETWORK for each in recipe.objects}
-    if weights and len(networks) > 1:
-        raise StyleSplatError(
-            f"{weights} is the file of one network, but the recipe has "
-            f"{' and '.join(sorted(networks))}. Pass --features too, or write `weights:` into the "
-            "recipe's objects."
-        )
-    for each in recipe.objects:
-        network = features or each.features or DEFAULT_NETWORK
-        file = Source(Path(weights)) if weights else each.weights
-        if features and features != (each.features or DEFAULT_NETWORK) and not weights:
-            file = None  # the recipe's is of its own network
-        own = Run((each,), network, file, _upon(each, upon))
-        if run is not None and replace(own, objects=()) == replace(run, objects=()):
-            run = replace(run, objects=(*run.objects, each))
-            continue
-        if run is not None:
-            yield run
-        run = own
-    assert run is not None  # there is at least one object
-    yield run
-
-
-def _upon(each: StyledObject, there: Mapping[str, float]) -> Mapping[str, float]:
-    """What an object is painted upon: what its recipe recorded, besides all that is there."""
-    return {**there, **(each.upon or {})}
-
-
 def _final(each: StyledObject) -> float:
     """How strong an object is to be in the end."""
     return each.style.config.intensity if each.intensity is None else each.intensity
 
 
-def _names(run: Run) -> set[str]:
-    return {each.name for each in run.objects}
-
-
-def _cleared(scene: Scene, run: Run, passing: Set[str]) -> Scene:
+def _cleared(scene: Scene, run: Run) -> Scene:
     """The scene without what a run paints anew, and without what only others needed."""
-    there = strengths(scene).keys()
-    anew = sorted(_names(run) & there)
+    anew = sorted(run.anew(scene))
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
-    return unpainted(scene, {*anew, *(passing & there)})
+    return run.cleared(scene)
 
 
 def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
     """Say nothing of how close objects come that were measured at another intensity."""
     for each in recipe.objects:
-        if _final(each) != each.style.config.intensity:
+        if not each.gone and _final(each) != each.style.config.intensity:
             for name in ("nnfm_of_style", "share_of_way"):
                 measured.get(name, {}).pop(each.name, None)
 
@@ -198,20 +145,15 @@ def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
 def _painted(
     scene: Scene, run: Run, max_memory: float, device: str
 ) -> tuple[Scene, dict[str, Any]]:
-    """The scene after a run, and what was measured of it."""
-    lost = sorted(run.upon.keys() - strengths(scene).keys() - _names(run))
+    """The scene after a run, and what was measured of it: nothing of what goes in the end."""
+    lost = sorted(run.upon.keys() - strengths(scene).keys() - run.names)
     if lost:
         say(f"{run.objects[0].name} was painted upon {', '.join(lost)}, which is not there now.")
     styles = [each.style for each in run.objects]
     ground = scene
     if scene.painted is not None:  # what it is not painted upon is hidden meanwhile
         ground = at_intensities(scene, dict.fromkeys(strengths(scene), 0.0) | dict(run.upon))
-    jobs = [
-        StyleJob(each.name, find_object(ground, each.name), each.style.read(), each.style.config)
-        for each in run.objects
-    ]
-    check_jobs(jobs)
-    refuse_painted(scene, {job.name: job.picked for job in jobs})
+    jobs = run.jobs(ground)
     network = load_network(styles, run.features, run.weights)
     training, held_out = ground.working_views()
     studio = open_studio(
@@ -222,15 +164,18 @@ def _painted(
         max_memory=max_memory,
     )
     styled, seconds = paint_objects(studio, jobs)
-    measured = measure_painted(studio, jobs, styled.splats, held_out=held_out)
-    numbers = {
-        "steps": sum(job.config.steps for job in jobs),
+    scene = with_paintings(ground, styled, _records(run, jobs, strengths(ground)))
+    staying = [job for job in jobs if job.name not in run.passing]
+    if not staying:
+        return scene, {}
+    shown = unpainted(scene, run.passing).splats.to(studio.splats.device)
+    measured = measure_painted(studio, staying, shown, held_out=held_out)
+    return scene, {
+        "steps": sum(job.config.steps for job in staying),
         "precision": str(studio.precision).removeprefix("torch."),
         **flat_metrics(measured),
-        "seconds_by_object": seconds,
+        "seconds_by_object": {job.name: seconds[job.name] for job in staying},
     }
-    paintings = _records(run, jobs, strengths(ground))
-    return with_paintings(ground, styled, paintings), numbers
 
 
 def _records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:
@@ -269,5 +214,5 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
         if isinstance(value, dict):
             joined[name] = value | later.get(name, {})
         elif name in ADDED:
-            joined[name] = value + later[name]
+            joined[name] = value + later.get(name, 0)
     return joined
