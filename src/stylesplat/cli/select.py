@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.optional_pictures import told_if_missing
 from stylesplat.cli.options import Json, Verbose
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.cli.results import Answer
@@ -152,19 +153,16 @@ class Select:
         from stylesplat.drawing.selection_picture import selection_picture
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
-        from stylesplat.progress import say
 
         picked = scene.objects[self.name].picked
-        picture = selection_picture(scene.splats, scene.cameras, picked)
-        try:
+        with told_if_missing(self.name):
+            picture = selection_picture(scene.splats, scene.cameras, picked)
             with changing(self.scene), changing(target):
                 if picture is None:
                     self._say_hidden()
                     target.unlink(missing_ok=True)
                 else:
                     write_image(picture, target)
-        except StyleSplatError as error:  # the selection is saved
-            say(f"There is no picture of {self.name}: {error}")
 
     def _say_hidden(self) -> None:
         from stylesplat.progress import say

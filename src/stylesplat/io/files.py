@@ -123,6 +123,11 @@ def file_stem(name: str) -> str:
     return f"{readable}~{hashlib.sha256(name.encode()).hexdigest()[:16]}"
 
 
+def real_path(path: Path) -> Path:
+    """Where links lead in the end; unlike Path.resolve, it takes those that lead in a circle."""
+    return Path(os.path.realpath(path))
+
+
 def reason(error: Exception) -> str:
     """What an exception says, in one line: its first, or its name if it says nothing."""
     return str(error).partition("\n")[0] or type(error).__name__
