@@ -51,6 +51,15 @@ def test_one_line(fail, expected: str, monkeypatch: pytest.MonkeyPatch, capsys):
     assert expected in complaint(capsys, "objects", "x")
 
 
+def test_how_to_go_on_is_asked_after_interruptions_only(monkeypatch: pytest.MonkeyPatch, capsys):
+    def ask(_: Objects) -> str:
+        raise AssertionError("asked")
+
+    monkeypatch.setattr(Objects, "after_interruption", property(ask), raising=False)
+    monkeypatch.setattr(Objects, "run", failing(MemoryError()))
+    assert OUT_OF_MEMORY in complaint(capsys, "objects", "x")
+
+
 def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Objects, "run", failing(ValueError("what")))
     with pytest.raises(ValueError) as caught:

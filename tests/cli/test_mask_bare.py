@@ -1,13 +1,15 @@
 """`stylesplat mask` and `objects` of a scene that came without photos."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from balls import BALLS
 from bare_balls import BARE, agreement, around
-from command_line import complaint, result
+from command_line import complaint, result, run
 from stylesplat.io import scene_folder
+from unprivileged import as_nobody, public_folder
 
 
 def test_as_it_is_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -33,6 +35,49 @@ def test_as_it_is_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "would replace. Pass --overwrite" in refused
     assert "means nothing" in complaint(capsys, "mask", other, "--box", box, "--scene", other)
     assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", other)
+
+
+BOX = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
+
+
+def fail(*_: object, **__: object) -> None:
+    raise MemoryError
+
+
+def test_a_picture_that_there_is_no_memory_for(tmp_path: Path, monkeypatch, capsys):
+    scene_folder.save(BARE, tmp_path / "scene")
+    monkeypatch.setattr("stylesplat.drawing.preview.mask_preview", fail)
+    assert run("mask", tmp_path / "scene", "--box", BOX, "--device", "cpu") == 0
+    said = capsys.readouterr().err
+    assert "There is no picture: Out of memory." in said and "it has red now." in said
+    assert "Picture:" not in said
+    assert scene_folder.open(tmp_path / "scene").objects.keys() == {"red"}
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
+def test_scenes_of_others_are_refused_before_the_work(monkeypatch, capsys):
+    monkeypatch.setattr("stylesplat.verbs.mask.mask", lambda *_, **__: pytest.fail("works"))
+    with public_folder() as folder:
+        scene_folder.save(BARE, folder / "scene")
+        with as_nobody():
+            line = complaint(capsys, "mask", folder / "scene", "--box", BOX)
+    assert "Permission denied. Choose a place that this user may write to." in line
+
+
+def test_what_cannot_be_saved_is_rescued(tmp_path: Path, monkeypatch, capsys):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
+    scene_folder.save(BARE, tmp_path / "scene")
+    out = tmp_path / "out"
+
+    def taken_meanwhile(scene: object, **_: object) -> object:
+        out.touch()
+        return scene
+
+    monkeypatch.setattr("stylesplat.verbs.mask.mask", taken_meanwhile)
+    line = complaint(capsys, "mask", tmp_path / "scene", "--box", BOX, "-o", out)
+    (made,) = (tmp_path / "elsewhere").glob("*/out")
+    assert f"The scene is in {made}: move it from there." in line
 
 
 def test_captures_take_no_output(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -54,6 +54,16 @@ def test_a_picture_that_cannot_be_written(scene: Path, capsys):
     assert (scene / "selections").read_text() == "mine"
 
 
+def test_a_picture_that_there_is_no_memory_for(scene: Path, monkeypatch, capsys):
+    def fail(*_: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate")
+
+    monkeypatch.setattr("stylesplat.drawing.selection_picture.selection_picture", fail)
+    assert run("select", scene, "--name", "red", "--id", 3) == 0
+    assert "There is no picture of red: Out of memory." in capsys.readouterr().err
+    assert scene_folder.open(scene).objects.keys() == {"red"}
+
+
 def test_no_picture(scene: Path, capsys):
     """Nor that of what was called so before."""
     red = ("select", scene, "--name", "it", "--id", 3)

@@ -78,6 +78,24 @@ def test_import_shows_a_photo_or_a_view(scene: Path, capture: Path, tmp_path: Pa
     assert (tmp_path / "alone" / "view.png").is_file()
 
 
+@pytest.mark.parametrize(
+    ("error", "said_of_it"),
+    [(RuntimeError("CUDA out of memory"), "Out of memory."), (RuntimeError("odd"), "odd")],
+    ids=str,
+)
+def test_a_scene_is_there_without_its_picture(
+    error: Exception, said_of_it: str, scene: Path, tmp_path: Path, monkeypatch, said
+):
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("stylesplat.drawing.side_by_side.one_view", fail)
+    lines = said("import", scene / "splats.ply", "-o", tmp_path / "alone", "--device", "cpu")
+    assert any(f"There is no picture: {said_of_it}" in line for line in lines)
+    assert not any(line.startswith("Picture:") for line in lines)
+    assert (tmp_path / "alone" / "scene.json").is_file()
+
+
 def test_exact_label_maps_are_what_is_compared_with(scene: Path, tmp_path: Path, said):
     capture = write_ball_capture(tmp_path / "capture")
     shutil.copytree(capture / "object_mask", capture / EXACT)

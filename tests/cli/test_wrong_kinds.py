@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from balls import CAMERAS, SPLATS
+from bare_balls import BARE
 from command_line import complaint, run
 from stylesplat.io.scene_folder import SCENE, save
 from stylesplat.scene.scene import Scene
@@ -29,9 +30,10 @@ CAPTURES = {
     "missing": "There is no folder {at}/missing: nothing has that name. Check it",
     "scene": "scene is a scene, not a capture, which has the photos. It was made from {at}/capture",
     "scene/splats.ply": "scene is a scene, not a capture",
-    "import": "a scene, not a capture, and has no photos. Objects are cut out of its",
+    "import": "its photos are unknown. Name its objects by `stylesplat select {at}/import --name",
     "splat.ply": "splat.ply is a splat, not photos. {import_} {at}/splat.ply -o splat-scene`",
 }
+RING = {"ring": "and has no photos. Objects are cut out of its views by `stylesplat mask {at}/ring"}
 POSED = CAPTURES | {
     "photos": "photos is a folder of photos, not a capture: no camera poses are known. Find",
     "video.mp4": "a video, not a capture: no camera poses are known. Find the cameras first",
@@ -98,10 +100,10 @@ CALLS = {
     ("evaluate", "{}"): SCENES,
     ("view", "{}"): SCENES,
     ("mask", "{at}/photos", "--box", BOX, "--scene", "{}"): SCENES,
-    ("train", "{}", "-o", "{at}/out"): UNPOSED,
+    ("train", "{}", "-o", "{at}/out"): UNPOSED | RING,
     ("mask", "{}", "--box", BOX): UNPOSED,
     ("sfm", "{}", "-o", "{at}/out"): UNPOSED,
-    ("check", "{}"): POSED,
+    ("check", "{}"): POSED | RING,
     ("import", "{at}/splat.ply", "{}", "-o", "{at}/out"): POSED,
     ("evaluate", "{at}/scene", "--capture", "{}"): POSED,
     ("import", "{}", "-o", "{at}/out"): SPLAT_FILES,
@@ -124,6 +126,7 @@ def nouns(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     save(scene, at / "scene")
     save(scene, at / "scenes/a")
     save(Scene(SPLATS, CAMERAS), at / "import")
+    save(BARE, at / "ring")
     export(SPLATS, at / "splat.ply")
     (at / "splats").mkdir()
     export(SPLATS, at / "splats/a.spz")
@@ -148,6 +151,48 @@ def test_the_message(
     assert expected in line
     assert line.rstrip(".").count(". ") >= 1, "the fact, then the remedy"
     assert {*nouns.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        ("train", "{}", "-o", "out"),
+        ("mask", "{}", "--box", BOX),
+        ("check", "{}"),
+        ("sfm", "{}", "-o", "out"),
+        ("objects", "{}"),
+    ],
+    ids=lambda call: call[0],
+)
+@pytest.mark.parametrize("name", ["loop", "x" * 300], ids=["loop", "long"])
+def test_names_that_nothing_can_have(
+    call: tuple[str, ...],
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    line = complaint(capsys, *(part.format(name) for part in call))
+    assert "nothing has that name" in line or "File name too long" in line
+    assert [p.name for p in tmp_path.iterdir()] == ["loop"]
+
+
+def test_no_scene_is_made_where_a_link_leads_in_a_circle(nouns: Path, tmp_path: Path, capsys):
+    (tmp_path / "loop").symlink_to("loop")
+    line = complaint(capsys, "train", nouns / "capture", "-o", tmp_path / "loop")
+    assert "loop is a link that leads in a circle. Choose another name." in line
+
+
+@pytest.mark.parametrize("noun", ["empty", "recipe.json", "picture.png"])
+def test_no_poses_are_looked_for_where_no_photos_are(noun: str, nouns: Path, capsys):
+    for call in (
+        ("train", nouns / noun, "-o", nouns / "out"),
+        ("mask", nouns / noun, "--box", BOX),
+    ):
+        assert run(*call) == 1
+        assert "finding them first" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

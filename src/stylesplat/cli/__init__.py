@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _run(command)
     except (Exception, KeyboardInterrupt) as error:
-        status = status_after(error, getattr(command, "after_interruption", WHOLE))
+        status = status_after(error, lambda: getattr(command, "after_interruption", WHOLE))
         if status is None:
             raise
         return status

@@ -35,12 +35,15 @@ class Check:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import is_posed, open_capture
+        from stylesplat.io.kinds import kind_of, no_capture
         from stylesplat.posing.sharpness import SIDE
         from stylesplat.verbs.check import check
 
         if self.output is not None:
             refuse_picture(self.output, overwrite=self.overwrite)
         folder = self.capture
+        if kind_of(folder) == "nothing":
+            raise no_capture(folder)
         if not is_posed(folder):
             folder = earlier_capture(folder, beside=folder) or folder
         files = open_capture(folder, masks=False)

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,23 +21,23 @@ OUT_OF_MEMORY = (
 BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
 
-def status_after(error: BaseException, advice: str = WHOLE) -> int | None:
+def status_after(error: BaseException, advice: Callable[[], str] = lambda: WHOLE) -> int | None:
     """Say what stopped a command, and what to do about it.
 
     Args:
         error: What it raised.
-        advice: How to go on after Ctrl-C.
+        advice: Says how to go on after Ctrl-C; not asked otherwise.
 
     Returns:
         The exit status; None if nobody knows what to do, for then it is a bug.
     """
     number = interruption(error)
     if number is not None:
-        return told(number, advice)
+        return told(number, advice())
     if isinstance(error, BrokenPipeError):
         _listen_no_more()
         return PIPE_CLOSED
-    line = _line(error)
+    line = line_of(error)
     if line is None:
         error.add_note(BUG)
         return None
@@ -44,8 +45,8 @@ def status_after(error: BaseException, advice: str = WHOLE) -> int | None:
     return AT_FAULT
 
 
-def _line(error: BaseException) -> str | None:
-    """The fact and the remedy, of what can be mended."""
+def line_of(error: BaseException) -> str | None:
+    """The fact and the remedy, of what can be mended; None of what is a bug."""
     if isinstance(error, StyleSplatError):
         return str(error)
     if isinstance(error, OSError) and error.errno in DISK_FULL:

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.optional_pictures import told_if_missing
 from stylesplat.cli.options import refuse_given
+from stylesplat.cli.results import save_or_rescue
 from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
@@ -41,14 +43,17 @@ def mask_scene(
             holds something, and `--overwrite` is not given.
     """
     from stylesplat.io.folders import partial_of, refuse_occupied
+    from stylesplat.io.places import refuse_unwritable
     from stylesplat.io.recovery import changing
-    from stylesplat.io.scene_folder import SCENE, open, revise, save
+    from stylesplat.io.scene_folder import SCENE, open, revise
     from stylesplat.verbs.mask import mask
 
     refuse_given(command, ("scene",), "a scene, which is that scene itself")
     place = command.output or command.capture
     with changing(place):
-        if command.output is not None:
+        if command.output is None:
+            refuse_unwritable(place)
+        else:
             refuse_occupied(place, marker=SCENE, overwrite=command.overwrite)
         before = open(command.capture)
         if method != "grabcut" and before.splats.classifier and not command.overwrite:
@@ -74,7 +79,7 @@ def mask_scene(
             for picture in old:
                 picture.unlink(missing_ok=True)
         else:
-            save(after, place, overwrite=command.overwrite)
+            save_or_rescue(after, place, overwrite=command.overwrite)
         if progress:
             shutil.rmtree(progress, ignore_errors=True)
         return _result(after, place)
@@ -84,7 +89,8 @@ def scene_words(result: dict[str, Any]) -> Iterator[str]:
     """What was made, and how to go on."""
     names = list(result["names"].values())
     yield f"{result['scene']}: it has {', '.join(names) or 'no objects'} now."
-    yield f"Picture: {result['preview']}, what its Gaussians belong to in some of the views."
+    if result["preview"]:
+        yield f"Picture: {result['preview']}, what its Gaussians belong to in some of the views."
     if names:
         yield from next_lines(stylize_command(result["scene"], names[-1]))
 
@@ -104,11 +110,12 @@ def _result(scene: "Scene", place: Path) -> dict[str, Any]:
 
     ids = object_ids(scene.splats)
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}
-    with changing(place / PREVIEW):
+    shown = None
+    with told_if_missing(), changing(place / PREVIEW):
         shown = _draw(scene, names, place / PREVIEW)
     return {
         "scene": place,
-        "preview": place / PREVIEW,
+        "preview": None if shown is None else place / PREVIEW,
         "photos": shown,
         "of": len(scene.cameras),
         "ids": list(ids),

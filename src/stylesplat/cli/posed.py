@@ -30,6 +30,7 @@ def posed(given: Path, *, beside: Path) -> Path:
     refuse_other_than_photos(given)
     if kind_of(given) == "part of a capture":
         raise no_capture(given)
+    from stylesplat.posing.prepare import check_source
     from stylesplat.progress import say
     from stylesplat.verbs.sfm import sfm
 
@@ -47,6 +48,7 @@ def posed(given: Path, *, beside: Path) -> Path:
             f"{given} has no camera poses, and where they would be kept, {output}, is something "
             f"else. Find them with `stylesplat sfm {given} -o CAPTURE`, and name that in its place."
         )
+    check_source(given)
     say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
     sfm(given, output)
     return output
@@ -54,10 +56,13 @@ def posed(given: Path, *, beside: Path) -> Path:
 
 def place_of(given: Path, *, beside: Path) -> Path:
     """Where the capture of photos or a video is made; never among the photos."""
-    own, folder = given.resolve(), beside.resolve().parent
+    from stylesplat.io.files import real_path
+
+    own, folder = real_path(given), real_path(beside).parent
     if folder.is_relative_to(own):
         folder = own.parent
-    return folder / f"{own.stem if own.is_file() else own.name}{SUFFIX}"
+    is_file = os.path.isfile(own)  # noqa: PTH113 - unlike Path's, it takes any name
+    return folder / f"{own.stem if is_file else own.name}{SUFFIX}"
 
 
 def earlier_capture(given: Path, *, beside: Path) -> Path | None:

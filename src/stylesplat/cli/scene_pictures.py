@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.cli.optional_pictures import told_if_missing
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -56,22 +56,18 @@ def write_look(
 
 
 def _written(draw: "Callable[[], UInt8[Tensor, 'H W 3'] | None]", target: Path) -> Path | None:
-    """The picture's file; None if there is nothing to draw, or no room for it.
+    """The picture's file; None if there is nothing to draw, or that fails.
 
-    The scene is there by then, so a picture that cannot be written is no failure.
+    The scene is there by then, so a picture that cannot be drawn or written is no failure.
     """
     from stylesplat.io.images import write_image
     from stylesplat.io.recovery import changing
-    from stylesplat.progress import say
 
-    try:
-        with changing(target):
-            picture = draw()
-            if picture is None:
-                target.unlink(missing_ok=True)
-                return None
-            write_image(picture, target)
-    except StyleSplatError as error:
-        say(f"There is no picture: {error}")
-        return None
-    return target
+    with told_if_missing(), changing(target):
+        picture = draw()
+        if picture is None:
+            target.unlink(missing_ok=True)
+            return None
+        write_image(picture, target)
+        return target
+    return None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.optional_pictures import told_if_missing
 from stylesplat.cli.options import Json, Verbose
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.cli.results import Answer
@@ -159,14 +160,12 @@ class Select:
         from stylesplat.progress import say
 
         picked = scene.objects[self.name].picked
-        picture = selection_picture(scene.splats, scene.cameras, picked)
-        if picture is None:
-            say(f"{self.name} shows in none of the views, so there is no picture of it.")
-            return None
-        try:
+        with told_if_missing(self.name):  # the selection is saved
+            picture = selection_picture(scene.splats, scene.cameras, picked)
+            if picture is None:
+                say(f"{self.name} shows in none of the views, so there is no picture of it.")
+                return None
             with changing(self.scene), changing(target):
                 write_image(picture, target)
-        except StyleSplatError as error:  # the selection is saved
-            say(f"There is no picture of {self.name}: {error}")
-            return None
-        return target
+            return target
+        return None

@@ -123,6 +123,23 @@ def file_stem(name: str) -> str:
     return f"{readable}~{hashlib.sha256(name.encode()).hexdigest()[:16]}"
 
 
+def real_path(path: Path) -> Path:
+    """Where links lead in the end; unlike Path.resolve, it takes those that lead in a circle."""
+    return Path(os.path.realpath(path))
+
+
+def real_place(path: Path) -> Path:
+    """The same of a place to write to.
+
+    Raises:
+        StyleSplatError: If links lead in a circle.
+    """
+    real = real_path(path)
+    if os.path.islink(real):  # noqa: PTH114 - unlike Path's, it takes any name
+        raise StyleSplatError(f"{path} is a link that leads in a circle. Choose another name.")
+    return real
+
+
 def reason(error: Exception) -> str:
     """What an exception says, in one line: its first, or its name if it says nothing."""
     return str(error).partition("\n")[0] or type(error).__name__

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import cannot_write, sync_folder
+from stylesplat.io.files import cannot_write, real_path, sync_folder
 from stylesplat.io.journal import JOURNAL, draft_in, files_in, replace_files, sync_tree
 from stylesplat.io.places import refuse_unwritable
 from stylesplat.io.recovery import NEW, OLD, changing, hidden
@@ -20,7 +20,7 @@ PARTIAL = ".partial"  # what the folder of an interrupted run is called after th
 
 def partial_of(path: Path) -> Path:
     """Where what an interrupted run has done so far is kept: beside the result."""
-    path = path.resolve()
+    path = real_path(path)
     return path.with_name(path.name + PARTIAL)
 
 

@@ -122,18 +122,22 @@ def refuse_other_than_photos(path: Path) -> None:
     """Refuse what poses cannot be found of, before anything is tried.
 
     Raises:
-        StyleSplatError: If it is no folder, no video, a scene, or the photos of a capture.
+        StyleSplatError: If nothing is there, or it is a scene, a part of one, or a splat.
     """
     if kind_of(path) in ("nothing", "scene", "part of a scene", "splat"):
         raise no_capture(path)
 
 
 def _no_capture_but_scene(scene: Path) -> StyleSplatError:
-    from stylesplat.io.scene_folder import capture_of
+    from stylesplat.io.scene_folder import capture_of, open
+    from stylesplat.scene.ring import has_no_photos
 
     capture, fault = capture_of(scene), f"{scene} is a scene, not a capture"
     if capture is not None:
         return _told(f"{fault}, which has the photos", f"It was made from {capture}: give that")
+    if not has_no_photos(open(scene)):
+        way = f"stylesplat select {shlex.quote(str(scene))} --name NAME --box3d x0,y0,z0,x1,y1,z1"
+        return _told(f"{fault}, and its photos are unknown", f"Name its objects by `{way}`")
     way = f"stylesplat mask {shlex.quote(str(scene))} --box NAME=VIEW:x0,y0,x1,y1"
     return _told(f"{fault}, and has no photos", f"Objects are cut out of its views by `{way}`")
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import beside, cannot_write
+from stylesplat.io.files import beside, cannot_write, real_place
 from stylesplat.io.journal import draft_in
 from stylesplat.io.recovery import NEW, hidden
 
@@ -19,7 +19,7 @@ def refuse_unwritable(path: Path | str) -> None:
     Raises:
         StyleSplatError: If that fails, or a part of the path is a file.
     """
-    path = Path(path).resolve()
+    path = real_place(Path(path))
     if not os.path.isdir(path):  # noqa: PTH112 - unlike Path's, it takes any name
         _try(path, hidden(path, NEW))
         return
@@ -45,7 +45,7 @@ def refuse_file(path: Path | str, *, overwrite: bool = False) -> None:
         raise StyleSplatError(f"{path} is a folder. Choose another name for the file.")
     if os.path.exists(path) and not overwrite:  # noqa: PTH110
         raise StyleSplatError(f"{path} exists. Choose another name, or pass --overwrite.")
-    path = path.resolve()
+    path = real_place(path)
     _try(path, beside(path))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import MARK, cannot_write, left_beside, mark
+from stylesplat.io.files import MARK, cannot_write, left_beside, mark, real_path, real_place
 from stylesplat.io.journal import JOURNAL, finish
 from stylesplat.io.locks import locked
 from stylesplat.progress import say
@@ -35,7 +35,7 @@ def changing(path: Path | str) -> Iterator[None]:
         StyleSplatError: If another process changes it, for longer than we wait, or what is half
             done cannot be finished.
     """
-    path = Path(path).resolve()
+    path = real_place(Path(path))
     try:
         path.exists()
     except OSError as error:  # of a name that is too long, or a folder that may not be entered
@@ -79,7 +79,7 @@ def ensure_whole(path: Path | str) -> None:
     Raises:
         StyleSplatError: If this user may not, or another process is still at it.
     """
-    path = Path(path).resolve()
+    path = real_path(Path(path))
     if not _half_changed(path):
         return
     place = path if path.exists() else path.parent

@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import inside, require_regular
+from stylesplat.io.folders import partial_of
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.posing.photo_choice import THREADS, choose_photos, too_few
 from stylesplat.posing.photo_folder import RAW, Found, find_sources
@@ -15,7 +16,21 @@ from stylesplat.posing.photo_writing import write_photo
 from stylesplat.posing.prepared import LEAST, Prepared
 from stylesplat.posing.record import Record, clear, digest, read_record, stamp, write_record
 from stylesplat.posing.video_frames import choose_frames, write_frames
+from stylesplat.posing.video_reading import opened_video
 from stylesplat.progress import track
+
+
+def check_source(source: Path) -> None:
+    """Refuse what is clearly neither photos nor a video, before anything is written.
+
+    Raises:
+        StyleSplatError: If it is neither a folder with photos or one video, nor a video, or cannot
+            be read.
+    """
+    found = _source(source, partial_of(source), LEAST)
+    if isinstance(found, _Video):
+        with opened_video(found.file):
+            pass
 
 
 def prepare(source: Path, folder: Path, *, frames: int = 100) -> Prepared:

@@ -1,6 +1,7 @@
 """From a folder to a capture."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,8 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
 
 def is_posed(folder: Path) -> bool:
     """Whether a folder has camera poses."""
-    return find_sparse(folder) is not None or (folder / TRANSFORMS).is_file()
+    # Unlike Path.is_file, it takes any name
+    return find_sparse(folder) is not None or os.path.isfile(folder / TRANSFORMS)  # noqa: PTH113
 
 
 def exact_masks(folder: Path) -> Path | None:

@@ -1,5 +1,6 @@
 """COLMAP reconstructions, binary or text."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +23,8 @@ MALFORMED = (ValueError, IndexError, KeyError, TypeError, RuntimeError, Overflow
 def find_sparse(folder: Path) -> Path | None:
     """The folder with the reconstruction of a capture, if it has one."""
     for sparse in (folder / "sparse" / "0", folder / "sparse"):
-        if any((sparse / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
+        tables = (sparse / f"cameras{suffix}" for suffix in (".bin", ".txt"))
+        if any(map(os.path.isfile, tables)):  # unlike Path.is_file, it takes any name
             return sparse
     return None
 
