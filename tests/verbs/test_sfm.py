@@ -121,9 +121,12 @@ def test_photos_inside_of_the_capture(photos: Path, tmp_path: Path):
     assert (inside / "00.jpg").read_bytes() == (photos / "00.jpg").read_bytes()
 
 
-def test_another_time_label_maps_and_what_lies_beside_stay(photos: Path, tmp_path: Path):
+def test_another_time_label_maps_and_what_lies_beside_stay(
+    capture: ss.Capture, photos: Path, tmp_path: Path
+):
     output = tmp_path / "capture"
-    shutil.copytree(photos.with_name("capture"), output)
+    assert capture.path is not None
+    shutil.copytree(capture.path, output)
     (output / "object_mask").mkdir()
     Image.new("L", (320, 240), 3).save(output / "object_mask" / "00.png")
     by_hand = (output / "object_mask" / "00.png").read_bytes()
