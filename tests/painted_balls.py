@@ -9,6 +9,8 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS
+from stylesplat.io import scene_folder
+from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.style import Style
@@ -49,6 +51,15 @@ def painted(
     pictures = [pictures] if isinstance(pictures, Path) else pictures
     style = Style(*pictures, config=FAST, **settings)
     return stylize(scene, {name: style}, **(network or {}), device="cpu")
+
+
+def opened(path: Path) -> Scene:
+    return scene_folder.open(path)
+
+
+def paint_of(scene: Scene) -> Painted:
+    assert scene.painted is not None
+    return scene.painted
 
 
 def assert_same_splats(one: Splats, other: Splats) -> None:

@@ -9,9 +9,10 @@ from PIL import Image
 
 from command_line import complaint, result, run
 from corner_photos import corner, write_photos
+from sfm_records import sfm_record
 from stylesplat.cli.posed import earlier_capture, is_under_way, place_of, posed, view_called
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.sfm_file import SfmRecord, read_sfm, write_sfm
+from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.verbs.sfm import digest_of
 from tiny_captures import save_noise, write_capture
@@ -26,18 +27,11 @@ def photos(tmp_path: Path) -> Path:
 
 def write_record(folder: Path, photos: Path) -> Path:
     write_sfm(
-        SfmRecord(
+        sfm_record(
             source=str(photos.resolve()),
             digest=digest_of(photos),
             given=3,
             registered=3,
-            left_out={},
-            unregistered={},
-            origins={},
-            frame={},
-            settings={},
-            numbers={},
-            libraries={},
         ),
         folder,
     )

@@ -6,7 +6,7 @@ import torch
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS, enlarged
-from stylesplat.io.captures.sfm_file import SfmRecord
+from sfm_records import sfm_record
 from stylesplat.posing.capture_report import CaptureReport
 from stylesplat.posing.coverage import Coverage
 from stylesplat.posing.findings import Finding
@@ -77,18 +77,10 @@ def test_styles_say_what_is_not_as_usual():
 
 
 def test_records_and_reports():
-    record = SfmRecord(
+    record = sfm_record(
         source="/photos",
-        digest="",
         given=9,
         registered=7,
-        left_out={},
-        unregistered={},
-        origins={},
-        frame={},
-        settings={},
-        numbers={},
-        libraries={},
     )
     assert repr(record) == "SfmRecord(7 of 9 photos with a pose, /photos)"
     coverage = Coverage(

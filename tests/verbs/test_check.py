@@ -9,7 +9,8 @@ import pytest
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS
-from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
+from sfm_records import sfm_record
+from stylesplat.io.captures.sfm_file import write_sfm
 from stylesplat.posing.capture_report import CaptureReport
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
@@ -56,18 +57,12 @@ def test_photos_without_a_pose_are_named(posed: Path):
 
 
 def test_what_sfm_wrote_down_says_why(posed: Path):
-    record = SfmRecord(
+    record = sfm_record(
         source="photos",
-        digest="",
         given=9,
         registered=4,
         left_out={"IMG_9.jpg": "nearly the same as IMG_8.jpg"},
         unregistered={"IMG_3.jpg": "no overlap"},
-        origins={},
-        frame={},
-        settings={},
-        numbers={},
-        libraries={},
     )
     write_sfm(record, posed)
     _, line = finding(check(load(posed)), "posed")

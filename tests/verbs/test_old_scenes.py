@@ -38,7 +38,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def what_was_painted(scene: Scene) -> Painted:
+def paint_of(scene: Scene) -> Painted:
     assert scene.painted is not None
     return scene.painted
 
@@ -52,7 +52,7 @@ def as_of_old(folder: Path) -> None:
     """
     scene, content = scene_folder.open(folder), read_json(folder / "recipe.json")
     picks = load((folder / "picks.safetensors").read_bytes())
-    for each in what_was_painted(scene).paintings:
+    for each in paint_of(scene).paintings:
         picks.setdefault(each.name, each.picked)
     (folder / "picks.safetensors").write_bytes(save(picks))
     (folder / "paintings.safetensors").unlink()
@@ -77,10 +77,8 @@ def test_styled_scenes_of_old_are_adjusted_and_undone(
     folder, scene = old
     found = scene_folder.open(folder)
     assert found.objects.keys() == TRAINED.objects.keys(), "an id is no name"
-    assert what_was_painted(found).names == ("3", "green")
-    for mine, its in zip(
-        what_was_painted(found).paintings, what_was_painted(scene).paintings, strict=True
-    ):
+    assert paint_of(found).names == ("3", "green")
+    for mine, its in zip(paint_of(found).paintings, paint_of(scene).paintings, strict=True):
         assert torch.equal(mine.picked, its.picked)
         assert (mine.styles, mine.settings) == (its.styles, its.settings)
     adjusted = adjust(found, 1.1, objects="3")
@@ -105,7 +103,7 @@ def test_styled_scenes_of_old_are_measured_and_undone_one_by_one(
         painted(found, "red", pictures[0])
     undone = adjust(found, objects="3", undo=True)
     assert_same_splats(undone.splats, adjust(scene, objects="3", undo=True).splats)
-    assert what_was_painted(painted(found, "blue", pictures[0])).names == ("3", "green", "blue")
+    assert paint_of(painted(found, "blue", pictures[0])).names == ("3", "green", "blue")
 
 
 def test_the_recipe_of_a_scene_of_old_is_one(old: tuple[Path, Scene], trained: Path):
@@ -113,7 +111,7 @@ def test_the_recipe_of_a_scene_of_old_is_one(old: tuple[Path, Scene], trained: P
     assert [each.name for each in found.objects] == ["3", "green"]
     assert all(each.upon is None and each.features == "compact" for each in found.objects)
     again = stylize(scene_folder.open(trained), found, device="cpu")
-    assert what_was_painted(again).names == ("3", "green")
+    assert paint_of(again).names == ("3", "green")
 
 
 def test_a_scene_of_old_whose_picks_are_lost(old: tuple[Path, Scene]):

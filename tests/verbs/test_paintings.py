@@ -55,7 +55,7 @@ def once(trained: Path, pictures: tuple[Path, Path]) -> Scene:
     return scene
 
 
-def what_was_painted(scene: Scene) -> Painted:
+def paint_of(scene: Scene) -> Painted:
     assert scene.painted is not None
     return scene.painted
 
@@ -72,9 +72,7 @@ def assert_made_again(styled: Scene, trained: Path, folder: Path) -> None:
     one, other = (scene_folder.open(folder / name) for name in ("styled", "again"))
     assert_same_splats(one.splats, other.splats)
     assert_same_objects(one, other)
-    for mine, its in zip(
-        what_was_painted(one).paintings, what_was_painted(other).paintings, strict=True
-    ):
+    for mine, its in zip(paint_of(one).paintings, paint_of(other).paintings, strict=True):
         assert torch.equal(mine.picked, its.picked)
         assert {**vars(mine), "picked": None} == {**vars(its), "picked": None}
 
@@ -90,21 +88,21 @@ def test_a_recipe_makes_again_what_took_several_runs(
     scene = adjust(scene, 0.0, objects="green")
     scene = painted(scene, "blue", night, color="keep", max_growth=1.0)
     scene = adjust(scene, 0.5, objects=("green", "blue"))
-    found = what_was_painted(scene)
+    found = paint_of(scene)
     assert found.names == ("green", "3", "blue")
     assert [each.upon for each in found.paintings] == [{}, {"green": 1.3}, {"green": 0, "3": 0.8}]
     assert [each.intensity for each in found.paintings] == [0.5, 0.8, 0.5]
     assert_made_again(scene, trained, tmp_path)
 
 
-def test_a_recipe_makes_again_what_was_painted_in_one_run(
+def test_a_recipe_makes_again_paint_of_in_one_run(
     trained: Path, pictures: tuple[Path, Path], tmp_path: Path
 ):
     """Each by itself, which differs from one upon the other: they see each other."""
     wave, night = pictures
     styles = {"red": Style(wave, config=FAST), "green": Style(night, config=FAST, intensity=1)}
     alone = stylize(scene_folder.open(trained), styles, device="cpu")
-    assert [each.upon for each in what_was_painted(alone).paintings] == [{}, {}]
+    assert [each.upon for each in paint_of(alone).paintings] == [{}, {}]
     assert_made_again(alone, trained, tmp_path)
 
 
@@ -119,7 +117,7 @@ def test_a_recipe_makes_again_what_several_networks_painted(
     scene = adjust(scene, 0.9, objects="green")
     scene = painted(scene, "blue", wave)
     assert_made_again(scene, trained, tmp_path)
-    red, green, blue = what_was_painted(scene).paintings
+    red, green, blue = paint_of(scene).paintings
     assert [each.features for each in (red, green, blue)] == ["compact", "vgg19", "compact"]
     assert red.weights is blue.weights is None
     assert green.weights is not None
@@ -152,8 +150,8 @@ def test_a_recipe_may_say_what_an_object_is_painted_upon(
     style = Style(pictures[0], config=FAST)
     objects = (StyledObject("red", style), StyledObject("green", style, upon={"red": 0.2}))
     scene = stylize(scene_folder.open(trained), Recipe(objects), device="cpu")
-    assert what_was_painted(scene).paintings[1].upon == {"red": 0.2}
-    assert [each.intensity for each in what_was_painted(scene).paintings] == [0.6, 0.6]
+    assert paint_of(scene).paintings[1].upon == {"red": 0.2}
+    assert [each.intensity for each in paint_of(scene).paintings] == [0.6, 0.6]
     assert_made_again(scene, trained, tmp_path)
 
 
@@ -164,7 +162,7 @@ def test_what_an_object_was_painted_upon_may_be_gone(
     recipe = Recipe((StyledObject("green", style, upon={"red": 0.2}),))
     scene = stylize(scene_folder.open(trained), recipe, device="cpu")
     assert "green was painted upon red, which is not there now." in said
-    assert what_was_painted(scene).paintings[0].upon == {}
+    assert paint_of(scene).paintings[0].upon == {}
 
 
 def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: list[str]):
@@ -174,7 +172,7 @@ def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: lis
     styled = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
     scene_folder.save(styled, tmp_path / "styled")
     found = scene_folder.open(tmp_path / "styled")
-    assert what_was_painted(found).paintings[0].styles == style.sources()
+    assert paint_of(found).paintings[0].styles == style.sources()
     assert style.sources()[0].path is None
     assert_same_splats(adjust(found, undo=True).splats, scene_folder.open(trained).splats)
     with pytest.raises(StyleSplatError, match=r"red: it was painted with colours that were never"):
@@ -206,9 +204,7 @@ def anew(request: pytest.FixtureRequest, once: Scene, tmp_path: Path) -> Scene:
 def test_a_name_that_was_selected_anew_changes_nothing_that_was_painted(
     anew: Scene, once: Scene, tmp_path: Path
 ):
-    assert torch.equal(
-        what_was_painted(anew).paintings[0].picked, what_was_painted(once).paintings[0].picked
-    )
+    assert torch.equal(paint_of(anew).paintings[0].picked, paint_of(once).paintings[0].picked)
     for intensity in (0.0, 1.2):
         assert_same_splats(adjust(anew, intensity).splats, adjust(once, intensity).splats)
     undone = adjust(anew, undo=True)
@@ -220,21 +216,19 @@ def test_a_name_that_was_selected_anew_changes_nothing_that_was_painted(
 
 
 def _origin(scene: Scene) -> Path:
-    origin = what_was_painted(scene).origin
+    origin = paint_of(scene).origin
     assert origin is not None
     return origin
 
 
-def test_what_was_painted_is_not_painted_again_by_another_name(
-    anew: Scene, pictures: tuple[Path, Path]
-):
+def test_paint_of_is_not_painted_again_by_another_name(anew: Scene, pictures: tuple[Path, Path]):
     again = select(anew, "vase", id=3)
     with pytest.raises(StyleSplatError, match=r"vase is styled in .* already, as a part of red"):
         painted(again, "vase", pictures[1])
     with pytest.raises(StyleSplatError, match=r"3 is styled in .* already, as a part of red"):
         painted(again, "3", pictures[1])
     both = painted(again, "green", pictures[1])
-    assert what_was_painted(both).names == ("red", "green")
+    assert paint_of(both).names == ("red", "green")
 
 
 def test_a_label_id_that_was_painted_is_not_painted_by_its_name(

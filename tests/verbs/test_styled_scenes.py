@@ -15,14 +15,13 @@ from painted_balls import (
     TRAINED,
     assert_same_objects,
     assert_same_splats,
+    opened,
+    paint_of,
     painted,
     write_pictures,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise, save
-from stylesplat.scene.paintings import Painted
-from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
@@ -41,15 +40,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save(painted(opened(folder / "trained"), "red", wave), folder / "once")
     save(painted(opened(folder / "once"), "green", (night, wave)), folder / "twice")
     return folder
-
-
-def opened(path: Path) -> Scene:
-    return scene_folder.open(path)
-
-
-def what_was_painted(scene: Scene) -> Painted:
-    assert scene.painted is not None
-    return scene.painted
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -71,7 +61,7 @@ def test_confidence_stays_with_its_gaussians(folder: Path):
 def test_styles_can_be_undone_to_the_bit(styled: str, folder: Path, tmp_path: Path):
     scene = opened(folder / styled)
     assert len(scene.splats) > len(SPLATS) + 20, "it was split"
-    assert what_was_painted(scene).unsplit is not None
+    assert paint_of(scene).unsplit is not None
     save(adjust(scene, 0.3), tmp_path / "adjusted")
     adjusted = opened(tmp_path / "adjusted")
     revise(adjusted, adjust(adjusted, 1.2), tmp_path / "adjusted")
@@ -99,8 +89,8 @@ def test_a_second_style_leaves_the_first_alone(folder: Path):
     green = once.objects["green"].picked
     rows = torch.arange(len(once.splats))
     assert_same_splats(twice.splats[rows][~green], once.splats[~green])
-    assert what_was_painted(once).names == ("red",)
-    assert what_was_painted(twice).names == ("red", "green")
+    assert paint_of(once).names == ("red",)
+    assert paint_of(twice).names == ("red", "green")
     assert twice.metrics["train"] == {"psnr": 30.0}
 
 
@@ -117,7 +107,7 @@ def test_what_was_measured_is_there_for_every_object(folder: Path):
 
 def test_intensity_0_shows_the_colors_before_and_goes_back(folder: Path):
     styled = opened(folder / "once")
-    none, before = adjust(styled, 0.0), what_was_painted(styled).before
+    none, before = adjust(styled, 0.0), paint_of(styled).before
     assert torch.equal(none.splats.sh0, before.sh0)
     assert torch.equal(none.splats.shN, before.shN)
     assert_same_splats(adjust(none, FAST.intensity).splats, styled.splats)
@@ -127,7 +117,7 @@ def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_pa
     """Among the Gaussians after a split, outliers of an id are others than before."""
     styled = painted(opened(folder / "trained"), "3", folder / "wave.png", object_size=48)
     assert len(styled.splats) > len(SPLATS)
-    known = what_was_painted(styled)
+    known = paint_of(styled)
     repainted = (styled.splats.sh0 != known.before.sh0).flatten(1).any(dim=1)
     save(styled, tmp_path / "styled")
     none = adjust(opened(tmp_path / "styled"), 0.0)
@@ -155,7 +145,7 @@ def test_every_object_can_be_adjusted_afterwards(folder: Path, tmp_path: Path):
     twice = opened(folder / "twice")
     save(adjust(twice, 0.0, objects="red"), tmp_path / "one")
     scene = opened(tmp_path / "one")
-    red, before = scene.objects["red"].picked, what_was_painted(scene).before
+    red, before = scene.objects["red"].picked, paint_of(scene).before
     assert torch.equal(scene.splats.sh0[red], before.sh0[red])
     assert torch.equal(scene.splats.sh0[~red], twice.splats.sh0[~red])
     assert scene.metrics == {"train": {"psnr": 30.0}}
@@ -166,7 +156,7 @@ def test_a_recipe_holds_what_each_object_has_of_its_own(folder: Path, tmp_path: 
     red, green = Style(folder / "wave.png", config=FAST), Style(folder / "night.png", config=own)
     styled = stylize(TRAINED, {"red": red, "green": green}, device="cpu")
     adjusted = adjust(styled, 1.1, objects="red")
-    strengths = {each.name: each.intensity for each in what_was_painted(adjusted).paintings}
+    strengths = {each.name: each.intensity for each in paint_of(adjusted).paintings}
     assert strengths == {"red": 1.1, "green": 0.9}
     save(adjusted, tmp_path / "styled")
     found = read_recipe(tmp_path / "styled" / "recipe.json", defaults=StyleConfig()).objects

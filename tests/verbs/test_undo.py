@@ -11,14 +11,14 @@ from painted_balls import (
     TRAINED,
     assert_same_objects,
     assert_same_splats,
+    opened,
+    paint_of,
     painted,
     write_pictures,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import save
-from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.recipe import read_recipe
@@ -43,15 +43,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def opened(path: Path) -> Scene:
-    return scene_folder.open(path)
-
-
-def known(scene: Scene) -> Painted:
-    assert scene.painted is not None
-    return scene.painted
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     return {
         path.name: path.read_bytes() for path in folder.iterdir() if path.name != "metrics.json"
@@ -60,7 +51,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def of(scene: Scene, name: str) -> torch.Tensor:
     """The Gaussians of a painting."""
-    (found,) = (each.picked for each in known(scene).paintings if each.name == name)
+    (found,) = (each.picked for each in paint_of(scene).paintings if each.name == name)
     return found
 
 
@@ -90,7 +81,7 @@ def test_undoing_the_first_leaves_the_second_alone(folder: Path, tmp_path: Path)
     assert_same_splats(undone.splats[first][others], trained.splats[others])
     assert_same_splats(undone.splats[of(undone, "7")], twice.splats[of(twice, "7")])
     assert len(undone.splats) - len(SPLATS) == (~first_ones(undone) & of(undone, "7")).sum()
-    assert known(undone).names == ("7",)
+    assert paint_of(undone).names == ("7",)
     assert undone.objects.keys() == TRAINED.objects.keys()
 
 
@@ -116,7 +107,7 @@ def test_undoing_one_after_the_other_is_undoing_all(
 def test_what_is_left_is_adjusted_measured_and_made_again(folder: Path, tmp_path: Path):
     """Also of what was painted upon something that is gone."""
     undone = adjust(opened(folder / "twice"), objects="red", undo=True)
-    assert [each.painting.name for each in known(undone).gone] == ["red"]
+    assert [each.painting.name for each in paint_of(undone).gone] == ["red"]
     assert_made_again(undone, folder, tmp_path)
     loud = adjust(opened(tmp_path / "it"), 1.2)
     assert_same_splats(adjust(loud, FAST.intensity).splats, undone.splats)
@@ -130,12 +121,12 @@ def test_only_what_others_were_painted_upon_is_remembered(folder: Path, tmp_path
     wave, night = folder / "wave.png", folder / "night.png"
     styles = {"red": Style(wave, config=FAST), "green": Style(night, config=FAST)}
     both = stylize(opened(folder / "trained"), styles, device="cpu")
-    assert known(adjust(both, objects="red", undo=True)).gone == ()
+    assert paint_of(adjust(both, objects="red", undo=True)).gone == ()
     scene = painted(both, "blue", wave)
     scene = adjust(scene, objects="red", undo=True)
-    assert [(each.painting.name, each.place) for each in known(scene).gone] == [("red", 0)]
+    assert [(each.painting.name, each.place) for each in paint_of(scene).gone] == [("red", 0)]
     assert_made_again(scene, folder, tmp_path)
-    assert known(adjust(scene, objects="blue", undo=True)).gone == ()
+    assert paint_of(adjust(scene, objects="blue", undo=True)).gone == ()
 
 
 def test_what_is_not_painted_is_not_undone(folder: Path):
@@ -151,20 +142,23 @@ def test_an_object_is_painted_anew_from_its_own_colours(folder: Path, said: list
     first = painted(opened(folder / "trained"), "red", night)
     assert_same_splats(anew.splats, first.splats)
     assert_same_objects(anew, first)
-    assert known(anew).origin == folder / "trained"
+    assert paint_of(anew).origin == folder / "trained"
     assert anew.metrics["train"] == {"psnr": 30.0}
 
 
 def test_painting_one_anew_leaves_the_others_alone(folder: Path, tmp_path: Path):
     twice = adjust(opened(folder / "twice"), 0.3, objects="7")
     anew = painted(twice, "red", folder / "night.png", max_growth=2.0)
-    assert known(anew).names == ("7", "red")
+    assert paint_of(anew).names == ("7", "red")
     assert_same_splats(anew.splats[of(anew, "7")], twice.splats[of(twice, "7")])
     first = torch.arange(len(SPLATS))
     others = ~(of(twice, "7") | of(twice, "red"))[first]
     assert_same_splats(anew.splats[first][others], twice.splats[first][others])
     assert (anew.splats.sh0[of(anew, "red")][:80] != twice.splats.sh0[of(twice, "red")][:80]).any()
-    assert [dict(each.upon) for each in known(anew).paintings] == [{"red": 0.6}, {"7": 0.3}]
+    assert [dict(each.upon) for each in paint_of(anew).paintings] == [
+        {"red": 0.6},
+        {"7": 0.3},
+    ]
     assert_made_again(anew, folder, tmp_path)
     undone = adjust(opened(tmp_path / "it"), undo=True)
     assert_same_splats(undone.splats, opened(folder / "trained").splats)
@@ -178,7 +172,7 @@ def test_an_object_is_painted_anew_by_its_id_and_several_at_once(folder: Path):
     anew = stylize(opened(folder / "twice"), styles, device="cpu")
     first = stylize(opened(folder / "trained"), styles, device="cpu")
     assert_same_splats(anew.splats, first.splats)
-    assert known(anew).gone == () and known(anew).names == ("7", "red")
+    assert paint_of(anew).gone == () and paint_of(anew).names == ("7", "red")
 
 
 def test_a_part_of_what_is_painted_is_not_painted(folder: Path):

@@ -54,12 +54,14 @@ class Check:
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
+        from stylesplat.io.captures.capture_folder import OBJECT_MASK
+
         for what, found in result["findings"].items():
             advice = f" {found['advice']}" if found["advice"] else ""
             yield f"{what}: {found['verdict']}. {found['says']}.{advice}"
         if "picture" in result:
             yield f"Picture: {result['picture']}, the cameras and points from above and the side."
-        masked = (self.capture / "object_mask").is_dir()
+        masked = (self.capture / OBJECT_MASK).is_dir()
         train = pasted("train", self.capture, "-o", unused(self.capture, "-scene"))
         yield from next_lines(train if masked else mask_command(self.capture))
 

@@ -45,7 +45,7 @@ def mask_scene(
     from stylesplat.io.folders import partial_of, refuse_occupied
     from stylesplat.io.places import refuse_unwritable
     from stylesplat.io.recovery import changing
-    from stylesplat.io.scene_folder import SCENE, open, revise
+    from stylesplat.io.scene_folder import SCENE, open
     from stylesplat.verbs.mask import mask
 
     refuse_given(command, ("scene",), "a scene, which is that scene itself")
@@ -61,8 +61,7 @@ def mask_scene(
                 f"{command.capture} knows objects already, which --method {method} would replace. "
                 "Pass --overwrite, or add objects with --box."
             )
-        drawn = method == "grabcut" or method == "files"
-        progress = None if drawn else partial_of(place / "masks")
+        progress = None if method in ("grabcut", "files") else partial_of(place / "masks")
         after = mask(
             before,
             boxes=boxes,
@@ -74,10 +73,7 @@ def mask_scene(
             progress=progress,
         )
         if command.output is None:
-            old = _old_pictures(before, after, place)
-            revise(before, after, place)
-            for picture in old:
-                picture.unlink(missing_ok=True)
+            _revise(before, after, place)
         else:
             save_or_rescue(after, place, overwrite=command.overwrite)
         if progress:
@@ -95,12 +91,16 @@ def scene_words(result: dict[str, Any]) -> Iterator[str]:
         yield from next_lines(stylize_command(result["scene"], names[-1]))
 
 
-def _old_pictures(before: "Scene", after: "Scene", place: Path) -> list[Path]:
-    """Of selections that are others now, or none."""
+def _revise(before: "Scene", after: "Scene", place: Path) -> None:
+    """Change the scene, and take away pictures of selections that are others now, or none."""
     from stylesplat.cli.select import picture_of
+    from stylesplat.io.scene_folder import revise
 
     same = {name for name, each in before.objects.items() if after.objects.get(name) is each}
-    return [picture_of(place, name) for name in before.objects if name not in same]
+    old = [picture_of(place, name) for name in before.objects if name not in same]
+    revise(before, after, place)
+    for picture in old:
+        picture.unlink(missing_ok=True)
 
 
 def _result(scene: "Scene", place: Path) -> dict[str, Any]:

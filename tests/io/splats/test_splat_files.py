@@ -10,6 +10,7 @@ import zstandard
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.splats.gsply_data import to_gsply
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
@@ -225,15 +226,5 @@ def test_nothing_to_read(tmp_path: Path):
 def test_degree_of_columns_decides(tmp_path: Path):
     """gsplat and Postshot write as many f_rest columns as there are."""
     splats = with_bands(8)
-    gsply.plywrite(
-        tmp_path / "a.ply",
-        gsply.GSData(
-            means=splats.means.numpy(),
-            scales=splats.scales.numpy(),
-            quats=splats.quats.numpy(),
-            opacities=splats.opacities.numpy(),
-            sh0=splats.sh0[:, 0].numpy(),
-            shN=splats.shN.numpy(),
-        ),
-    )
+    gsply.plywrite(tmp_path / "a.ply", to_gsply(splats))
     assert read_splats(tmp_path / "a.ply").sh_degree == 2
