@@ -35,7 +35,7 @@ from stylesplat.verbs.train import train
 # would paint specks of other objects. Many small Gaussians on the objects carry the strokes.
 TRAINING = replace(
     TRAIN_PRESETS["default"],
-    steps=1450,
+    steps=1250,
     sh_degree=2,
     max_gaussians=60_000,
     object_growth=10.0,
@@ -90,7 +90,7 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
 def _capture(folder: Path) -> Path:
     """The photos; while they are made for the first time, kernels are compiled."""
     made = folder.is_dir()
-    with nullcontext() if made else compiled_meanwhile():
+    with nullcontext() if made else compiled_meanwhile("train"):
         return demo_capture(folder)
 
 
@@ -99,7 +99,8 @@ def _trained(capture: Path, output: Path, *, overwrite: bool) -> Scene:
     checkpoint = output.with_name("training.partial") / "checkpoint.pt"
     if (output / SCENE).exists() and not overwrite:
         return open(output)
-    scene = train(load(capture), TRAINING, checkpoint=checkpoint)
+    with compiled_meanwhile("stylize"):
+        scene = train(load(capture), TRAINING, checkpoint=checkpoint)
     for name, id in OBJECT_IDS.items():
         scene = select(scene, name, id=id)
     save(scene, output, overwrite=True)

@@ -1,4 +1,4 @@
-"""The CPU kernels compiled by a second process, while the first one traces the photos.
+"""The CPU kernels compiled by a second process, while the first one does what needs none of them.
 
 numba compiles on one core at a time. What it compiles it keeps for all processes.
 """
@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Literal
 
 import torch
 
@@ -16,9 +17,12 @@ from stylesplat.scene.capture import Capture
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.training.train_config import TrainConfig
+from stylesplat.verbs.render import render
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
+
+Part = Literal["train", "stylize"]
 
 VIEWS, WIDTH, HEIGHT = 9, 96, 72
 GAUSSIANS = 400
@@ -26,10 +30,10 @@ LONGEST = 120  # seconds; whoever waited so long compiles what is missing
 
 
 @contextmanager
-def compiled_meanwhile() -> Iterator[None]:
-    """Compile all kernels of the demo in another process; the block ends when it has."""
+def compiled_meanwhile(part: Part) -> Iterator[None]:
+    """Compile the kernels of a part of the demo in another process; the block ends when it has."""
     process = subprocess.Popen(
-        [sys.executable, "-m", __name__],
+        [sys.executable, "-m", __name__, part],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -44,8 +48,8 @@ def compiled_meanwhile() -> Iterator[None]:
         process.wait()
 
 
-def rehearse() -> None:
-    """Train and paint on noise, in a few seconds, so that every kernel is called once."""
+def rehearse(part: Part) -> None:
+    """Train on noise, and paint it too, in a few seconds, so that every kernel is called once."""
     generator = torch.Generator().manual_seed(0)
     cameras = dome_cameras(VIEWS, WIDTH, HEIGHT)
     photos = torch.randint(
@@ -62,12 +66,12 @@ def rehearse() -> None:
     )
     config = replace(TrainConfig(), steps=2, object_pixels=2.5, coarse_to_fine=False)
     scene = select(train(capture, config, segment="lift", device="cpu"), "noise", id=1)
-    stylize(
-        scene,
-        {"noise": Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, pattern="large"))},
-        device="cpu",
-    )
+    if part == "train":
+        return
+    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, pattern="large"))
+    stylize(scene, {"noise": style}, device="cpu")
+    next(render(scene, "test", what="identities").pictures)
 
 
 if __name__ == "__main__":
-    rehearse()
+    rehearse(sys.argv[1])

@@ -36,6 +36,9 @@ HIT = 4e-4  # a surface is reached at this distance; a pixel is 20 times as wide
 STEPS = 120
 PENUMBRA = 7.0  # distance to a shadow's edge over distance to its caster, inverted
 SHADOW_MARGIN = 0.15  # how far outside its bounding sphere an object still softens light
+SAME_PLACE = 0.03  # rays of a pixel that end this close together share one look at the light
+GRAZING = -0.2  # cosine at a pixel's centre from which its rays may face the light
+HALF_PIXEL = 0.5  # that the samples of a pixel lie within, around its centre
 AO_TAPS = (0.02, 0.06, 0.13, 0.24, 0.40)
 
 TO_LIGHT = (-0.50, -0.42, 0.757)
@@ -68,18 +71,28 @@ def _clip(origin: Vec, direction: Vec, layout: np.ndarray, i: int, margin: float
 
 @no_type_check
 @kernel
-def trace(origin: Vec, direction: Vec, layout: np.ndarray) -> tuple[float, int]:
-    """Distance along a ray to what it hits first, and what that is."""
+def trace(
+    origin: Vec, direction: Vec, layout: np.ndarray, starts: np.ndarray, cone: float
+) -> tuple[float, int]:
+    """Distance along a ray to what it hits first, and what that is.
+
+    `starts` [OBJECTS] says how far the way is known to be free of each object. It grows as far as
+    everything within a distance of `cone` (over that along the ray) is free as well.
+    """
     nearest, hit = hit_backdrop(origin, direction), BACKDROP
     t = hit_table(origin, direction)
     if t < nearest:
         nearest, hit = t, TABLE
     for i in range(OBJECTS):
         t, leave = _clip(origin, direction, layout, i, 0.0)
+        t, free = max(t, starts[i]), True
         for _ in range(STEPS):
             if t > min(leave, nearest):
                 break
             d = distance(i + 1, _to_object(along(origin, direction, t), layout[i]))
+            free = free and d > cone * t
+            if free:
+                starts[i] = t
             if d < HIT:
                 nearest, hit = t, i + 1
                 break
@@ -135,8 +148,21 @@ def _openness(p: Vec, n: Vec, layout: np.ndarray) -> float:
 
 @no_type_check
 @kernel
-def _shade(p: Vec, direction: Vec, hit: int, layout: np.ndarray) -> Vec:
-    """Light that a surface point sends back along the ray."""
+def _arriving(p: Vec, hit: int, layout: np.ndarray) -> tuple[float, float]:
+    """How much of the key light and of the sky's reaches a surface point: its costly part."""
+    if hit == BACKDROP:
+        return 0.0, 0.0
+    n = table_normal(p) if hit == TABLE else _normal(hit, p, layout)
+    shadow = _shadow(along(p, n, 0.004), layout) if dot(n, TO_LIGHT) > GRAZING else 0.0
+    return shadow, _openness(p, n, layout)
+
+
+@no_type_check
+@kernel
+def _shade(
+    p: Vec, direction: Vec, hit: int, arriving: tuple[float, float], layout: np.ndarray
+) -> Vec:
+    """Light that a surface point sends back along the ray, of what arrives there."""
     if hit == BACKDROP:
         return backdrop_albedo(p)
     if hit == TABLE:
@@ -144,10 +170,9 @@ def _shade(p: Vec, direction: Vec, hit: int, layout: np.ndarray) -> Vec:
     else:
         n, shine = _normal(hit, p, layout), gloss(hit)
         color = albedo(hit, _to_object(p, layout[hit - 1]), layout[hit - 1, 4])
-    facing = max(dot(n, TO_LIGHT), 0.0)
-    lit = facing * _shadow(along(p, n, 0.004), layout) if facing > 0 else 0.0
+    lit = max(dot(n, TO_LIGHT), 0.0) * arriving[0]
     ambient = mix(BOUNCE, SKYLIGHT, 0.5 + 0.5 * n[2])
-    light = along(scaled(ambient, _openness(p, n, layout)), LIGHT, lit)
+    light = along(scaled(ambient, arriving[1]), LIGHT, lit)
     halfway = unit(along(TO_LIGHT, direction, -1.0))
     highlight = shine * lit * max(dot(n, halfway), 0.0) ** 48
     sheen = 0.5 * shine * (1 + dot(n, direction)) ** 3 * (0.4 + 0.6 * max(n[2], 0.0))
@@ -182,22 +207,28 @@ def render_view(
     """Fill `photo` [H, W, 3] with sRGB in 0..1 and `geometry` [H, W, 2] with label and depth.
 
     Label and depth (along the camera's z) belong to the pixel's centre; the colour is the
-    mean of four samples around it.
+    mean of four samples around it, which share the shadow and the sky of the centre.
     """
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
+    cone = HALF_PIXEL / min(K[0, 0], K[1, 1])
     for row in numba.prange(photo.shape[0]):
+        starts = np.empty(OBJECTS)
         for column in range(photo.shape[1]):
+            starts[:] = 0
             central = _ray(column + 0.5, row + 0.5, K, c2w)
-            t, hit = trace(origin, unit(central), layout)
+            t, hit = trace(origin, unit(central), layout, starts, cone)
             geometry[row, column, 0] = max(hit, 0)
             geometry[row, column, 1] = t / sqrt(dot(central, central))
+            shared = _arriving(along(origin, unit(central), t), hit, layout)
             color = (0.0, 0.0, 0.0)
             for sample in range(4):
                 x, y = column + 0.25 + 0.5 * (sample & 1), row + 0.25 + 0.5 * (sample >> 1)
                 direction = unit(_ray(x, y, K, c2w))
-                t, hit = trace(origin, direction, layout)
-                p = along(origin, direction, t)
-                seen = _shade(p, direction, hit, layout)
+                reached, what = trace(origin, direction, layout, starts, NOWHERE)
+                p = along(origin, direction, reached)
+                near = what == hit and abs(reached - t) < SAME_PLACE
+                arriving = shared if near else _arriving(p, what, layout)
+                seen = _shade(p, direction, what, arriving, layout)
                 color = along(color, (_film(seen[0]), _film(seen[1]), _film(seen[2])), 0.25)
             for channel in range(3):
                 photo[row, column, channel] = color[channel]
