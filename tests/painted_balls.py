@@ -1,6 +1,6 @@
 """The balls with named objects, and quick ways to paint them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,29 @@ def painted(
     pictures = [pictures] if isinstance(pictures, Path) else pictures
     style = Style(*pictures, config=FAST, **settings)
     return stylize(scene, {name: style}, **(network or {}), device="cpu")
+
+
+def write_painted(
+    folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
+) -> Path:
+    """The balls; red painted; a second object painted upon that; and two pictures.
+
+    Args:
+        folder: Gets `trained`, `once`, `twice` and the pictures.
+        second: The object's name or id.
+        pictures: What it is painted with, of the two.
+    """
+    wave, night = write_pictures(folder)
+    scene_folder.save(TRAINED, folder / "trained")
+    scene_folder.save(painted(opened(folder / "trained"), "red", wave), folder / "once")
+    twice = painted(opened(folder / "once"), second, pictures(wave, night))
+    scene_folder.save(twice, folder / "twice")
+    return folder
+
+
+def contents(folder: Path, *but: str) -> dict[str, bytes]:
+    """The files of a scene, without some."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in but}
 
 
 def opened(path: Path) -> Scene:

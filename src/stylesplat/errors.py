@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 HEAD, TAIL = 1200, 600  # characters that are kept of a line that nobody would read
 LONGEST_NAME = 100  # characters of a name that a message holds
+NAMED = 3  # names that a line holds; the others are counted
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")
 
 
@@ -38,6 +39,23 @@ def printable(text: str) -> str:
 def brief(name: str) -> str:
     """A name as a message can hold it."""
     return name if len(name) <= LONGEST_NAME else f"{name[:20]}..."
+
+
+def some(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> str:
+    """The first of some names, and how many others there are.
+
+    Args:
+        names: What there is.
+        most: How many are named.
+        whole: Keep long names as they are, as paths that shall be typed.
+
+    Example:
+        >>> some("abc"), some("abcde"), some("")
+        ('a, b, c', 'a, b, c and 2 more', '')
+    """
+    several = [str(name) if whole else brief(str(name)) for name in names]
+    others = f" and {len(several) - most} more" if len(several) > most else ""
+    return ", ".join(several[:most]) + others
 
 
 @contextmanager

@@ -63,12 +63,38 @@ def test_no_row_of_help_is_empty(width: int, capsys, monkeypatch):
         ((*STYLIZE, "--color", "x"), "--color: expected style, keep, blend or free, got 'x'."),
         ((*STYLIZE, "--region", *"12x4"), "--region: expected a whole number, got '1 2 x 4'."),
         ((*STYLIZE, "--layers"), "--layers: expected a whole number, got nothing."),
+        ((*STYLIZE, "--steps"), "--steps: expected a whole number, got nothing."),
+        ((*STYLIZE, "--region", "1", "2"), "--region: expected 4 values, got 2."),
+        ((*STYLIZE, "--json=3"), "--json takes no value, got '3'."),
         (("select", "s", "--name", "a", "--id=b"), "--id: expected a whole number, got 'b'."),
     ],
 )
 def test_values_that_do_not_fit(arguments: tuple[str, ...], line: str, capsys):
     said = printed(capsys, *arguments, status=2)
-    assert said == f"stylesplat: {line} See `stylesplat {arguments[0]} --help`.\n"
+    assert said == f"stylesplat {arguments[0]}: {line} See `stylesplat {arguments[0]} --help`.\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ("train", "CAPTURE and -o are missing in `stylesplat train CAPTURE -o PATH`."),
+        ("train -o=x --seed 1", "CAPTURE is missing in `stylesplat train CAPTURE -o PATH`."),
+        ("select --id 3 4 -- x", "--name is missing in `stylesplat select SCENE --name TEXT`."),
+        ("rename a", "OLD and NEW are missing in `stylesplat rename SCENE OLD NEW`."),
+        ("train X --stepz 3", "there is no option --stepz. Is it --steps?"),
+        (
+            "train X -o y --max_gausians=3",
+            "there is no option --max_gausians. Is it --max-gaussians?",
+        ),
+        ("stylize S --quality", "there is no option --quality."),
+        ("train X -o y -q", "there is no option -q."),
+        ("train my photos -oy", "there is no place for 'photos'; a name with spaces needs quotes."),
+    ],
+)
+def test_options_that_are_missing_or_unknown(arguments: str, line: str, capsys):
+    verb, *_ = arguments.split()
+    said = printed(capsys, *arguments.split(), status=2)
+    assert said == f"stylesplat {verb}: {line} See `stylesplat {verb} --help`.\n"
 
 
 def test_what_is_repeated_appends():

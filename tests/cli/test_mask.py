@@ -1,5 +1,6 @@
 """`stylesplat mask` as it is typed."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -134,7 +135,29 @@ def test_masks_that_are_there_are_kept(
     capture: Path, no_training: None, capsys: pytest.CaptureFixture[str]
 ):
     assert run("mask", capture, "--box", BOX) == 1
-    assert "--overwrite" in capsys.readouterr().err
+    kept = f"{capture}/object_mask holds label maps already. `--overwrite` replaces them."
+    assert kept in capsys.readouterr().err
+    assert run("mask", capture, "--box", BOX, "--stroke", "vase=lost.jpg:1,2") == 1
+    assert "No view is called 'lost.jpg'" in capsys.readouterr().err, "what is typed wrong is first"
+
+
+def test_label_maps_whose_picture_cannot_be_drawn(
+    photos: Path, scene: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    mask = ("mask", photos, "--box", BOX, "--scene", scene, "--device", "cpu", "--overwrite")
+    assert run(*mask) == 0
+    assert "preview.jpg" in capsys.readouterr().err
+    monkeypatch.setattr("stylesplat.drawing.preview.mask_preview", fail)
+    assert run(*mask, "--json") == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["preview"] is None and json.loads(out)["photos"] == 8
+    assert "There is no picture: Disk full. Free some space" in err
+    assert not (photos / "object_mask" / "preview.jpg").exists(), "that of other label maps"
+    assert run(*mask) == 0
+    assert "Picture:" not in capsys.readouterr().err
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]):

@@ -1,5 +1,6 @@
 """What verbs say at the end: what was made, a picture, what to do next."""
 
+import shlex
 import shutil
 from pathlib import Path
 
@@ -74,8 +75,12 @@ def test_import_shows_a_photo_or_a_view(scene: Path, capture: Path, tmp_path: Pa
     assert any("dB from the photos" in line for line in lines)
     assert (tmp_path / "with photos" / "photo_and_render.png").is_file()
     assert lines[-2] == f"Next: stylesplat objects '{tmp_path / 'with photos'}'"
-    said("import", splat, "-o", tmp_path / "alone", "--device", "cpu")
-    assert (tmp_path / "alone" / "view.png").is_file()
+    lines = said("import", splat, "-o", tmp_path / "all alone", "--device", "cpu")
+    assert (tmp_path / "all alone" / "view.png").is_file()
+    start = "If it lies on its side: stylesplat "
+    (again,) = (line.removeprefix(start) for line in lines if line.startswith(start))
+    assert again.endswith(" --up z --overwrite")
+    assert not any(line.startswith(start) for line in said(*shlex.split(again)))
 
 
 @pytest.mark.parametrize(

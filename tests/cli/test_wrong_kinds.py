@@ -15,7 +15,7 @@ from stylesplat.verbs.export import export
 
 SCENES = {
     "missing": "There is no scene {at}/missing: nothing has that name. Check it",
-    "empty": "empty is a folder, not a scene: it has no scene.json. Give the folder that `train`",
+    "empty": "empty is an empty folder, not a scene: it has no scene.json. Give the folder",
     "photos": "photos is a folder of photos, not a scene. {train} {at}/photos -o photos-scene`",
     "video.mp4": "is a video, not a scene. {train} {at}/video.mp4 -o video-scene`",
     "capture": "capture is a capture, not a scene. {train} {at}/capture -o capture-scene`",
@@ -40,18 +40,18 @@ POSED = CAPTURES | {
     "capture/images": "holds the photos of the capture {at}/capture, whose poses are known. Give",
     "scenes": "neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos. Check",
     "captures": "captures is not a capture, but holds some: {at}/captures/a. Give one of them",
-    "empty": "empty is a folder, not a capture",
+    "empty": "empty is an empty folder, but photos are needed: at least 3",
     "recipe.json": "recipe.json is a file, not a capture",
     "picture.png": "picture.png is one picture, not a capture. Give the folder of all photos",
 }
 UNPOSED = CAPTURES | {
-    "empty": "empty has no photos that can be used. Give 3 at least",
+    "empty": "empty is an empty folder, but photos are needed: at least 3",
     "recipe.json": "recipe.json is no video that can be decoded: Invalid data found when",
     "picture.png": "picture.png is one photo. Give the folder of all photos",
 }
 SPLAT_FILES = {
     "missing": "There is no file {at}/missing. Check the name",
-    "empty": "empty is a folder, not a file of splats. Give one that ends in .ply, .spz, .splat",
+    "empty": "empty is an empty folder, not a file of splats. Give one that ends in .ply",
     "photos": "photos is a folder of photos, not a file of splats. {train} {at}/photos",
     "video.mp4": "a video, not a file of splats. {train}",
     "capture": "capture is a capture, not a file of splats. {train} {at}/capture -o capture-scene`",
@@ -221,13 +221,6 @@ def test_contradictions_are_refused_before_photos_are_read(
     monkeypatch.setattr("stylesplat.verbs.load.load", fail)
     for folder in ("photos", "capture"):
         complaint(capsys, "mask", nouns / folder, *(part.format(at=nouns) for part in options))
-
-
-def test_label_maps_that_are_there_are_said_before_photos_are_read(
-    nouns: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setattr("stylesplat.verbs.load.load", lambda *_, **__: pytest.fail("reads photos"))
-    assert "--overwrite" in complaint(capsys, "mask", nouns / "capture", "--box", BOX)
 
 
 def test_paths_with_blanks_can_be_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

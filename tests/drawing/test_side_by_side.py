@@ -7,7 +7,14 @@ import torch
 from ball_photos import write_ball_capture
 from balls import CAMERAS, enlarged
 from painted_balls import TRAINED, painted, write_pictures
-from stylesplat.drawing.side_by_side import GAP, before_after, beside_photo, one_view, side_by_side
+from stylesplat.drawing.side_by_side import (
+    GAP,
+    NARROWEST,
+    before_after,
+    beside_photo,
+    one_view,
+    side_by_side,
+)
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.load import load
 
@@ -34,14 +41,36 @@ def test_what_no_view_shows_has_no_picture(styled: Scene):
     assert before_after(replace(styled, cameras=away), device="cpu") is None
 
 
-def test_a_photo_beside_its_render(tmp_path: Path):
+def test_a_photo_beside_its_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """At the photo's own size, though the scene was made from a smaller one, and captioned."""
+    texts = list[str]()
+
+    def write_line(sheet: object, place: object, text: str, *_: object) -> None:
+        texts.append(text)
+
+    monkeypatch.setattr("stylesplat.drawing.side_by_side.write_line", write_line)
+    views = enlarged(CAMERAS[[2, 5]], 12)
+    capture = load(write_ball_capture(tmp_path / "balls", views, masks=False), downscale=6.0)
+    scene = replace(TRAINED, cameras=views, held_out=CAMERAS.names[2:3])
+    picture = beside_photo(scene, capture, CAMERAS.names[2], device="cpu")
+    wide, high = 12 * 48, 12 * 36
+    assert picture.shape == (high + 22 + GAP, 2 * wide + GAP, 3)
+    photo, render = picture[:high, :wide].float(), picture[:high, wide + GAP :].float()
+    assert (photo - render).abs().mean() < 12, "they show the same"
+    other = one_view(scene, CAMERAS.names[5], device="cpu").float()
+    assert (photo - other).abs().mean() > 20
+    assert texts[0] == f"held-out photo {CAMERAS.names[2]}"
+    assert 15 < float(texts[1].removeprefix("render, PSNR ").removesuffix(" dB")) < 60
+
+
+def test_small_photos_are_enlarged_and_their_captions_drawn(tmp_path: Path):
     capture = load(write_ball_capture(tmp_path / "balls"), downscale=2.0)
     picture = beside_photo(TRAINED, capture, CAMERAS.names[2], device="cpu")
-    assert picture.shape == (18, 2 * 24 + GAP, 3)
-    photo, render = picture[:, :24].float(), picture[:, 24 + GAP :].float()
-    assert (photo - render).abs().mean() < 12, "they show the same"
-    other = one_view(TRAINED, CAMERAS.names[5], longest=24, device="cpu").float()
-    assert (photo - other).abs().mean() > 20
+    high = round(36 * NARROWEST / 48)
+    assert picture.shape[0] > high and picture.shape[1] == 2 * NARROWEST + GAP
+    below = picture[high:]
+    for part in (below[:, :NARROWEST], below[:, -NARROWEST:]):
+        assert part.min() < 60 and part[:, -100:].min() == 255, "dark text at the left, on white"
 
 
 def test_pictures_of_different_heights():

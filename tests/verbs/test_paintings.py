@@ -15,13 +15,13 @@ from painted_balls import (
     TRAINED,
     assert_same_objects,
     assert_same_splats,
+    paint_of,
     painted,
     write_pictures,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
-from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
@@ -53,11 +53,6 @@ def once(trained: Path, pictures: tuple[Path, Path]) -> Scene:
     scene = painted(scene_folder.open(trained), "red", pictures[0])
     assert len(scene.splats) > len(SPLATS)
     return scene
-
-
-def paint_of(scene: Scene) -> Painted:
-    assert scene.painted is not None
-    return scene.painted
 
 
 def assert_made_again(styled: Scene, trained: Path, folder: Path) -> None:

@@ -15,10 +15,11 @@ from painted_balls import (
     TRAINED,
     assert_same_objects,
     assert_same_splats,
+    contents,
     opened,
     paint_of,
     painted,
-    write_pictures,
+    write_painted,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import revise, save
@@ -35,15 +36,7 @@ pytestmark = pytest.mark.usefixtures("small_measurements")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene, styled once, and once more; and two pictures."""
     folder = tmp_path_factory.mktemp("styled")
-    wave, night = write_pictures(folder)
-    save(TRAINED, folder / "trained")
-    save(painted(opened(folder / "trained"), "red", wave), folder / "once")
-    save(painted(opened(folder / "once"), "green", (night, wave)), folder / "twice")
-    return folder
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return write_painted(folder, "green", lambda wave, night: (night, wave))
 
 
 def test_confidence_stays_with_its_gaussians(folder: Path):

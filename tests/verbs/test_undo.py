@@ -14,8 +14,9 @@ from painted_balls import (
     opened,
     paint_of,
     painted,
-    write_pictures,
+    write_painted,
 )
+from painted_balls import contents as all_contents
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import save
@@ -35,18 +36,11 @@ pytestmark = pytest.mark.usefixtures("small_measurements")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The balls; red painted; green painted upon that, by its label id; and two pictures."""
-    folder = tmp_path_factory.mktemp("undo")
-    wave, night = write_pictures(folder)
-    save(TRAINED, folder / "trained")
-    save(painted(opened(folder / "trained"), "red", wave), folder / "once")
-    save(painted(opened(folder / "once"), "7", night), folder / "twice")
-    return folder
+    return write_painted(tmp_path_factory.mktemp("undo"), "7", lambda wave, night: night)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        path.name: path.read_bytes() for path in folder.iterdir() if path.name != "metrics.json"
-    }
+    return all_contents(folder, "metrics.json")
 
 
 def of(scene: Scene, name: str) -> torch.Tensor:

@@ -11,8 +11,9 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
+from itertools import chain
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill
@@ -22,6 +23,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from tyro.constructors import PrimitiveConstructorSpec
+
+from stylesplat.cli.wrong_usage import Known, WrongUsage, what_is_wrong
 
 FIRST = "first"  # the class variable of commands that names options
 MORE = "more"  # tyro calls the group of what is nested here 'more options'
@@ -36,37 +39,36 @@ CALLED = {
 }
 
 
-class WrongUsage(Exception):
-    """A value that its option cannot take; the line says which and what it expects."""
-
-
 def read_command(command: type, arguments: Sequence[str], prog: str) -> Any:
     """A command with what the user typed.
 
     Raises:
-        WrongUsage: If a value does not fit its option.
-        SystemExit: After help (0), or what tyro says of wrong usage (2).
+        WrongUsage: If the words make no command.
+        SystemExit: After help.
     """
-    with _tidied("stdout"), _tidied("stderr"):
-        parsed = tyro.cli(understood(command), prog=prog, args=arguments)
+    try:
+        with _tidied(), redirect_stderr(StringIO()):
+            parsed = tyro.cli(understood(command), prog=prog, args=arguments)
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise WrongUsage(what_is_wrong(known(command), arguments, prog)) from None
     given = vars(parsed)
     given |= vars(given.pop(MORE, None) or parsed)
     return command(**{f.name: _joined(f, given[f.name]) for f in dataclasses.fields(command)})
 
 
 @contextmanager
-def _tidied(stream: str) -> Iterator[None]:
-    """Print in one colour, without the rows and spaces that are left empty."""
-    target = getattr(sys, stream)
+def _tidied() -> Iterator[None]:
+    """Print help in one colour, without the rows and spaces that are left empty."""
     page = StringIO()
-    setattr(sys, stream, page)
     try:
-        yield
+        with redirect_stdout(page):
+            yield
     finally:
-        setattr(sys, stream, target)
         lines = EMPTY_ROW.sub("", TRAILING.sub("", page.getvalue())).splitlines(keepends=True)
         if lines:  # even nothing cannot be written to a full disk
-            target.write("".join(map(_filled, lines)))
+            sys.stdout.write("".join(map(_filled, lines)))
 
 
 def _filled(line: str) -> str:
@@ -97,6 +99,25 @@ def understood(command: type, *, choices: bool = False) -> type:
         first.append((MORE, OmitArgPrefixes[nested], default))
     words = {"__doc__": inspect.getdoc(command)}
     return dataclasses.make_dataclass(command.__name__, first, kw_only=True, namespace=words)
+
+
+def known(command: type) -> list[Known]:
+    """The options of a command, for a line about words that it cannot take."""
+    return [_known(field) for field in dataclasses.fields(command)]
+
+
+def _known(field: "dataclasses.Field[Any]") -> Known:
+    kind, markers = _plain(field.type)
+    flag = _flag(field, markers)
+    aliases = (getattr(marker, "aliases", None) for marker in markers if marker is not Positional)
+    names = (*chain.from_iterable(filter(None, aliases)), flag)
+    required = field.default is dataclasses.MISSING
+    if kind is bool:
+        return Known(names, "", "", 0, required)
+    if UseAppendAction in markers:
+        kind = get_args(kind)[0]
+    each, number = _each(kind)
+    return Known(names, *_called(each), number, required)
 
 
 def _comes_first(command: type, field: "dataclasses.Field[Any]") -> bool:

@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from stylesplat.cli.once import Once
+
 if TYPE_CHECKING:
     from tqdm import tqdm
 
@@ -28,12 +30,12 @@ class _Bar:
         self._bar.set_postfix_str(text, refresh=False)
 
 
-class Bars:
+class Bars(Once):
     """The observer of the command line; tqdm, which `--help` can do without, is loaded late."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._drawn: list[tqdm] = []
-        self._said: set[str] = set()
 
     def close(self) -> None:
         """Draw no more: also of generators that are left in the middle, which close theirs late."""
@@ -61,13 +63,10 @@ class Bars:
             finally:
                 self._drawn.remove(bar)
 
-    def say(self, line: str) -> None:
-        """Write a line, above the bars that there are, if it was not written before."""
+    def _write(self, line: str) -> None:
+        """Above the bars that there are."""
         from tqdm import tqdm
 
-        if line in self._said:
-            return
-        self._said.add(line)
         tqdm.write(line, file=sys.stderr)
 
 

@@ -12,6 +12,7 @@ from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.pasted import pasted
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,9 @@ class Import:
         yield from look_lines(result)
         photos = self.capture is not None
         if not photos and self.up is None:
-            yield "If it lies on its side there, import it again with another --up, such as --up z."
+            labels = ("--labels", self.labels) if self.labels else ()
+            again = pasted("import", self.splat, *labels, "-o", self.output, "--up", "z")
+            yield f"If it lies on its side: {again} --overwrite"
         labelled = result["labelled"]
         commands = object_commands(self.output, result["objects"], labelled=labelled, photos=photos)
         yield from next_lines(*commands)

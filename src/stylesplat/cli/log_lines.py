@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from stylesplat.cli.once import Once
+
 EVERY = 10.0  # seconds between two lines of a task
 SURE = 0.02  # of the whole: the first step alone takes much longer than the others
 MEGA = 1_000_000
@@ -67,13 +69,13 @@ class _Counted:
         return f", {_duration((now - self._start) * (self._total - self._done) / done)} left"
 
 
-class LogLines:
+class LogLines(Once):
     """The observer of the command line where nobody watches: no bars, no control characters."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """`clock` gives the seconds by which lines come."""
+        super().__init__()
         self._clock = clock
-        self._said: set[str] = set()
 
     def close(self) -> None:
         """There is nothing to take away."""
@@ -89,11 +91,8 @@ class LogLines:
         finally:
             counted.end()
 
-    def say(self, line: str) -> None:
-        """Write a line, if it was not written before."""
-        if line not in self._said:
-            self._said.add(line)
-            _write(line)
+    def _write(self, line: str) -> None:
+        _write(line)
 
 
 def _write(line: str) -> None:

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -10,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.mask_scene import is_without_photos, mask_scene, scene_words
 from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.optional_pictures import told_if_missing
 from stylesplat.cli.options import (
     CONTINUES,
     Device,
@@ -106,7 +108,7 @@ class Mask:
         folder = posed(self.capture, beside=self.capture)
         output = folder / OBJECT_MASK
         progress = None if method in REFUSED else partial_of(output)
-        refuse_occupied(output, marker="", overwrite=self.overwrite)
+        refuse_occupied(output, marker="", overwrite=True)  # label maps there are told later
         capture = load(folder, masks=False)
         with changing(output):
             return self._mask(capture, scene, output, progress)
@@ -128,7 +130,8 @@ class Mask:
         shown = ", ".join(result["names"].get(id, f"id {id}") for id in result["ids"])
         photos = f"{result['photos']} of {result['of']} photos"
         yield f"{result['masks']}: label maps of {photos}, which show {shown or 'no objects'}."
-        yield f"Picture: {result['preview']}, what they say on some of the photos."
+        if result["preview"]:
+            yield f"Picture: {result['preview']}, what they say on some of the photos."
         scene = unused(self.capture, "-scene")
         yield from next_lines(pasted("train", self.capture, "-o", scene))
 
@@ -141,6 +144,8 @@ class Mask:
 
         record = read_sfm(output.parent)
         boxes, strokes = self._boxes(record), self._strokes(record)
+        for view, _ in chain(*boxes.values(), *strokes.values()):
+            capture.cameras.index(view)  # which raises, before label maps are said to be there
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         masked = mask(
             capture,
@@ -182,6 +187,7 @@ class Mask:
     def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
         from stylesplat.drawing.preview import mask_preview
         from stylesplat.io.captures.label_folder import write_label_maps
+        from stylesplat.io.files import is_file
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
@@ -194,11 +200,13 @@ class Mask:
         )
         ids = sorted(set[int]().union(*found.values()))
         names = {id: masked.object_names[id] for id in ids if id in masked.object_names}
-        with changing(output / PREVIEW):
-            write_image(mask_preview(load(output.parent), names), output / PREVIEW)
+        preview = output / PREVIEW
+        with told_if_missing(), changing(preview):
+            preview.unlink(missing_ok=True)  # it shows earlier label maps
+            write_image(mask_preview(load(output.parent), names), preview)
         return {
             "masks": output,
-            "preview": output / PREVIEW,
+            "preview": preview if is_file(preview) else None,
             "photos": len(found),
             "of": len(masked),
             "ids": ids,

@@ -1,10 +1,10 @@
 """Small texts on the command line: places in views and in the world, objects and pictures."""
 
 import math
-import os
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import is_file
 
 
 def parse_point(text: str) -> tuple[str, tuple[float, float]]:
@@ -120,9 +120,7 @@ def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:
         vase wave.jpg night.jpg
     """
     name, _, images = text.partition("=")
-    # Unlike Path.is_file, it takes a list that is too long for a file's name
-    one_file = os.path.isfile(images)  # noqa: PTH113
-    parts = [images] if one_file else images.split(",")
+    parts = [images] if is_file(images) else images.split(",")
     if not (name and all(parts)):
         raise StyleSplatError(
             f"Expected OBJECT=IMAGE or OBJECT=IMAGE,IMAGE, got {text!r}. "

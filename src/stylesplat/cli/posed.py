@@ -1,6 +1,5 @@
 """Photos or a video where a capture is asked for: their poses are found first, once."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,13 +55,12 @@ def posed(given: Path, *, beside: Path) -> Path:
 
 def place_of(given: Path, *, beside: Path) -> Path:
     """Where the capture of photos or a video is made; never among the photos."""
-    from stylesplat.io.files import real_path
+    from stylesplat.io.files import is_file, real_path
 
     own, folder = real_path(given), real_path(beside).parent
     if folder.is_relative_to(own):
         folder = own.parent
-    is_file = os.path.isfile(own)  # noqa: PTH113 - unlike Path's, it takes any name
-    return folder / f"{own.stem if is_file else own.name}{SUFFIX}"
+    return folder / f"{own.stem if is_file(own) else own.name}{SUFFIX}"
 
 
 def earlier_capture(given: Path, *, beside: Path) -> Path | None:
@@ -110,7 +108,8 @@ def view_called(name: str, record: "SfmRecord | None") -> str:
 
 def is_under_way(given: Path, *, beside: Path) -> bool:
     """Whether poses are being found that `posed` would go on with."""
+    from stylesplat.io.files import is_there
     from stylesplat.io.folders import partial_of
 
     work = partial_of(place_of(given, beside=beside)) / "sfm"
-    return os.path.exists(work)  # noqa: PTH110 - unlike Path's, it takes any name
+    return is_there(work)

@@ -1,6 +1,5 @@
 """`stylesplat train`."""
 
-import os
 import re
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,7 +14,7 @@ from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, V
 from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
-from stylesplat.io.files import MARK
+from stylesplat.io.files import MARK, is_there
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 
@@ -81,7 +80,7 @@ class Train:
     @property
     def after_interruption(self) -> str:
         """How to go on."""
-        if not os.path.exists(self._checkpoint):  # noqa: PTH110 - unlike Path's, it takes any name
+        if not is_there(self._checkpoint):
             return CONTINUES if is_under_way(self.capture, beside=self.output) else WHOLE
         return CONTINUES if not self.restart else "Without `--restart` it goes on where it stopped."
 

@@ -7,7 +7,8 @@ from shutil import get_terminal_size
 from textwrap import fill
 from typing import Any, NoReturn
 
-from stylesplat.cli.arguments import WrongUsage, read_command, understood
+from stylesplat.cli.arguments import read_command, understood
+from stylesplat.cli.wrong_usage import WrongUsage
 
 PROGRAM = "stylesplat"
 ALIASES = {"stylise": "stylize"}
@@ -56,7 +57,7 @@ def read(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
 
 
 def _refuse(line: str, verb: str) -> NoReturn:
-    print(f"{PROGRAM}: {line} See `{PROGRAM}{verb} --help`.", file=sys.stderr)
+    print(f"{PROGRAM}{verb}: {line} See `{PROGRAM}{verb} --help`.", file=sys.stderr)
     raise SystemExit(WRONG_USAGE)
 
 

@@ -1,13 +1,20 @@
 """Two pictures side by side: before and after a style, a photo and its render."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import UInt8
+from PIL import Image
 from torch import Tensor
 
 from stylesplat.drawing.best_views import find_views
+from stylesplat.drawing.grid import write_line
+from stylesplat.drawing.object_sheet import TITLE_SIZE
 from stylesplat.drawing.pictures import render_pictures
+from stylesplat.io.captures.capture_folder import open_capture
+from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -19,6 +26,8 @@ from stylesplat.stylization.undo import unpainted
 
 LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
 GAP = 8  # white pixels between the pictures
+NARROWEST = 450  # pixels of a picture's width, so that two of them can be looked at
+LINE = 40  # letters' heights that a picture is wide
 
 
 @torch.no_grad()
@@ -50,16 +59,30 @@ def before_after(scene: Scene, *, device: str = "auto") -> UInt8[Tensor, "H W 3"
 def beside_photo(
     scene: Scene, capture: Capture, name: str, *, device: str = "auto"
 ) -> UInt8[Tensor, "H W 3"]:
-    """A photo and what a scene shows there.
+    """A photo and what a scene shows there, with what they are and how close below them.
+
+    They are drawn at the photo's own size, though the capture may be loaded at a smaller one, up
+    to 2048 pixels a side and no narrower than 450. How close they are is measured at the size of
+    the capture.
 
     Args:
         scene: Of these photos.
-        capture: The photos, at the size to draw them at; sides are at most 2048 pixels.
+        capture: The photos, at the size that the scene was made from.
         name: Of the photo.
         device: Where to render.
+
+    Raises:
+        StyleSplatError: If the photos cannot be read again at their own size.
     """
-    photo = at_most(capture, LONGEST).photos[capture.cameras.index(name)]
-    return side_by_side([photo, one_view(scene, name, longest=max(photo.shape), device=device)])
+    whole = capture
+    if capture.downscale != 1 and capture.path is not None:
+        whole = open_capture(capture.path, masks=False).at(1.0)
+    splats = scene.splats.to(pick_device(device))
+    photo, render = _pair(scene, splats, at_most(whole, LONGEST), name)
+    close = psnr(*(each / 255 for each in _pair(scene, splats, capture, name)))
+    held_out = "held-out " * (name in scene.held_out)
+    captions = f"{held_out}photo {name}", f"render, PSNR {float(close):.1f} dB"
+    return side_by_side([*map(_captioned, (photo, render), captions)])
 
 
 @torch.no_grad()
@@ -92,3 +115,25 @@ def side_by_side(pictures: Sequence[UInt8[Tensor, "_ _ 3"]]) -> UInt8[Tensor, "H
 
 def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
     return next(iter(render_pictures(splats, camera)))
+
+
+def _pair(
+    scene: Scene, splats: Splats, capture: Capture, name: str
+) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W 3"]]:
+    """A photo, and the render of its view as the scene has it, as large."""
+    row, own = capture.cameras.index(name), scene.cameras[scene.cameras.index(name)]
+    camera = replace(capture.cameras[row], viewmats=own.viewmats)
+    return capture.photos[row], _render(splats, camera)
+
+
+def _captioned(picture: UInt8[Tensor, "h w 3"], text: str) -> UInt8[Tensor, "H W 3"]:
+    """A picture that is wide enough to read the line below it."""
+    image = Image.fromarray(picture.numpy())
+    if image.width < NARROWEST:
+        height = round(image.height * NARROWEST / image.width)
+        image = image.resize((NARROWEST, height), Image.Resampling.BICUBIC)
+    size = max(TITLE_SIZE, image.width // LINE)
+    sheet = Image.new("RGB", (image.width, image.height + size + GAP), "white")
+    sheet.paste(image)
+    write_line(sheet, (GAP, image.height), text, size, image.width - GAP)
+    return torch.from_numpy(np.array(sheet))

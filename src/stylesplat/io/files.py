@@ -123,6 +123,21 @@ def file_stem(name: str) -> str:
     return f"{readable}~{hashlib.sha256(name.encode()).hexdigest()[:16]}"
 
 
+def is_there(path: Path | str) -> bool:
+    """Whether anything has a name; unlike Path's own question, it takes any."""
+    return os.path.exists(path)  # noqa: PTH110
+
+
+def is_file(path: Path | str) -> bool:
+    """Whether a plain file has a name, whatever the name."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_folder(path: Path | str) -> bool:
+    """Whether a folder has a name, whatever the name."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
 def real_path(path: Path) -> Path:
     """Where links lead in the end; unlike Path.resolve, it takes those that lead in a circle."""
     return Path(os.path.realpath(path))

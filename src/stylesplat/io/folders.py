@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import cannot_write, real_path, sync_folder
+from stylesplat.io.files import cannot_write, is_file, real_path, sync_folder
 from stylesplat.io.journal import JOURNAL, draft_in, files_in, replace_files, sync_tree
 from stylesplat.io.places import refuse_unwritable
 from stylesplat.io.recovery import NEW, OLD, changing, hidden
@@ -110,7 +110,7 @@ def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -
             it holds anything and may not.
     """
     path = Path(path)
-    if os.path.isfile(path):  # noqa: PTH113 - unlike Path's, it takes any name
+    if is_file(path):
         raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
     refuse_unwritable(path)
     if path.exists() and not overwrite and any(_entries(path)):

@@ -1,12 +1,12 @@
 """What lies at a path, and what to do with it where something else was asked for."""
 
-import os
 import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, some
+from stylesplat.io.files import is_there
 
 HEIC = (".heic", ".heif", ".hif")
 PHOTOS = (
@@ -15,7 +15,6 @@ PHOTOS = (
 )
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".3gp", ".mts", ".m2ts", ".mpg", ".wmv")
 SPLATS = (".ply", ".spz", ".splat")
-LISTED = 3  # names that a message holds
 
 Kind = Literal[
     "nothing",
@@ -29,6 +28,7 @@ Kind = Literal[
     "picture",
     "file",
     "folder",
+    "empty folder",
 ]
 
 
@@ -37,7 +37,7 @@ PICTURED = ("capture", "part of a capture", "photos", "video")  # what `train` m
 
 def kind_of(path: Path) -> Kind:
     """What lies there, by names: files are not opened."""
-    if not os.path.exists(path):  # noqa: PTH110 - unlike Path.exists, it takes any name
+    if not is_there(path):
         return "nothing"
     if path.is_dir():
         return _kind_of_folder(path)
@@ -65,7 +65,9 @@ def no_scene(path: Path) -> StyleSplatError:
         return _told(f"{path} is {_called(kind)}, not a scene", _way_to_train(path, kind))
     held = _within(path, _is_scene)
     if held:
-        return _told(f"{path} is not a scene, but holds some: {_list(held)}", "Give one of them")
+        return _told(
+            f"{path} is not a scene, but holds some: {some(held, whole=True)}", "Give one of them"
+        )
     fault = f"{path} is {_called(kind)}, not a scene"
     return _told(f"{fault}: it has no scene.json", "Give the folder that `train` or `import` made")
 
@@ -89,9 +91,14 @@ def no_capture(path: Path) -> StyleSplatError:
         return _told(fault, f"Find the cameras first: `{way}`")
     if kind == "picture":
         return _told(f"{path} is one picture, not a capture", "Give the folder of all photos")
+    if kind == "empty folder":
+        fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30 or more"
+        return _told(fault, "Check the name, or put photos that overlap into it")
     held = _within(path, _is_capture)
     if held:
-        return _told(f"{path} is not a capture, but holds some: {_list(held)}", "Give one of them")
+        return _told(
+            f"{path} is not a capture, but holds some: {some(held, whole=True)}", "Give one of them"
+        )
     needed = "sparse/0/cameras.bin (or .txt) nor transforms.json"
     fault = f"{path} is {_called(kind)}, not a capture: it has neither {needed}, nor photos"
     return _told(fault, "Check the name, or give the folder of the photos")
@@ -112,7 +119,9 @@ def no_splat(path: Path) -> StyleSplatError:
         return _told(fault, _way_to_train(path, kind))
     held = _within(path, lambda place: kind_of(place) == "splat")
     if held:
-        return _told(f"{path} is a folder that holds {_list(held)}", "Give one of these files")
+        return _told(
+            f"{path} is a folder that holds {some(held, whole=True)}", "Give one of these files"
+        )
     suffix = "" if path.is_dir() else f" with the suffix {path.suffix!r}"
     fault = f"{path} is {_called(kind)}{suffix}, not a file of splats"
     return _told(fault, f"Give one that ends in {', '.join(SPLATS)}, or convert it")
@@ -122,9 +131,10 @@ def refuse_other_than_photos(path: Path) -> None:
     """Refuse what poses cannot be found of, before anything is tried.
 
     Raises:
-        StyleSplatError: If nothing is there, or it is a scene, a part of one, or a splat.
+        StyleSplatError: If nothing is there or in there, or it is a scene, a part of one, or a
+            splat.
     """
-    if kind_of(path) in ("nothing", "scene", "part of a scene", "splat"):
+    if kind_of(path) in ("nothing", "empty folder", "scene", "part of a scene", "splat"):
         raise no_capture(path)
 
 
@@ -152,7 +162,16 @@ def _kind_of_folder(path: Path) -> Kind:
     photos = any(_within(path, _holds_photos))
     if photos and path.name.startswith("images") and _is_capture(path.parent):
         return "part of a capture"
-    return "photos" if photos else "folder"
+    if photos:
+        return "photos"
+    return "empty folder" if _is_empty(path) else "folder"
+
+
+def _is_empty(folder: Path) -> bool:
+    try:
+        return not any(folder.iterdir())
+    except OSError:  # nobody knows
+        return False
 
 
 def _is_scene(path: Path) -> bool:
@@ -184,13 +203,9 @@ def _within(path: Path, fits: Callable[[Path], bool]) -> list[Path]:
         return []
 
 
-def _list(places: list[Path]) -> str:
-    more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
-    return ", ".join(map(str, places[:LISTED])) + more
-
-
 def _called(kind: Kind) -> str:
     named = {"photos": "a folder of photos", "part of a capture": "a folder of photos"}
+    named |= {"empty folder": "an empty folder"}
     return named.get(kind, f"a {kind}")
 
 

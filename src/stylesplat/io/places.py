@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import beside, cannot_write, real_place
+from stylesplat.io.files import beside, cannot_write, is_folder, is_there, real_place
 from stylesplat.io.journal import draft_in
 from stylesplat.io.recovery import NEW, hidden
 
@@ -20,7 +20,7 @@ def refuse_unwritable(path: Path | str) -> None:
         StyleSplatError: If that fails, or a part of the path is a file.
     """
     path = real_place(Path(path))
-    if not os.path.isdir(path):  # noqa: PTH112 - unlike Path's, it takes any name
+    if not is_folder(path):
         _try(path, hidden(path, NEW))
         return
     try:
@@ -41,9 +41,9 @@ def refuse_file(path: Path | str, *, overwrite: bool = False) -> None:
             be made there.
     """
     path = Path(path)
-    if os.path.isdir(path):  # noqa: PTH112
+    if is_folder(path):
         raise StyleSplatError(f"{path} is a folder. Choose another name for the file.")
-    if os.path.exists(path) and not overwrite:  # noqa: PTH110
+    if is_there(path) and not overwrite:
         raise StyleSplatError(f"{path} exists. Choose another name, or pass --overwrite.")
     path = real_place(path)
     _try(path, beside(path))

@@ -7,12 +7,13 @@ from typing import Literal
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.errors import some
 from stylesplat.io.captures.model_figures import ModelFigures
 from stylesplat.posing.coverage import Coverage
 from stylesplat.posing.photo_looks import PhotoLooks
 from stylesplat.posing.sharpness import BLURRED
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.one_line import counted, some
+from stylesplat.scene.one_line import counted
 
 Verdict = Literal["good", "fair", "poor"]
 

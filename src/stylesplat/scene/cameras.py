@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.one_line import counted, one_line, pixels, some
+from stylesplat.errors import StyleSplatError, some
+from stylesplat.scene.one_line import counted, one_line, pixels
 
 
 @dataclass(frozen=True)

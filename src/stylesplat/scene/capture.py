@@ -9,11 +9,11 @@ from typing import Any
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, some
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import OwnLabels
 from stylesplat.scene.lazy import Lazy
-from stylesplat.scene.one_line import counted, one_line, pixels, some
+from stylesplat.scene.one_line import counted, one_line, pixels
 
 
 @dataclass(frozen=True)

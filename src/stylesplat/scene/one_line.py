@@ -1,12 +1,8 @@
 """What Python prints of nouns: one line, in words and numbers, without reading a photo."""
 
-from collections.abc import Iterable
-
 from torch import Tensor
 
-from stylesplat.errors import brief, printable
-
-NAMED = 3  # names that a line holds; the others are counted
+from stylesplat.errors import printable
 
 
 def one_line(noun: object, *parts: object) -> str:
@@ -28,17 +24,6 @@ def counted(count: int, what: str) -> str:
         ('1 photo', '60,000 Gaussians')
     """
     return f"{count:,} {what}{'s' * (count != 1)}"
-
-
-def some(names: Iterable[object]) -> str:
-    """The first of some names, and how many others there are.
-
-    Example:
-        >>> some("abc"), some("abcde"), some("")
-        ('a, b, c', 'a, b, c and 2 more', '')
-    """
-    first, others = (several := [brief(str(name)) for name in names])[:NAMED], several[NAMED:]
-    return ", ".join(first) + (f" and {len(others)} more" if others else "")
 
 
 def pixels(sizes: Tensor) -> str:

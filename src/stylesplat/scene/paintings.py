@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.scene.one_line import counted, one_line, some
+from stylesplat.errors import some
+from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.splats import Splats
 
 

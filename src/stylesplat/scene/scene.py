@@ -9,9 +9,9 @@ from typing import Any, Literal, get_args
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, check_choice
+from stylesplat.errors import StyleSplatError, brief, check_choice, some
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.one_line import counted, one_line, some
+from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.paintings import Painted
 from stylesplat.scene.splats import Splats
 

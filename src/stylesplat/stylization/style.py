@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.files import read_bytes
-from stylesplat.scene.one_line import one_line, some
+from stylesplat.scene.one_line import one_line
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig

@@ -7,11 +7,10 @@ import torch
 from jaxtyping import Int, Integer
 from torch import Tensor
 
+from stylesplat.errors import some
 from stylesplat.progress import say, track
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, ids_of
-
-NAMED = 3  # photos and objects that a line to the user names
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,8 @@ def say_unseen(shown: Shown, names: Mapping[int, str]) -> None:
     if not shown.held_out:
         return
     ids = sorted(set().union(*shown.held_out.values()))
-    objects = _some([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
-    photos = _some([*shown.held_out])
+    objects = some([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
+    photos = some([*shown.held_out])
     say(
         f"Not learned, for only held-out photos show it: object {objects} in {photos}. "
         "`--test-every 0` trains on all photos, another value holds out others."
@@ -75,7 +74,3 @@ def class_type(count: int) -> torch.dtype:
     if count <= 2**8:
         return torch.uint8
     return torch.int16 if count <= 2**15 else torch.int32
-
-
-def _some(items: list[str]) -> str:
-    return ", ".join(items[:NAMED]) + (f" and {len(items) - NAMED} more" if items[NAMED:] else "")

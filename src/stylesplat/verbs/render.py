@@ -6,12 +6,13 @@ from typing import Literal
 
 from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.drawing.pictures import depth_step, render_pictures
+from stylesplat.errors import some
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
-from stylesplat.scene.one_line import counted, one_line, some
+from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.ring import FOCAL, has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object

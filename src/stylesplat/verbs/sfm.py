@@ -13,7 +13,7 @@ import av
 import cv2
 
 from stylesplat.drawing.capture_picture import capture_picture
-from stylesplat.errors import StyleSplatError, check_choice, printable
+from stylesplat.errors import StyleSplatError, check_choice, printable, some
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
@@ -204,5 +204,4 @@ def _say_result(record: SfmRecord) -> None:
     for what, reasons in (("Left out", record.left_out), ("Not posed", record.unregistered)):
         for why in dict.fromkeys(reasons.values()):
             names = [name for name, other in reasons.items() if other == why]
-            more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-            say(f"{what}: {', '.join(names[:LISTED])}{more}: {why}.")
+            say(f"{what}: {some(names, LISTED)}: {why}.")

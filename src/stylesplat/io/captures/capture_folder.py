@@ -1,7 +1,6 @@
 """From a folder to a capture."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +10,16 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.captures import cut_outs
 from stylesplat.io.captures.colmap import find_sparse, read_colmap
 from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo, fit_photo, is_reduced
-from stylesplat.io.captures.posed_files import PosedFiles, listed, those_there
+from stylesplat.io.captures.posed_files import PosedFiles, those_there
 from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
 from stylesplat.io.captures.unposed import photos_besides
+from stylesplat.io.files import is_file
 from stylesplat.io.kinds import no_capture
 from stylesplat.io.label_maps import match_label_maps, read_names
 from stylesplat.progress import say, track
@@ -127,8 +127,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
 
 def is_posed(folder: Path) -> bool:
     """Whether a folder has camera poses."""
-    # Unlike Path.is_file, it takes any name
-    return find_sparse(folder) is not None or os.path.isfile(folder / TRANSFORMS)  # noqa: PTH113
+    return find_sparse(folder) is not None or is_file(folder / TRANSFORMS)
 
 
 def exact_masks(folder: Path) -> Path | None:
@@ -167,7 +166,7 @@ def _announce_unposed(posed: PosedFiles, folder: Path) -> None:
     if others:
         total = len(others) + len(posed.names)
         say(
-            f"Without a pose, so left out: {listed(others)} "
+            f"Without a pose, so left out: {some(others)} "
             f"({len(others)} of the {total} photos in {folder})."
         )
 

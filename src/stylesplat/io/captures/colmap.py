@@ -1,6 +1,5 @@
 """COLMAP reconstructions, binary or text."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from stylesplat.io.captures.colmap_check import check_complete
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
-from stylesplat.io.files import reason
+from stylesplat.io.files import is_file, reason
 
 # All that pycolmap raises on bad files; a ValueError also for names that are not UTF-8
 MALFORMED = (ValueError, IndexError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError)
@@ -24,7 +23,7 @@ def find_sparse(folder: Path) -> Path | None:
     """The folder with the reconstruction of a capture, if it has one."""
     for sparse in (folder / "sparse" / "0", folder / "sparse"):
         tables = (sparse / f"cameras{suffix}" for suffix in (".bin", ".txt"))
-        if any(map(os.path.isfile, tables)):  # unlike Path.is_file, it takes any name
+        if any(map(is_file, tables)):
             return sparse
     return None
 

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import inside
+from stylesplat.io.files import inside, is_file
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label_map, write_names
 from stylesplat.progress import track
@@ -57,8 +57,9 @@ def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> Non
             f"Some photos in {capture.path} differ in their suffix only, so their label maps would "
             "have one name. Rename them."
         )
-    for name in names:
-        _map_path(folder, name)
+    paths = [_map_path(folder, name) for name in names]
+    if not overwrite and any(map(is_file, paths)):
+        raise StyleSplatError(f"{folder} holds label maps already. `--overwrite` replaces them.")
     refuse_occupied(folder, marker="", overwrite=overwrite)
 
 

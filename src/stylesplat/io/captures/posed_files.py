@@ -10,14 +10,13 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, brief, some
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.json_files import MAX_NAME
 from stylesplat.progress import say
 
 # Of a file's or folder's name: systems take 255, and to be written a name gets 14 more
 MAX_PART = 240
-LISTED = 3  # photos that a message names
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
@@ -83,19 +82,13 @@ def those_there(posed: PosedFiles, folder: Path) -> PosedFiles:
     if 2 * len(missing) > count:
         raise StyleSplatError(
             f"Only {count - len(missing)} of the {count} photos that have poses in {folder} are "
-            f"there. Missing: {listed(missing)}. Put them back, or pose the photos again."
+            f"there. Missing: {some(missing)}. Put them back, or pose the photos again."
         )
     say(
-        f"Missing, so left out: {listed(missing)} "
+        f"Missing, so left out: {some(missing)} "
         f"({len(missing)} of the {count} photos that have poses in {folder})."
     )
     return posed.only([row for row, found in enumerate(there) if found])
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first few of some names, and how many more there are."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(map(brief, names[:LISTED])) + more
 
 
 def check_path(text: str) -> None:

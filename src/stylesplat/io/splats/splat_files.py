@@ -1,11 +1,10 @@
 """Any file of splats, read and written."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.files import read_bytes
+from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import no_splat
 from stylesplat.io.splats.compressed_ply import (
     MAX_HEADER,
@@ -48,7 +47,7 @@ def read_splats(path: Path | str) -> Splats:
         ".splat": read_dot_splat,
     }
     reader = readers.get(path.suffix.lower())
-    if reader is None or path.is_dir() or not os.path.exists(path):  # noqa: PTH110
+    if reader is None or path.is_dir() or not is_there(path):
         raise no_splat(path)
     splats = reader(path)
     if not len(splats):
