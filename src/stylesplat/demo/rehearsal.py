@@ -74,4 +74,4 @@ def rehearse(part: Part) -> None:
 
 
 if __name__ == "__main__":
-    rehearse(sys.argv[1])
+    rehearse("train" if sys.argv[1:] == ["train"] else "stylize")
