@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS
+from balls import CAMERAS
+from stretched_balls import BALL, LARGE, PICKED, ROWS, SCENE, TABLE, UNSEEN, stretched
 from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import coverage
@@ -14,35 +15,10 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
+from stylesplat.stylization.overflow import without_overflow
 from stylesplat.stylization.split import COUNTS, Split, screen_sizes, split_large
 
-TABLE, BALL = 200, 80  # Gaussians before the balls, and of each
-LARGE = 40  # of the first ball's, which are stretched
-# Undoing a split may let through what reaches pixels that it had finished: below MIN_TRANSMITTANCE
-UNSEEN = 1e-4
 SHARPER = 3.0  # than the scene's cameras: so many pixels as there are strokes
-
-
-def stretched(*, seed: int = 0) -> Splats:
-    """The still life with large, long Gaussians of any direction in the first ball."""
-    generator = torch.Generator().manual_seed(seed)
-    scales, quats = SPLATS.scales.clone(), SPLATS.quats.clone()
-    large = slice(TABLE, TABLE + LARGE)
-    scales[large] = torch.tensor([0.2, 0.1, 0.02]).log() + 0.2 * torch.randn(
-        LARGE, 3, generator=generator
-    )
-    quats[large] = torch.randn(LARGE, 4, generator=generator)
-    opacities = 2 * torch.randn(len(SPLATS), generator=generator) + 1
-    shN = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=generator)
-    confidence = torch.rand(len(SPLATS), generator=generator)
-    return replace(
-        SPLATS, scales=scales, quats=quats, opacities=opacities, shN=shN, confidence=confidence
-    )
-
-
-SCENE = stretched()
-ROWS = torch.arange(len(SCENE))
-PICKED = (ROWS >= TABLE) & (ROWS < TABLE + BALL)
 
 
 def sharp_views(splats: Splats, network: FeatureNetwork) -> list[ObjectView]:
@@ -55,7 +31,8 @@ def divide(
     splats: Splats, network: FeatureNetwork, growth: float, cameras: Cameras = CAMERAS
 ) -> Split:
     views = sharp_views(splats, network)
-    return split_large(splats, PICKED, views, cameras=cameras, max_growth=growth)
+    split = split_large(splats, PICKED, views, max_growth=growth)
+    return without_overflow(splats, split, PICKED, cameras)
 
 
 @pytest.fixture(scope="module")

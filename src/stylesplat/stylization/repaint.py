@@ -24,6 +24,8 @@ from stylesplat.stylization.object_views import (
 )
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
+from stylesplat.stylization.overflow import without_overflow
+from stylesplat.stylization.refit import refit
 from stylesplat.stylization.split import Split, split_large
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.target import check_size, fits, style_features
@@ -198,8 +200,9 @@ def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float
     job = replace(job, picked=job.picked.cpu())
     few = evenly(boxes, SPLIT_VIEWS)
     views = object_views(studio, job, few, length, max_memory=math.inf)
-    cameras = studio.every_camera
-    split = split_large(studio.splats, job.picked, views, cameras=cameras, max_growth=growth)
+    split = split_large(studio.splats, job.picked, views, max_growth=growth)
+    split = refit(studio.splats, split, job.picked, boxes, seed=job.config.seed)
+    split = without_overflow(studio.splats, split, job.picked, studio.every_camera)
     return Split(split.splats.to(device), split.parents.to(device))
 
 

@@ -12,13 +12,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.progress import track
 from stylesplat.rendering import constants as const
-from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.shares import coverage
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.object_views import ObjectView
 
@@ -28,7 +23,6 @@ OVERLAP = 0.64  # deviation of a child, in distances between them: less shows ri
 FINE_ENOUGH = 1.5  # pixels of deviation: strokes are wider at the sizes that features see
 HARDLY_SEEN = 0.05  # share of the rendering weight that is spread over Gaussians not worth it
 BISECTIONS = 7
-CHECKED_VIEWS = 16  # for children that show where their parents did not
 BASE = 10  # more than the largest count
 DIGITS = (BASE**2, BASE, 1)
 MAX_OPACITY = 0.995  # of a child; more would make its logit as good as infinite
@@ -50,7 +44,6 @@ def split_large(
     picked: Bool[Tensor, " N"],
     views: Sequence[ObjectView],
     *,
-    cameras: Cameras,
     max_growth: float,
 ) -> Split:
     """Split picked Gaussians that look large, until all are fine enough or the cap is reached.
@@ -59,8 +52,6 @@ def split_large(
         splats: The scene.
         picked: The object's Gaussians.
         views: Linear views of the object, at the size at which features are matched.
-        cameras: Views in which the object may cover no pixel that it did not cover before; of
-            many some are checked.
         max_growth: Bound of the object's number of Gaussians, as a multiple.
     """
     sizes, weights = screen_sizes(splats, views)
@@ -69,29 +60,23 @@ def split_large(
     worthwhile = torch.zeros_like(picked).index_copy(0, ranked.indices, seen_much)
     room = int((max_growth - 1) * int(picked.sum()))
     counts = _counts_that_fit(sizes, worthwhile, torch.sigmoid(splats.opacities), room)
-    split = _divide(splats, counts)
-    counts[_overflowing(splats, split, picked, cameras)] = 1
     return _divide(splats, counts)
 
 
-def _overflowing(
-    splats: Splats, split: Split, picked: Bool[Tensor, " N"], cameras: Cameras
-) -> Int[Tensor, " R"]:
-    """The parents whose children show where nothing of the object showed.
+def unsplit(splats: Splats, split: Split, rows: Int[Tensor, " R"]) -> Split:
+    """A split in which some Gaussians are whole again.
 
-    Children of large Gaussians close to a camera, each of which it sees in its own perspective, or
-    that lie before what hid the parent's centre.
+    Args:
+        splats: The scene before.
+        split: After.
+        rows: Which ones, before.
     """
-    children = picked[split.parents]
-    found = [split.parents[:0]]
-    checked = evenly(range(len(cameras)), CHECKED_VIEWS)
-    for index in track(checked, "splitting large Gaussians"):
-        before = coverage(splats, cameras[index], picked)
-        after = contributions(split.splats, cameras[index], children)
-        spilled = (before == 0) & (after.coverage > 0)
-        if spilled.any():
-            found.append(split.parents[after.gaussians[after.weights(spilled) > 0]])
-    return torch.cat(found).unique()
+    whole = torch.zeros(len(splats), dtype=torch.bool, device=rows.device)
+    whole[rows] = True
+    kept = ~whole[split.parents]
+    kept[: len(splats)] = True
+    after = _replace_rows(split.splats[kept], rows, splats[rows])
+    return Split(after, split.parents[kept])
 
 
 def screen_sizes(

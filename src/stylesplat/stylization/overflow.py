@@ -1,0 +1,76 @@
+"""Children of split Gaussians that show where nothing of the object showed, taken back.
+
+Children of large Gaussians close to a camera, each of which it sees in its own perspective; that
+lie before what hid the parent's centre; or that grew when they were fitted.
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+from torch.nn.functional import pad
+
+from stylesplat.progress import track
+from stylesplat.rendering import cpu
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.shares import coverage
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.split import Split, unsplit
+
+CHECKED_VIEWS = 16
+
+
+@torch.no_grad()
+def without_overflow(
+    splats: Splats, split: Split, picked: Bool[Tensor, " N"], cameras: Cameras
+) -> Split:
+    """Leave those Gaussians whole whose children show where nothing of the object showed.
+
+    Args:
+        splats: The scene before the split, on the CPU.
+        split: After it.
+        picked: The object's Gaussians, before.
+        cameras: Views in which the object may cover no pixel that it did not cover before; of
+            many some are checked.
+    """
+    plain = replace(split.splats, identities=None, confidence=None)  # quicker to take rows of
+    found = [split.parents[:0]]
+    checked = evenly(range(len(cameras)), CHECKED_VIEWS)
+    for index in track(checked, "looking beside the object"):
+        nothing = coverage(splats, cameras[index], picked) == 0
+        rows = _showing(plain, cameras[index], picked[split.parents], nothing)
+        found.append(split.parents[rows])
+    return unsplit(splats, split, torch.cat(found).unique())
+
+
+def _showing(
+    splats: Splats, camera: Cameras, picked: Tensor, pixels: Bool[Tensor, "H W"]
+) -> Int[Tensor, " M"]:
+    """Which picked Gaussians show in some pixels of one camera; only what lies there is drawn."""
+    suspects = picked.nonzero()[:, 0]
+    suspects = suspects[_touching(splats[suspects], camera, pixels)]
+    alone = splats[suspects]
+    reached = coverage(alone, camera, torch.ones_like(suspects, dtype=torch.bool)) > 0
+    pixels = pixels & reached
+    if not pixels.any():
+        return suspects[:0]
+    there = _touching(splats, camera, pixels).nonzero()[:, 0]
+    drawn = contributions(splats[there], camera, picked[there])
+    return there[drawn.gaussians[drawn.weights(pixels) > 0]]
+
+
+def _touching(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Bool[Tensor, " N"]:
+    """Which Gaussians may reach some pixels: the boxes around them hold some."""
+    projected = cpu.project_gaussians(activated(splats), views_of(beside(splats, camera))[0])
+    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
+    size = torch.tensor(camera.size)
+    low = (projected.means2d - projected.radii).floor().long().clamp(min=0).minimum(size)
+    high = (projected.means2d + projected.radii).ceil().long().clamp(min=0).minimum(size)
+    (left, top), (right, bottom) = low.unbind(1), high.unbind(1)
+    held = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    return (held > 0) & (projected.radii > 0).all(dim=1)

@@ -1,0 +1,122 @@
+"""Fitting the children of split Gaussians, so that the object looks as it did before.
+
+A grid of children is nearly its parent's shape, but children hide each other, lie at several
+depths and fall below the faintest opacity that is drawn. Renders of the scene before the split
+tell what their opacities and scales have to be; no photos are needed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from stylesplat.progress import track
+from stylesplat.rendering import cpu
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import Box, typical_length
+from stylesplat.stylization.split import Split
+from stylesplat.training.adam import Moments, adam_step
+
+VIEWS = 24  # with 16, views that are not among them lose 0.5 dB
+LENGTH = 240  # longer side of the object in them, in pixels
+MARGIN = 8  # pixels around a box, where nothing is to show
+STEPS = 60
+RATES = {"opacities": 0.1, "scales": 0.03}  # of logits and logarithms; the others do not help
+RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
+LAST = 0.1  # rate of the last step, as a share of the first's
+
+
+@dataclass(frozen=True)
+class _View:
+    """What one camera saw before the split, and what it sees of the children."""
+
+    camera: Cameras
+    image: Float[Tensor, "H W 3"]
+    coverage: Float[Tensor, "H W 1"]
+    shown: Bool[Tensor, " N"]
+    """Which Gaussians of the split scene are drawn."""
+    splats: Splats
+    """These, in the colours that they have from there."""
+    picked: Float[Tensor, "M 1 1"]
+    """1 for those of the object, 0 for others."""
+
+    def error(self, leaves: dict[str, Tensor], raised: Float[Tensor, " 3"]) -> Float[Tensor, ""]:
+        """Of the image of other opacities and scales, the object's colours being raised.
+
+        By other amounts in every step, so that its coverage has to be right whatever lies behind.
+        """
+        moved = {name: leaf[self.shown] for name, leaf in leaves.items()}
+        sh0 = self.splats.sh0 + raised / SH_C0 * self.picked
+        image, _, _ = rasterize(replace(self.splats, sh0=sh0, **moved), self.camera)
+        return (image[0] - self.image - raised * self.coverage).square().mean()
+
+
+def refit(
+    splats: Splats,
+    split: Split,
+    picked: Bool[Tensor, " N"],
+    boxes: Sequence[Box],
+    *,
+    seed: int = 0,
+) -> Split:
+    """Give split Gaussians the opacities and scales with which the object looks as before.
+
+    Means, rotations and colours stay, and so does every Gaussian that was not split.
+
+    Args:
+        splats: The scene before the split, on the CPU.
+        split: After it.
+        picked: The object's Gaussians, before.
+        boxes: Where the object lies in the views to compare.
+        seed: Of the order of the views, and of the colours that tell object and background apart.
+    """
+    divided = split.parents.bincount(minlength=len(splats))[split.parents] > 1
+    if not divided.any():
+        return split
+    zoom = min(1.0, LENGTH / typical_length(boxes))
+    views = [_look(splats, split, picked, _cut(box, zoom)) for box in evenly(boxes, VIEWS)]
+    leaves = {name: split.splats.tensors()[name].clone().requires_grad_() for name in RATES}
+    moments = Moments.zeros(leaves)
+    generator = torch.Generator().manual_seed(seed)
+    order = list[int]()
+    for step in track(range(1, STEPS + 1), "fitting split Gaussians"):
+        order = order or torch.randperm(len(views), generator=generator).tolist()
+        view, raised = views[order.pop()], RAISED * torch.rand(3, generator=generator)
+        with torch.enable_grad():
+            view.error(leaves, raised.to(view.image)).backward()
+        rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
+        adam_step(leaves, moments, rates, step, seen=divided & view.shown)
+        for leaf in leaves.values():
+            leaf.grad = None
+    fitted = {name: leaf.detach() for name, leaf in leaves.items()}
+    return replace(split, splats=replace(split.splats, **fitted))
+
+
+def _cut(box: Box, zoom: float) -> Cameras:
+    """The camera of a box and of a margin around it."""
+    camera = box.camera.downscale(1 / zoom)
+    low = ((box.low * zoom).floor() - MARGIN).clamp(min=0).long()
+    high = torch.minimum((box.high * zoom).ceil() + MARGIN, camera.sizes[0]).long()
+    return crop(camera, low.tolist(), (high - low).tolist())
+
+
+@torch.no_grad()
+def _look(splats: Splats, split: Split, picked: Tensor, camera: Cameras) -> _View:
+    """What a camera saw, and the Gaussians that it draws now."""
+    features = picked.to(splats.means)[:, None]
+    image, _, info = rasterize(splats, camera, features=features)
+    image, coverage = image[0].split((3, 1), dim=2)
+    shown = (info["radii"][0] > 0).all(dim=1)[split.parents]
+    seen = replace(split.splats, identities=None, confidence=None)[shown]
+    directions = seen.means - camera.positions.to(seen.means)
+    colors = cpu.spherical_harmonics(seen.sh_degree, directions, seen.sh0, seen.shN)
+    baked = replace(seen, sh0=sh0_from_rgb(colors)[:, None], shN=seen.shN[:, :0])
+    mine = picked[split.parents[shown], None, None].to(image)
+    return _View(camera, image, coverage, shown, baked, mine)
