@@ -16,6 +16,8 @@ from stylesplat.stylization.objective import Objective
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
 
+DARKEST = 1e-4  # of 1: above the roundings of `Contributions.with_fixed_bands`, far below a level
+
 
 @dataclass(frozen=True)
 class Step:
@@ -101,7 +103,7 @@ def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splat
 @torch.no_grad()
 def _keep_in_range(sh0: Tensor) -> None:
     """Colours that the rasteriser clamps at 0 would have no gradient to come back by."""
-    black, white = sh0_from_rgb(torch.tensor([[0.0], [1.0]]).expand(2, 3)).to(sh0)
+    black, white = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(sh0)
     sh0.clamp_(black, white)
 
 
