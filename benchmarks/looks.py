@@ -200,7 +200,10 @@ def measured(
                 canvas(s, image, share, cells) for s, image in zip(case.sights, images, strict=True)
             ]
             with torch.no_grad():
-                losses = [view_loss(c.colors, c, targets, studio.network, layers) for c in canvases]
+                losses = [
+                    view_loss(c.render(studio.splats), c, targets, studio.network, layers)
+                    for c in canvases
+                ]
             numbers[what][size] = mean(map(float, losses))
         before, there = (numbers[what][size] for what in ("before", "best"))
         for row in numbers.values():

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stylesplat.evaluation.statistics import LUMA
+
 OCTAVES = 4  # details of 1, 2, 4 and 8 pixels
-GREY = (0.2126, 0.7152, 0.0722)  # Rec. 709
 LEAST = 1e-6  # of a pixel's surroundings that is the object
 
 
@@ -20,7 +21,7 @@ def octaves(image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]) -> list[fl
         mask: The object; what lies around it does not count, nor does its contour.
     """
     inside = mask.cpu().numpy().astype(np.float32)
-    grey = image.cpu().numpy().astype(np.float32) @ np.float32(GREY)
+    grey = image.cpu().numpy() @ np.array(LUMA, np.float32)
     blurred = [grey, *(_blurred(grey, inside, 2.0**n) for n in range(OCTAVES))]
     bands = (fine - coarse for fine, coarse in pairwise(blurred))
     return [float((band[inside > 0] ** 2).mean()) for band in bands]

@@ -41,11 +41,15 @@ def test_the_way_back_ends_near_the_painting_and_no_nearer():
 
 
 def test_the_distance_pulls_only_what_is_far():
-    colors = torch.tensor([[0.9, 0.1, 0.1], [0.5, 0.5, 0.5]], requires_grad=True)
-    distance = near_palette(GREY).distance(colors)
+    rgb = [[0.9, 0.1, 0.1], [0.5, 0.5, 0.5], [0.1, 0.1, 0.9]]
+    image = torch.tensor([rgb], requires_grad=True)
+    near, mask = near_palette(GREY), torch.tensor([[True, True, False]])
+    distance = near.distance(image, mask)
     distance.backward()
-    assert colors.grad is not None and distance > 0
-    assert colors.grad[0, 0] > 0 > colors.grad[0, 1] and (colors.grad[1] == 0).all()
+    far, grey, others = image.grad[0]
+    assert far[0] > 0 > far[1] and (grey == 0).all() and (others == 0).all()
+    expected = near.way_back(image[0, :1]).square().sum() / 2
+    torch.testing.assert_close(distance.detach(), expected)
 
 
 def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):

@@ -12,11 +12,11 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.object_views import ObjectView
 
-PIXELS = 2**15  # of a painting that stand for all; what is rarer need not be aimed at
+PIXELS = 2**14  # of a painting that stand for all; what is rarer need not be aimed at
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
 NEAR = 6.0  # of Lab: as near is near enough
-LEVELS = 32  # of red, green and blue, for which the nearest colour is looked up once
-ROUNDS = 4  # of `settle`; further ones hardly change anything
+LEVELS = 24  # of red, green and blue, for which the nearest colour is looked up once
+ROUNDS = 3  # of `settle`; further ones hardly change anything
 STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would not settle
 FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
 
@@ -30,18 +30,20 @@ class NearPalette:
     shares: Float[Tensor, " _"]
     """Of the way there, that which ends as near as is near enough; 0 for what is nearer."""
 
-    def way_back(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+    def way_back(self, colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
         """From colours in 0..1 to where the painting is near; has no gradients."""
         colors = colors.detach()
-        red, green, blue = (colors.clamp(0, 1) * (LEVELS - 1)).round().long().unbind(-1)
-        rows = (red * LEVELS + green) * LEVELS + blue
-        return (self.table[rows] - colors) * self.shares[rows, None]
+        levels = (colors.clamp(0, 1) * (LEVELS - 1)).round()
+        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long()
+        return (self.table[rows] - colors) * self.shares[rows][..., None]
 
-    def distance(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:
-        """The mean square of the ways back, as far as gradients are concerned."""
-        back = self.way_back(colors)
-        there = colors.detach() + back
-        return ((colors - there) * (back != 0)).square().sum(dim=1).mean()
+    def distance(
+        self, image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]
+    ) -> Float[Tensor, ""]:
+        """The mean square of the ways back of some pixels, which gradients shorten."""
+        back = self.way_back(image) * mask[..., None]
+        there = torch.where(back != 0, image.detach() + back, image)
+        return (image - there).square().sum() / mask.sum()
 
 
 @torch.no_grad()
@@ -87,7 +89,7 @@ def _wanted(splats: Splats, picked: Tensor, views: Sequence[ObjectView], near: N
     sh0 = splats.sh0.detach().requires_grad_()
     with torch.enable_grad():
         for view in views:
-            colors = view.render(replace(splats, sh0=sh0))[view.pixels]
-            (colors * near.way_back(colors)).sum().backward()
+            image = view.render(replace(splats, sh0=sh0))
+            (image * near.way_back(image) * view.pixels[..., None]).sum().backward()
     assert sh0.grad is not None
     return sh0.grad[picked, 0] / SH_C0

@@ -61,7 +61,7 @@ class Objective:
             variation = total_variation(image, view.pixels)
             total = total + self.config.smoothness * variation
         if self.near is not None:
-            total = total + PULL * self.near.distance(image[view.pixels])
+            total = total + PULL * self.near.distance(image, view.pixels)
         return Losses(style, total)
 
     def _features(self, view: ObjectView, image: Tensor) -> list[Tensor]:

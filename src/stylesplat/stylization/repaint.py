@@ -100,7 +100,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     split = _split(studio, job, boxes, length=stages[-1][0])
     studio = replace(studio, splats=split.splats)
     job = replace(job, picked=job.picked[split.parents])
-    current, done, views = split.splats, 0, []
+    current, done, views, near = split.splats, 0, [], None
     for length, steps in stages:
         views.clear()  # before there are others: they take much memory
         views += object_views(studio, job, boxes, length, max_memory=studio.max_memory)
@@ -108,7 +108,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
         if done == 0:
             current = _undercoat(studio, job, views, palette)
-        near = None if job.config.color == "free" else near_palette(palette)
+            near = None if job.config.color == "free" else near_palette(palette)
         objective = replace(_objective(studio, job, pictures, length), near=near)
         for step in optimize_colors(current, job.picked, views, objective, steps):
             done, current = done + 1, step.splats
