@@ -14,6 +14,7 @@ scene is the `scene` folder that `stylesplat demo -o DEMO` makes. The page, with
 size, is `benchmarks/out/looks/index.html`.
 """
 
+import math
 import time
 from base64 import b64encode
 from collections.abc import Mapping
@@ -109,7 +110,7 @@ def main(options: Options) -> None:
             start = time.perf_counter()
             pictures, numbers = compared(folder, painting, options)
             heads = ("", *next(iter(numbers.values())))
-            rows = [(what, *(f"{v:.3g}" for v in row.values())) for what, row in numbers.items()]
+            rows = [(what, *map(digits, row.values())) for what, row in numbers.items()]
             title = f"{name}, {painting.stem}: {time.perf_counter() - start:.0f} s"
             print(f"\n{title}\n\n{table(heads, rows)}", flush=True)
             parts += [
@@ -229,11 +230,16 @@ def in_space(case: Case, splats: Splats | None) -> dict[str, float]:
     """Whether views agree, and what changed around; of a single picture that cannot be said."""
     names = {"short_range_rmse": "near", "long_range_rmse": "far", "rim_error": "rim"}
     if splats is None:
-        return dict.fromkeys(names.values(), float("nan"))
+        return dict.fromkeys(names.values(), math.nan)
     base, views = case.studio.splats, case.studio.cameras
     found = view_consistency(base, splats, views, case.job.picked)
     found |= changes(base, splats, views[evenly(range(len(views)), 4)], case.job.picked)
-    return {short: found.get(name, float("nan")) for name, short in names.items()}
+    return {short: found.get(name, math.nan) for name, short in names.items()}
+
+
+def digits(value: float) -> str:
+    """What is not known is left empty."""
+    return "" if math.isnan(value) else f"{value:.3g}"
 
 
 def figures(images: tuple[Tensor, ...]) -> str:

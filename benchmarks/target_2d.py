@@ -17,7 +17,7 @@ from stylesplat.stylization.features.network import Cells
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
 
-RATE, LAST_RATE = 0.05, 0.1  # of Adam on colours in 0..1; the last one as a share of the first
+RATE, LAST_RATE = 0.02, 0.1  # of Adam on colours in 0..1; the last one as a share of the first
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def target_2d(
 ) -> Float[Tensor, "H W 3"]:
     """The view with the object's pixels as free as can be.
 
-    They start from the palette's mean and covariance, as splats do. Every step adds the losses at
-    all sizes. What the object covers in part is blended with what is there.
+    They start from the palette's mean and covariance, and end there, as splats do. Every step adds
+    the losses at all sizes. What the object covers in part is blended with what is there.
 
     Args:
         sight: The view.
@@ -71,8 +71,7 @@ def target_2d(
         objectives: Sizes, as shares of the photo's, and the loss there.
         steps: Of Adam.
     """
-    matrix, offset = color_map(sight.before[sight.share[..., 0] > COVERED], palette)
-    leaf = (sight.before @ matrix.T + offset).clamp(0, 1).requires_grad_()
+    leaf = _matched(sight, sight.before, palette).requires_grad_()
     optimizer = torch.optim.Adam([leaf], lr=RATE)
     scheduler = torch.optim.lr_scheduler.ExponentialLR(optimizer, LAST_RATE ** (1 / steps))
     for _ in track(range(steps), "painting the pixels"):
@@ -86,7 +85,13 @@ def target_2d(
         optimizer.step()
         scheduler.step()
         leaf.data.clamp_(0, 1)
-    return sight.before.lerp(leaf.detach(), sight.share)
+    return sight.before.lerp(_matched(sight, leaf.detach(), palette), sight.share)
+
+
+def _matched(sight: Sight, image: Tensor, palette: Tensor) -> Tensor:
+    """A picture with the palette's mean and covariance where the object is."""
+    matrix, offset = color_map(image[sight.share[..., 0] > COVERED], palette)
+    return (image @ matrix.T + offset).clamp(0, 1)
 
 
 def _cells(objective: Objective) -> list[Cells]:

@@ -11,9 +11,9 @@ from stylesplat.evaluation.palette import TOLERANCE, object_pixels, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.near_palette import NEAR, near_palette, settle
+from stylesplat.stylization.near_palette import DARKEST, NEAR, near_palette, settle
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
-from stylesplat.stylization.optimize import DARKEST, _keep_in_range
+from stylesplat.stylization.optimize import _keep_in_range
 from stylesplat.stylization.paint_objects import paint
 
 GREY = torch.linspace(0, 1, 2000)[:, None].expand(2000, 3)
@@ -46,6 +46,7 @@ def test_the_distance_pulls_only_what_is_far():
     near, mask = near_palette(GREY), torch.tensor([[True, True, False]])
     distance = near.distance(image, mask)
     distance.backward()
+    assert image.grad is not None
     far, grey, others = image.grad[0]
     assert far[0] > 0 > far[1] and (grey == 0).all() and (others == 0).all()
     expected = near.way_back(image[0, :1]).square().sum() / 2

@@ -16,8 +16,9 @@ PIXELS = 2**14  # of a painting that stand for all; what is rarer need not be ai
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
 NEAR = 6.0  # of Lab: as near is near enough
 LEVELS = 24  # of red, green and blue, for which the nearest colour is looked up once
-ROUNDS = 3  # of `settle`; further ones hardly change anything
+ROUNDS = 4  # of `settle`; further ones hardly change anything
 STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would not settle
+DARKEST = 1e-4  # of 1: above the roundings of `Contributions.with_fixed_bands`, far below a level
 FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
 
 
@@ -75,13 +76,20 @@ def settle(
     views = [view.with_fixed_bands(splats) for view in views]
     weights = torch.stack([view.weights(splats, picked) for view in views]).sum(dim=0)[picked]
     weights = weights + FAINT * weights[weights > 0].median()
+    colors = splats.sh0[picked, 0] * SH_C0 + 0.5
+    brightest = colors.clamp(min=1)  # what shows in part needs colours beyond white
     for _ in range(ROUNDS):
+        # below black nothing shows, and nothing can be asked for
+        splats = _with_colors(splats, picked, colors.clamp(min=DARKEST))
         wanted = _wanted(splats, picked, views, near) / weights[:, None]
-        sh0 = splats.sh0.clone()
-        moved = sh0[picked, 0] * SH_C0 + 0.5 + STRIDE * wanted
-        sh0[picked, 0] = (moved.clamp(0, 1) - 0.5) / SH_C0
-        splats = replace(splats, sh0=sh0)
-    return splats
+        colors = (colors.clamp(min=DARKEST) + STRIDE * wanted).minimum(brightest)
+    return _with_colors(splats, picked, colors.clamp(min=0))
+
+
+def _with_colors(splats: Splats, picked: Tensor, colors: Tensor) -> Splats:
+    sh0 = splats.sh0.clone()
+    sh0[picked, 0] = (colors - 0.5) / SH_C0
+    return replace(splats, sh0=sh0)
 
 
 def _wanted(splats: Splats, picked: Tensor, views: Sequence[ObjectView], near: NearPalette):

@@ -10,13 +10,12 @@ from torch.optim.lr_scheduler import ExponentialLR
 
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
-
-DARKEST = 1e-4  # of 1: above the roundings of `Contributions.with_fixed_bands`, far below a level
 
 
 @dataclass(frozen=True)
