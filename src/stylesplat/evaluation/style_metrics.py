@@ -12,6 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.evaluation.measure import changes, object_nnfm
 from stylesplat.evaluation.own_distance import own_nnfm, share_of_way
+from stylesplat.evaluation.palette import object_pixels, off_palette, palette_distance
 from stylesplat.evaluation.statistics import content_ssim, object_statistics_distance
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
@@ -92,7 +93,8 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
     Returns:
         `nnfm_before`, `nnfm_after`, `statistics_before` and `statistics_after` (see
         `style_statistics_distance`); where they can be told, `nnfm_of_style` (see `own_nnfm`) and
-        `share_of_way` between what it was and that.
+        `share_of_way` between what it was and that; where the colours are to be the style's, the
+        share `off_palette` that is not, and `palette_distance`.
     """
     layers, boxes = job.config.layers, see_object(studio, job, studio.cameras)
     views, targets = _object_in_styles(studio, job, boxes, layers)
@@ -101,7 +103,7 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
         "nnfm_before": object_nnfm(studio.splats, *rest),
         "nnfm_after": object_nnfm(styled, *rest),
     }
-    numbers |= _way(numbers, studio, job)
+    numbers |= _way(numbers, studio, job) | _colors(views, job, styled)
     layers = STATISTICS[: studio.network.depth]
     views, targets = _object_in_styles(studio, job, boxes, layers)
     rest = (views, targets, studio.network, layers)
@@ -119,6 +121,18 @@ def _way(nnfm: Mapping[str, float], studio: Studio, job: StyleJob) -> dict[str, 
         return {}
     share = share_of_way(nnfm["nnfm_before"], nnfm["nnfm_after"], own)
     return {"nnfm_of_style": own} | ({} if share is None else {"share_of_way": share})
+
+
+def _colors(views: Sequence[ObjectView], job: StyleJob, styled: Splats) -> dict[str, float]:
+    """Whether the object's colours are the style's, if they are to be."""
+    if job.config.color != "style":
+        return {}
+    colors = object_pixels(styled, views)
+    style = torch.cat([picture.reshape(-1, 3) for picture in job.styles])
+    return {
+        "off_palette": off_palette(colors, style),
+        "palette_distance": palette_distance(colors, style),
+    }
 
 
 @torch.no_grad()

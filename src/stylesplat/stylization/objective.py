@@ -10,9 +10,12 @@ from torch import Tensor
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex
+from stylesplat.stylization.near_palette import NearPalette
 from stylesplat.stylization.nnfm import cosine_distance
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.style_config import StyleConfig
+
+PULL = 10.0  # weight of the squared way back to the painting's colours; more costs style
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class Losses:
     style: Float[Tensor, ""]
     """NNFM over the object's own features, averaged over the layer groups."""
     total: Float[Tensor, ""]
-    """With the weighted content and total variation."""
+    """With the weighted content, total variation and distance from the palette."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class Objective:
     """What `content` compares with."""
     config: StyleConfig
     """The layers and weights."""
+    near: NearPalette | None = None
+    """The colours to stay near to; None leaves them free."""
     wanted: dict[str, list[Tensor]] = field(default_factory=dict)
     """The original's features by camera looked from so far, for `content`."""
 
@@ -55,6 +60,8 @@ class Objective:
         if self.config.smoothness > 0:
             variation = total_variation(image, view.pixels)
             total = total + self.config.smoothness * variation
+        if self.near is not None:
+            total = total + PULL * self.near.distance(image, view.pixels)
         return Losses(style, total)
 
     def _features(self, view: ObjectView, image: Tensor) -> list[Tensor]:

@@ -10,6 +10,7 @@ from torch.optim.lr_scheduler import ExponentialLR
 
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
 
@@ -101,7 +102,7 @@ def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splat
 @torch.no_grad()
 def _keep_in_range(sh0: Tensor) -> None:
     """Colours that the rasteriser clamps at 0 would have no gradient to come back by."""
-    black, white = sh0_from_rgb(torch.tensor([[0.0], [1.0]]).expand(2, 3)).to(sh0)
+    black, white = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(sh0)
     sh0.clamp_(black, white)
 
 

@@ -15,6 +15,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import color_map, object_colors, transfer_colors, vary_colors
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
+from stylesplat.stylization.near_palette import near_palette, settle
 from stylesplat.stylization.object_views import (
     Box,
     ObjectView,
@@ -101,7 +102,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     split = _split(studio, job, boxes, length=stages[-1][0])
     studio = replace(studio, splats=split.splats)
     job = replace(job, picked=job.picked[split.parents])
-    current, done, views = split.splats, 0, []
+    current, done, views, near = split.splats, 0, [], None
     for length, steps in stages:
         views.clear()  # before there are others: they take much memory
         views += object_views(studio, job, boxes, length, max_memory=studio.max_memory)
@@ -109,11 +110,14 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
         if done == 0:
             current = _undercoat(studio, job, views, palette)
-        objective = _objective(studio, job, pictures, length)
+            near = None if job.config.color == "free" else near_palette(palette)
+        objective = replace(_objective(studio, job, pictures, length), near=near)
         for step in optimize_colors(current, job.picked, views, objective, steps):
             done, current = done + 1, step.splats
             if step.number == steps:
                 current = _match_palette(studio, job, current, views, palette)
+                if near is not None and done == job.config.steps:
+                    current = settle(current, job.picked, evenly(views, COLOR_VIEWS), near)
             yield Repainted(done, job.config.steps, step.nnfm, current, split.splats, split.parents)
 
 

@@ -138,7 +138,7 @@ def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
     """Say nothing of how close objects come that were measured at another intensity."""
     for each in recipe.objects:
         if not each.gone and _final(each) != each.style.config.intensity:
-            for name in ("nnfm_of_style", "share_of_way"):
+            for name in ("nnfm_of_style", "share_of_way", "off_palette", "palette_distance"):
                 measured.get(name, {}).pop(each.name, None)
 
 
