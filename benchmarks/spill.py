@@ -110,8 +110,10 @@ def rows(
     for way, splats in zip(("hard", "soft"), pair, strict=True):
         numbers = []
         for view in views:
-            images = (rasterize(s, view.camera)[0][0].clamp(0, 1) for s in (scene.splats, splats))
-            numbers.append(measure(*images, view, reach))
+            before, after = (
+                rasterize(s, view.camera)[0][0].clamp(0, 1) for s in (scene.splats, splats)
+            )
+            numbers.append(measure(before, after, view, reach))
         columns = list(zip(*numbers, strict=True))
         shares = [f"{100 * mean(c):.2f} ({100 * max(c):.2f})" for c in columns[:2]]
         rims = [f"{mean(c):.2f} ({max(c):.2f})" for c in columns[2:]] or ["", ""]

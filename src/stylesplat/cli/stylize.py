@@ -138,7 +138,9 @@ class Stylize:
         from stylesplat.stylization.style import Recipe, Style, StyledObject
         from stylesplat.stylization.style_config import PRESETS
 
-        settings = given(self, SETTINGS) | ({"hard": True} if self.hard else {})
+        settings = given(self, SETTINGS)
+        if self.hard:
+            settings["hard"] = True
         if self.recipe is None:
             styles = [parse_style(text) for text in self.style]
             if not styles:

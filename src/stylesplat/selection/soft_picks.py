@@ -134,5 +134,5 @@ def _of_neighbours(
     if count == 0 or len(points) == 0:
         return points.new_zeros(len(points))
     tree = KDTree(others.double().numpy())
-    _, rows = tree.query(points.double().numpy(), k=[*range(1, count + 1)])
-    return values[torch.from_numpy(rows)].median(dim=1).values
+    _, rows = tree.query(points.double().numpy(), k=count)
+    return values[torch.from_numpy(rows).view(-1, count)].median(dim=1).values
