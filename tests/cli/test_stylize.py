@@ -30,6 +30,7 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
         f"green={style}",
         "--steps",
         3,
+        "--hard",
         *QUICK,
     )
     assert (scene / "selections").exists() and not (out / "selections").exists(), "left behind"
@@ -51,4 +52,5 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
     assert torch.equal(styled.painted.before.sh0[: len(before)], before.sh0)
     recipe = json.loads((out / "recipe.json").read_text())
     assert len(recipe["objects"][0]["sha256"]) == 64
+    assert recipe["settings"]["hard"] is True
     assert styled.metrics["train"] == {"psnr": 30.0}

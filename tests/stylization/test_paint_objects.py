@@ -17,6 +17,7 @@ from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.soft_picks import find_places, soft_shares
 from stylesplat.stylization import paint_objects as loop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import (
@@ -55,7 +56,7 @@ def job(stripes: torch.Tensor) -> StyleJob:
 
 @pytest.mark.parametrize("mode", ["drop", "keep", "train"])
 def test_only_colors_of_the_picked_change(job: StyleJob, network: FeatureNetwork, mode: str):
-    job = with_settings(job, view_dependence=mode, color="free")
+    job = with_settings(job, view_dependence=mode, color="free", hard=True)
     styled = painted([job], network)
     splats = styled.splats
     assert changed(splats) == ({"sh0"} if mode == "keep" else {"sh0", "shN"})
@@ -287,3 +288,45 @@ def test_a_style_too_small_for_the_coarse_stage_is_painted_at_the_last_size(
     assert (last.step, last.steps) == (4, 4)
     styled = painted([small], network)
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
+
+
+def test_soft_picks_leave_what_is_not_the_object(job: StyleJob, network: FeatureNetwork):
+    """A picked Gaussian that hangs beside the ball, large and faint, keeps every bit; so with
+    splitting, and all others of the pick take on no more than the hard way gives them."""
+    means, scales, opacities = (t.clone() for t in (SCENE.means, SCENE.scales, SCENE.opacities))
+    means[0] += torch.tensor([0.0, 0.0, 0.5])
+    scales[0], opacities[0] = math.log(0.5), -2.0
+    scene = replace(SCENE, means=means, scales=scales, opacities=opacities)
+    hazy = replace(job, picked=job.picked.index_fill(0, torch.tensor([0]), True))
+    studio = open_studio(scene, CAMERAS, network)
+    first = torch.tensor([0])
+    for growth in (1.0, GROWN):
+        (soft, _), (hard, _) = (
+            paint_objects(studio, [with_settings(hazy, hard=hard, max_growth=growth)])
+            for hard in (False, True)
+        )
+        assert same(soft.splats[first], scene[first])
+        assert not torch.equal(hard.splats.sh0[:1], scene.sh0[:1])
+        rest = (~hazy.picked).nonzero()[:, 0]
+        assert same(soft.splats[rest], scene[rest])
+
+
+def test_colors_are_shares_of_the_paint(job: StyleJob, network: FeatureNetwork):
+    """With steps of no length and colours that are only mapped, shares tell soft from hard."""
+    settings = {"steps": 1, "lr": 1e-9, "color": "free", "view_dependence": "drop"}
+    soft, hard = (styled_by(job, network, hard=hard, **settings) for hard in (False, True))
+    assert not hard.shN[job.picked].any()
+    shares = soft_shares(SCENE, job.picked, find_places(SCENE, job.picked, CAMERAS))
+    left = SCENE.shN * (1 - shares[:, None, None])
+    torch.testing.assert_close(soft.shN, left, atol=1e-6, rtol=0)
+    assert ((shares > 0) & (shares < 1)).any()
+
+
+def test_a_pick_that_covers_nothing_by_half_has_no_object(job: StyleJob, network: FeatureNetwork):
+    """Half-covered pixels are there, but no Gaussian paints most of what it does in them."""
+    faint = torch.where(job.picked, -4.4, SCENE.opacities)
+    scales = torch.where(job.picked[:, None], math.log(0.5), SCENE.scales)
+    scene = replace(SCENE, opacities=faint, scales=scales, identities=None, classifier=None)
+    studio = open_studio(scene, CAMERAS, network)
+    with pytest.raises(StyleSplatError, match=r"ball: most of what each.*--hard"):
+        paint_objects(studio, [job])

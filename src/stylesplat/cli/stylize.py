@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, painted_commands
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
@@ -83,6 +83,8 @@ class Stylize:
     """Whether highlights and reflections stay, are painted over (default), or are trained too."""
     max_growth: float | None = None
     """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none."""
+    hard: FlagCreatePairsOff[bool] = False
+    """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     max_memory: float = 1.5
     """GiB for prepared views; what does not fit takes longer."""
     seed: int | None = None
@@ -137,6 +139,8 @@ class Stylize:
         from stylesplat.stylization.style_config import PRESETS
 
         settings = given(self, SETTINGS)
+        if self.hard:
+            settings["hard"] = True
         if self.recipe is None:
             styles = [parse_style(text) for text in self.style]
             if not styles:

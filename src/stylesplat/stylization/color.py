@@ -126,3 +126,16 @@ def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float)
         sh0=torch.where(mask, torch.lerp(base.sh0, styled.sh0, intensity), base.sh0),
         shN=torch.where(mask, torch.lerp(base.shN, styled.shN, intensity), base.shN),
     )
+
+
+def softened(base: Splats, paint: Splats, shares: Float[Tensor, " N"]) -> Splats:
+    """What shows where Gaussians take on shares of their paint.
+
+    Where the share is 0 it is the base to the bit, where it is 1 the paint.
+    """
+    weights = shares[:, None, None]
+    return replace(
+        paint,
+        sh0=torch.lerp(base.sh0, paint.sh0, weights),
+        shN=torch.lerp(base.shN, paint.shN, weights),
+    )

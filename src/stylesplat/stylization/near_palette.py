@@ -59,9 +59,9 @@ def near_palette(style: Float[Tensor, "Q 3"]) -> NearPalette:
 
 
 def settle(
-    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView], near: NearPalette
+    splats: Splats, shares: Float[Tensor, " N"], views: Sequence[ObjectView], near: NearPalette
 ) -> Splats:
-    """Move the colours of picked Gaussians until an object's pixels are near a painting's.
+    """Move the colours of an object's Gaussians until an object's pixels are near a painting's.
 
     Each round sends every pixel's way back to the Gaussians that it shows, by their weights there,
     and averages (simultaneous algebraic reconstruction, Gilbert 1972). Pixels that are near ask
@@ -69,20 +69,22 @@ def settle(
 
     Args:
         splats: The scene.
-        picked: The object's Gaussians.
+        shares: How much of each Gaussian is the object's; it moves that much of the way.
         views: Where to look at the object.
         near: The painting's colours.
     """
+    picked = shares > 0
     views = [view.with_fixed_bands(splats) for view in views]
     weights = torch.stack([view.weights(splats, picked) for view in views]).sum(dim=0)[picked]
     weights = weights + FAINT * weights[weights > 0].median()
     colors = splats.sh0[picked, 0] * SH_C0 + 0.5
+    strides = STRIDE * shares[picked, None]
     brightest = colors.clamp(min=1)  # what shows in part needs colours beyond white
     for _ in range(ROUNDS):
         # below black nothing shows, and nothing can be asked for
         splats = _with_colors(splats, picked, colors.clamp(min=DARKEST))
         wanted = _wanted(splats, picked, views, near) / weights[:, None]
-        colors = (colors.clamp(min=DARKEST) + STRIDE * wanted).minimum(brightest)
+        colors = (colors.clamp(min=DARKEST) + strides * wanted).minimum(brightest)
     return _with_colors(splats, picked, colors.clamp(min=0))
 
 

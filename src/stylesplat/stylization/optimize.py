@@ -10,6 +10,7 @@ from torch.optim.lr_scheduler import ExponentialLR
 
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.color import softened
 from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
@@ -28,6 +29,8 @@ class Step:
     """The loss before the step, in the view that was drawn."""
     splats: Splats
     """After the step."""
+    paint: Splats
+    """The same with each Gaussian's paint in full, whatever its share: what to go on from."""
 
 
 def optimize_colors(
@@ -36,15 +39,18 @@ def optimize_colors(
     views: Sequence[ObjectView],
     objective: Objective,
     steps: int,
+    shares: Float[Tensor, " N"] | None = None,
 ) -> Iterator[Step]:
     """Move the colours of picked Gaussians until the object's features match the style's.
 
     Args:
-        splats: The scene, without gradients.
+        splats: The scene, without gradients, its object in paint.
         picked: The object's Gaussians.
         views: Of the object; one is drawn per step.
         objective: What to minimise; its settings are the rates and the seed.
         steps: How many to take.
+        shares: How much of its paint each Gaussian takes on, all of it by default; the rest is the
+            objective's original.
 
     Yields:
         Every step; whoever stops asking keeps the last one's splats.
@@ -62,13 +68,15 @@ def optimize_colors(
         eps=1e-15,  # as in 3D Gaussian splatting: gradients of single Gaussians are tiny
     )
     scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
+    shares = picked.to(splats.means) if shares is None else shares
+    base, shown = objective.original, softened(objective.original, splats, shares)
     if "shN" not in leaves:
-        views = [view.with_fixed_bands(splats) for view in views]
+        views = [view.with_fixed_bands(shown) for view in views]
     trust = _trust(splats, picked, views)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
         optimizer.zero_grad()
         with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(view, _with_rows(splats, leaves, rows))
+            losses = objective(view, _with_rows(shown, _softened(leaves, base, shares, rows), rows))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         optimizer.step()
@@ -77,7 +85,9 @@ def optimize_colors(
             for name, leaf in leaves.items():
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
         _keep_in_range(leaves["sh0"])
-        yield Step(number, losses.style.item(), _with_rows(splats, leaves, rows).detach())
+        after = _with_rows(shown, _softened(leaves, base, shares, rows), rows).detach()
+        paint = _with_rows(splats, leaves, rows).detach()
+        yield Step(number, losses.style.item(), after, paint)
 
 
 def _trust(
@@ -90,6 +100,14 @@ def _trust(
     weights = weights[picked]
     typical = weights[weights > 0].median()
     return (weights / (weights + TRUSTED * typical))[:, None, None]
+
+
+def _softened(
+    leaves: dict[str, Tensor], base: Splats, shares: Tensor, rows: Tensor
+) -> dict[str, Tensor]:
+    """As `softened`, of some rows."""
+    part = shares[rows, None, None]
+    return {n: torch.lerp(getattr(base, n)[rows], leaf, part) for n, leaf in leaves.items()}
 
 
 def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splats:

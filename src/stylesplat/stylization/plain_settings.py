@@ -17,6 +17,7 @@ WORDS = {
     int: "a whole number",
     float: "a number",
     str: "text",
+    bool: "true or false",
     NoneType: "null",
     dict: "KEY: VALUE",
     list: "a list",

@@ -12,7 +12,14 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import color_map, object_colors, transfer_colors, vary_colors
+from stylesplat.selection.soft_picks import Place, find_places, soft_shares
+from stylesplat.stylization.color import (
+    color_map,
+    object_colors,
+    softened,
+    transfer_colors,
+    vary_colors,
+)
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import near_palette, settle
@@ -94,14 +101,19 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         goes on.
 
     Raises:
-        StyleSplatError: If the object is not seen, or a style image is too small.
+        StyleSplatError: If the object is not seen or nothing is its own, or a style image is too
+            small.
     """
+    hard = job.config.hard
+    places = [] if hard else find_places(studio.splats, job.picked, studio.cameras)
+    job, _ = _soft(studio, job, places)
     boxes = see_object(studio, job, studio.cameras)
     boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
     stages = _stages(studio, job, typical_length(boxes))
     split = _split(studio, job, boxes, length=stages[-1][0])
     studio = replace(studio, splats=split.splats)
     job = replace(job, picked=job.picked[split.parents])
+    job, shares = _soft(studio, job, places)
     current, done, views, near = split.splats, 0, [], None
     for length, steps in stages:
         views.clear()  # before there are others: they take much memory
@@ -112,13 +124,39 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             current = _undercoat(studio, job, views, palette)
             near = None if job.config.color == "free" else near_palette(palette)
         objective = replace(_objective(studio, job, pictures, length), near=near)
-        for step in optimize_colors(current, job.picked, views, objective, steps):
-            done, current = done + 1, step.splats
+        for step in optimize_colors(current, job.picked, views, objective, steps, shares):
+            done, current, shown = done + 1, step.paint, step.splats
             if step.number == steps:
                 current = _match_palette(studio, job, current, views, palette)
+                shown = softened(split.splats, current, shares)
                 if near is not None and done == job.config.steps:
-                    current = settle(current, job.picked, evenly(views, COLOR_VIEWS), near)
-            yield Repainted(done, job.config.steps, step.nnfm, current, split.splats, split.parents)
+                    shown = settle(shown, shares, evenly(views, COLOR_VIEWS), near)
+            yield Repainted(done, job.config.steps, step.nnfm, shown, split.splats, split.parents)
+
+
+def _soft(
+    studio: Studio, job: StyleJob, places: Sequence[Place]
+) -> tuple[StyleJob, Float[Tensor, " N"]]:
+    """The job without Gaussians that are not its object's, and how much of each is.
+
+    Args:
+        studio: The scene, perhaps with Gaussians split.
+        job: The object.
+        places: Where it is in some views.
+
+    Raises:
+        StyleSplatError: If nothing is left.
+    """
+    if job.config.hard:
+        return job, job.picked.to(studio.splats.means)
+    shares = soft_shares(studio.splats, job.picked, places)
+    if (shares > 0).any():
+        return replace(job, picked=shares > 0), shares
+    see_object(studio, job, studio.cameras)  # else that is why
+    raise StyleSplatError(
+        f"Cannot stylise {job.name}: most of what each of its Gaussians paints lies where they "
+        "cover less than half. Pick more of the object, or pass --hard (hard=True)."
+    )
 
 
 def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:

@@ -59,6 +59,8 @@ class StyleConfig:
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
+    hard: bool = False
+    """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
     object_size: int | None = None
@@ -123,6 +125,7 @@ PRESETS = {
         color="free",
         view_dependence="train",
         max_growth=1.0,
+        hard=True,
         view_share=0.25,
         pattern="photo",
     ),
