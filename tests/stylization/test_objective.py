@@ -69,6 +69,17 @@ def test_content_compares_with_the_highlights_that_were_there(
         assert free.total > free.style + 1e-4
 
 
+def test_large_shapes_stay(objective: Objective, views: list[ObjectView]):
+    def change(sh0: torch.Tensor) -> float:
+        measure = replace(objective, shapes=SCENE)
+        losses = [measure(view, replace(SCENE, sh0=sh0)) for view in views]
+        return float(sum(loss.total - loss.style for loss in losses))
+
+    assert change(SCENE.sh0) == pytest.approx(0, abs=1e-6)
+    kept = optimised(replace(objective, shapes=SCENE), views)
+    assert change(kept) < 0.7 * change(optimised(objective, views))
+
+
 def test_smoothness_lowers_the_variation(objective: Objective, views: list[ObjectView]):
     def variation(sh0: torch.Tensor) -> float:
         styled = replace(SCENE, sh0=sh0)

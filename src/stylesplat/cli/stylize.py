@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe, StyledObject
 
 SETTINGS = (
+    "quality",
     "steps",
     "pattern",
     "layers",
@@ -55,8 +56,10 @@ class Stylize:
     here precede its own. A styled scene's recipe.json is one too."""
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper is the method as published (which used --features vgg16)."""
+    quality: Literal["draft", "normal", "high"] | None = None
+    """How fine, normal by default: draft is quick and soft, high takes a few minutes."""
     steps: int | None = None
-    """Optimiser steps per object, 300 by default."""
+    """Optimiser steps per object; by default as many as the quality needs."""
     features: Network | None = None
     """Network whose features are matched, by default compact, which ships with the package."""
     weights: Path | None = None
@@ -82,7 +85,7 @@ class Stylize:
     view_dependence: Literal["keep", "drop", "train"] | None = None
     """Whether highlights and reflections stay, are painted over (default), or are trained too."""
     max_growth: float | None = None
-    """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none."""
+    """Split Gaussians too large for strokes, up to 6 times as many by default; 1 splits none."""
     max_memory: float = 1.5
     """GiB for prepared views; what does not fit takes longer."""
     seed: int | None = None

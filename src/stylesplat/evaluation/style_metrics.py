@@ -17,7 +17,7 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import Box, ObjectView, find_boxes
+from stylesplat.stylization.object_views import Box, ObjectView, find_boxes, typical_length
 from stylesplat.stylization.paint_objects import moved
 from stylesplat.stylization.repaint import (
     Studio,
@@ -173,5 +173,6 @@ def _object_in_styles(
 ) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the object, and the features of the style image, for some layer groups."""
     config = replace(job.config, layers=tuple(layers))
-    views = object_views(studio, replace(job, config=config), boxes, LENGTH)
+    zoom = LENGTH / typical_length(boxes)
+    views = object_views(studio, replace(job, config=config), boxes, zoom)
     return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)

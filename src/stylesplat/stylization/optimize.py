@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.optim.lr_scheduler import ExponentialLR
 
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
+from stylesplat.training.adam import Moments, adam_step
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
@@ -53,28 +53,22 @@ def optimize_colors(
     rows = picked.nonzero()[:, 0]
     fields = ("sh0", "shN") if config.view_dependence == "train" else ("sh0",)
     leaves = {name: getattr(splats, name)[rows].requires_grad_() for name in fields}
-    optimizer = torch.optim.Adam(
-        [
-            {"params": [leaf], "lr": config.lr / (SHN_SLOWDOWN if name == "shN" else 1)}
-            for name, leaf in leaves.items()
-        ],
-        eps=1e-15,  # as in 3D Gaussian splatting: gradients of single Gaussians are tiny
-    )
-    scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
+    rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
+    moments = Moments.zeros(leaves)
     if "shN" not in leaves:
         views = [view.with_fixed_bands(splats) for view in views]
     trust = _trust(splats, picked, views)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
-        optimizer.zero_grad()
         with torch.enable_grad():  # a viewer may well have turned it off
             losses = objective(view, _with_rows(splats, leaves, rows))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
-        optimizer.step()
-        scheduler.step()
+        decayed = config.final_lr ** ((number - 1) / steps)
+        adam_step(leaves, moments, {name: rate * decayed for name, rate in rates.items()}, number)
         with torch.no_grad():
             for name, leaf in leaves.items():
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
+                leaf.grad = None
         _keep_in_range(leaves["sh0"])
         yield Step(number, losses.style.item(), _with_rows(splats, leaves, rows).detach())
 

@@ -191,7 +191,7 @@ def moved(job: StyleJob, splats: Splats) -> StyleJob:
 def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
     """All steps of one object, with a progress bar."""
     state = None
-    with task(job.name, job.config.steps) as bar:
+    with task(job.name, job.config.all_steps) as bar:
         for state in repaint(studio, job):
             bar.advance()
             if state.step % REPORT_EVERY == 0:

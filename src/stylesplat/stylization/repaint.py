@@ -21,15 +21,20 @@ from stylesplat.stylization.object_views import (
     cut_views,
     find_boxes,
     typical_length,
+    windows,
 )
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.split import Split, split_large
+from stylesplat.stylization.stages import Stage
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.target import check_size, fits, style_features
 
 COLOR_VIEWS = 8  # whose pixels tell an object's colours
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
+STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
+VISITS = 2  # of a view at least: cutting one takes as long as a step
+SPLIT_AT = 1  # the stage: Gaussians are fine enough for the one before
 SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
 
 
@@ -96,23 +101,63 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     boxes = see_object(studio, job, studio.cameras)
     boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
     stages = _stages(studio, job, typical_length(boxes))
-    split = _split(studio, job, boxes, length=stages[-1][0])
-    studio = replace(studio, splats=split.splats)
-    job = replace(job, picked=job.picked[split.parents])
-    current, done, views = split.splats, 0, []
-    for length, steps in stages:
+    seen = _seen(studio, job, boxes, stages[0])
+    pictures = _pictures(studio, job, seen)
+    palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
+    current = _undercoat(studio, job, seen, palette)
+    split = Split(studio.splats, torch.arange(len(studio.splats), device=studio.splats.device))
+    generator = torch.Generator().manual_seed(job.config.seed)
+    done, views = 0, []
+    for number, stage in enumerate(stages):
         views.clear()  # before there are others: they take much memory
-        views += object_views(studio, job, boxes, length, max_memory=studio.max_memory)
-        pictures = _pictures(studio, job, views)
-        palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
-        if done == 0:
-            current = _undercoat(studio, job, views, palette)
-        objective = _objective(studio, job, pictures, length)
-        for step in optimize_colors(current, job.picked, views, objective, steps):
+        if number == min(SPLIT_AT, len(stages) - 1):
+            split = _split(studio, job, boxes, length=stages[-1].lengths[-1])
+            current = _with_colors(split, current, job.picked)
+            studio = replace(studio, splats=split.splats)
+            job = replace(job, picked=job.picked[split.parents])
+            seen = _seen(studio, job, boxes, stages[0])
+        views += _stage_views(studio, job, boxes, stage, generator)
+        objective = _objective(studio, job, pictures, stage)
+        objective = replace(objective, shapes=current if stage.window else None)
+        for step in optimize_colors(current, job.picked, views, objective, stage.steps):
             done, current = done + 1, step.splats
-            if step.number == steps:
-                current = _match_palette(studio, job, current, views, palette)
-            yield Repainted(done, job.config.steps, step.nnfm, current, split.splats, split.parents)
+            if step.number == stage.steps:
+                current = _match_palette(studio, job, current, seen, palette)
+            planned = job.config.all_steps
+            yield Repainted(done, planned, step.nnfm, current, split.splats, split.parents)
+
+
+def _seen(studio: Studio, job: StyleJob, boxes: Sequence[Box], stage: Stage) -> list[ObjectView]:
+    """Small views that tell the object's colours."""
+    few, zoom = evenly(boxes, COLOR_VIEWS), stage.lengths[0] / typical_length(boxes)
+    return object_views(studio, job, few, zoom, max_memory=math.inf)
+
+
+def _with_colors(split: Split, current: Splats, picked: Bool[Tensor, " N"]) -> Splats:
+    """The children in the colours that their parents have so far."""
+    mask = picked[split.parents, None, None]
+    return replace(
+        split.splats,
+        sh0=torch.where(mask, current.sh0[split.parents], split.splats.sh0),
+        shN=torch.where(mask, current.shN[split.parents], split.splats.shN),
+    )
+
+
+def _stage_views(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], stage: Stage, generator: torch.Generator
+) -> list[ObjectView]:
+    """The object or parts of it, in each of the stage's sizes; few steps need few of them."""
+    views = []
+    for length in stage.lengths:
+        zoom = length / typical_length(boxes)
+        count = math.ceil(stage.steps / len(stage.lengths) / VISITS)
+        if stage.window is None:
+            shown = evenly(boxes, count)
+        else:
+            shown = windows(boxes, stage.window / zoom, count, generator)
+        room = studio.max_memory / len(stage.lengths)
+        views += object_views(studio, job, shown, zoom, max_memory=room)
+    return views
 
 
 def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:
@@ -131,9 +176,9 @@ def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:
 
 
 def object_views(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, *, max_memory: float = 0.0
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], zoom: float, *, max_memory: float = 0.0
 ) -> list[ObjectView]:
-    """Views of the object in which its longer side has some length.
+    """Views of the object, or of its parts, some times as large as in the cameras.
 
     Raises:
         StyleSplatError: If it is hardly visible in any.
@@ -144,7 +189,7 @@ def object_views(
         boxes,
         job.picked,
         cells,
-        zoom=length / typical_length(boxes),
+        zoom=zoom,
         max_memory=max_memory,
     )
     if not views:
@@ -173,8 +218,8 @@ def target_features(
     return [torch.cat(group) for group in zip(*features, strict=True)]
 
 
-def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[tuple[float, int]]:
-    """Lengths of the object and steps; all at the last length if a style is too small before.
+def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[Stage]:
+    """Sizes of the object and steps; all at the last size if a style is too small before.
 
     Raises:
         StyleSplatError: If a style image is too small for that, too.
@@ -183,9 +228,9 @@ def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[tuple[fl
     *_, last = stages = config.stages(photo_length)
     styles = (studio.network, config.layers)
     for picture in job.styles:
-        check_size(picture, *styles, length=config.scale * last[0])
-        if not all(fits(picture, *styles, length=config.scale * length) for length, _ in stages):
-            return [(last[0], config.steps)]
+        check_size(picture, *styles, length=config.scale * last.lengths[0])
+        if not all(fits(picture, *styles, length=config.scale * s.lengths[0]) for s in stages):
+            return [replace(last, steps=config.all_steps)]
     return stages
 
 
@@ -197,7 +242,8 @@ def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float
     studio = replace(studio, splats=studio.splats.to("cpu"))
     job = replace(job, picked=job.picked.cpu())
     few = evenly(boxes, SPLIT_VIEWS)
-    views = object_views(studio, job, few, length, max_memory=math.inf)
+    zoom = length / typical_length(boxes)
+    views = object_views(studio, job, few, zoom, max_memory=math.inf)
     cameras = studio.every_camera
     split = split_large(studio.splats, job.picked, views, cameras=cameras, max_growth=growth)
     return Split(split.splats.to(device), split.parents.to(device))
@@ -208,7 +254,7 @@ def _pictures(studio: Studio, job: StyleJob, views: Sequence[ObjectView]) -> lis
     share = KEPT[job.config.color]
     if share == 0:
         return list(job.styles)
-    own = object_colors(studio.splats, evenly(views, COLOR_VIEWS))
+    own = object_colors(studio.splats, views)
     matrix, offset = color_map(torch.cat([s.reshape(-1, 3) for s in job.styles]), own)
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in job.styles]
 
@@ -232,17 +278,24 @@ def _match_palette(
 ) -> Splats:
     if job.config.color == "free":
         return splats
-    seen = evenly(views, COLOR_VIEWS)
-    return transfer_colors(splats, job.picked, palette, seen)
+    return transfer_colors(splats, job.picked, palette, views)
 
 
 def _objective(
-    studio: Studio, job: StyleJob, pictures: Sequence[Tensor], length: float
+    studio: Studio, job: StyleJob, pictures: Sequence[Tensor], stage: Stage
 ) -> Objective:
-    features = target_features(studio, job.config, pictures, length)
+    features = target_features(studio, job.config, pictures, stage.lengths[0])
+    if stage.window is not None:
+        generator = torch.Generator().manual_seed(job.config.seed)
+        features = [_some(group, generator) for group in features]
     return Objective(
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
         original=studio.splats,
-        config=job.config,
+        config=replace(job.config, lr=stage.rate * job.config.lr),
     )
+
+
+def _some(group: Tensor, generator: torch.Generator) -> Tensor:
+    few = torch.randperm(len(group), generator=generator)[:STYLE_FEATURES]
+    return group[few.to(group.device)]

@@ -5,6 +5,7 @@ from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
+from stylesplat.stylization.stages import Quality, Stage, planned, usual_steps
 
 LAYERS = range(1, 5)  # groups that the networks share
 MOST_STEPS = 10**6  # a day on a CPU
@@ -18,21 +19,23 @@ Pattern = Literal["small", "medium", "large", "photo"]
 
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
-COARSE = 0.6  # of the final size: where the large shapes are found
-COARSE_SHARE = 0.75  # of the steps; they are cheap, and the fine ones only add strokes
 
 
 @dataclass(frozen=True)
 class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
-    steps: int = 300
-    """Optimiser steps per object, one view each."""
+    quality: Quality = "normal"
+    """How fine, and how many steps: draft ends where the strokes are found, normal and high go on
+    at the photos' size, which gives strokes their edges."""
+    steps: int | None = None
+    """Optimiser steps per object, one view each; None leaves it to quality."""
     layers: tuple[int, ...] = (3,)
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
     """Size of strokes and shapes: features are matched on renders of the object in which its
-    longer side has 224, 160 or 112 pixels, fewer at first; or as many as in the photos."""
+    longer side has 224, 160 or 112 pixels, fewer at first and more in the end; or, photo, all
+    of them on renders as large as the photos."""
     scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     rotate: float = 0.0
@@ -53,7 +56,7 @@ class StyleConfig:
     """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
     """What becomes of highlights and reflections: painted over, kept, or trained too."""
-    max_growth: float = 4.0
+    max_growth: float = 6.0
     """Gaussians too large for strokes are split, up to this many times as many; 1 splits none."""
     lr: float = 0.1
     """Adam's step for the constant colour band."""
@@ -62,7 +65,8 @@ class StyleConfig:
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
     object_size: int | None = None
-    """Longer side of the object when features are matched, in pixels; None leaves it to pattern."""
+    """Longer side of the object when features are matched, in pixels, at most; None leaves it to
+    pattern."""
     seed: int = 0
     """The same seed gives the same result."""
 
@@ -80,7 +84,7 @@ class StyleConfig:
                 raise StyleSplatError(
                     f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
                 )
-        if self.steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
+        if self.all_steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
             raise StyleSplatError(
                 f"Cannot stylise with steps {self.steps} and seed {self.seed}: use {MOST_STEPS:g} "
                 f"and {MAX_SEED:.0e} at most."
@@ -100,18 +104,26 @@ class StyleConfig:
                 "splitting) or more."
             )
 
-    def stages(self, photo_length: float) -> list[tuple[float, int]]:
-        """The object's longer side in pixels and the steps, coarse first.
+    @property
+    def all_steps(self) -> int:
+        """The steps, whoever chose them."""
+        return usual_steps(self.quality) if self.steps is None else self.steps
+
+    def stages(self, photo_length: float) -> list[Stage]:
+        """What is looked at in which size for how many steps, coarse first.
 
         Args:
-            photo_length: The longer side in the photos.
+            photo_length: The object's longer side in the photos, in pixels.
         """
         size = self.object_size or SIZES[self.pattern]
         if size is None:
-            return [(photo_length, self.steps)]
-        coarse = round(COARSE_SHARE * self.steps)
-        stages = [(COARSE * size, coarse), (float(size), self.steps - coarse)]
-        return [stage for stage in stages if stage[1] > 0]
+            return [Stage((photo_length,), self.all_steps)]
+        return planned(
+            self.quality,
+            pattern_length=float(size),
+            photo_length=float(self.object_size or photo_length),
+            steps=self.all_steps,
+        )
 
 
 PRESETS = {

@@ -171,7 +171,7 @@ def _painted(
     shown = unpainted(scene, run.passing).splats.to(studio.splats.device)
     measured = measure_painted(studio, staying, shown, held_out=held_out)
     return scene, {
-        "steps": sum(job.config.steps for job in staying),
+        "steps": sum(job.config.all_steps for job in staying),
         "precision": str(studio.precision).removeprefix("torch."),
         **flat_metrics(measured),
         "seconds_by_object": {job.name: seconds[job.name] for job in staying},
