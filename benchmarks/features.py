@@ -41,10 +41,11 @@ from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
 from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.object_views import ObjectView, typical_length
 from stylesplat.stylization.paint_objects import open_studio
 from stylesplat.stylization.repaint import StyleJob, object_views, repaint, see_object
-from stylesplat.stylization.style_config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.stylization.stages import COARSE
+from stylesplat.stylization.style_config import SIZES, Network, StyleConfig
 from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.target import resize, style_features
 

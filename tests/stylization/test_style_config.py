@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.stages import FINEST, Quality, Stage
+from stylesplat.stylization.stages import FINEST, PLANS, Quality, Stage
 from stylesplat.stylization.style_config import PRESETS, StyleConfig
 
 
@@ -52,12 +52,10 @@ def test_stages_use_up_the_steps_and_grow(quality: Quality, steps: int | None):
 
 
 def test_qualities_end_at_their_sizes():
-    ends = {
-        quality: StyleConfig(quality=quality).stages(500.0)[-1].lengths
-        for quality in ("draft", "normal", "high")
-    }
-    assert ends == {"draft": (160.0,), "normal": (250.0, 500.0), "high": (250.0, 500.0)}
-    steps = [StyleConfig(quality=quality).all_steps for quality in ends]
+    configs = [StyleConfig(quality=quality) for quality in PLANS]
+    ends = [config.stages(500.0)[-1].lengths for config in configs]
+    assert ends == [(160.0,), (250.0, 500.0), (250.0, 500.0)]
+    steps = [config.all_steps for config in configs]
     assert steps == sorted(steps)
 
 
