@@ -41,7 +41,7 @@ from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
 from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.object_views import ObjectView, typical_length
+from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.paint_objects import open_studio
 from stylesplat.stylization.repaint import StyleJob, object_views, repaint, see_object
 from stylesplat.stylization.stages import COARSE
