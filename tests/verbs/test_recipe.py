@@ -140,7 +140,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
     ("text", "message"),
     [
         (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
-        (OBJECTS + "zzz: 3", "there is no key 'zzz'. Use one of steps, "),
+        (OBJECTS + "zzz: 3", "there is no key 'zzz'. Use one of quality, "),
         (OBJECTS + "settings: {sed: 3}", "there is no key 'sed'. Did you mean 'seed'?"),
         (OBJECTS + "settings: {preset: paper}", "there is no key 'preset'. "),
         (OBJECTS + "style: wave.jpg", "there is no key 'style'. "),
