@@ -40,12 +40,15 @@ from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
+from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.matching import nearest
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.paint_objects import open_studio
-from stylesplat.stylization.repaint import StyleJob, object_views, repaint, see_object
-from stylesplat.stylization.style_config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.stylization.repaint import repaint
+from stylesplat.stylization.stages import COARSE
+from stylesplat.stylization.style_config import SIZES, Network, StyleConfig
 from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.target import resize, style_features
 
 FOX = 1  # label id

@@ -27,9 +27,9 @@ from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.nnfm import nnfm_loss
 from stylesplat.stylization.paint_objects import open_studio, paint_objects
-from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.target import style_features
 
 SCENES = {"fox": (1.0, 100_000), "desk": (2.0, 80_000)}  # downscale and Gaussians

@@ -42,14 +42,16 @@ from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
+from stylesplat.stylization.looking import object_views
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import near_palette
 from stylesplat.stylization.object_views import find_boxes, typical_length
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.paint_objects import open_studio, paint
-from stylesplat.stylization.repaint import Studio, StyleJob, object_views, target_features
+from stylesplat.stylization.repaint import target_features
 from stylesplat.stylization.style_config import PRESETS
 from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_job import Studio, StyleJob
 
 PAINTINGS = ("van_gogh_starry_night_1024", "kandinsky_composition_vii_1071")
 PAINTINGS += ("hassam_south_ledges_1070",)

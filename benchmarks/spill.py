@@ -33,9 +33,9 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.paint_objects import open_studio, paint_objects
-from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_job import StyleJob
 
 CHANGED = 0.05
 UNCHANGED = 0.02

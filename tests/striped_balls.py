@@ -6,8 +6,8 @@ import torch
 
 from balls import SPLATS
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_job import StyleJob
 
 FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, max_growth=1.0)
 BANDS = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=torch.Generator().manual_seed(0))

@@ -17,7 +17,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization import paint_objects as painting
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects
-from stylesplat.stylization.repaint import StyleJob
+from stylesplat.stylization.style_job import StyleJob
 
 
 def measured(

@@ -8,7 +8,7 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.projection import crop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
+from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length, windows
 
 TABLE = 200  # Gaussians before the balls' 80 each
 
@@ -92,3 +92,24 @@ def test_views_that_hardly_show_the_object_are_skipped(network: FeatureNetwork):
     boxes = find_boxes(SPLATS, CAMERAS, ball(0))
     cells = [network.cells(2)]
     assert cut_views(SPLATS, boxes, ball(0), cells, zoom=0.2) == []
+
+
+def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwork):
+    boxes = find_boxes(SPLATS, CAMERAS[:3], ball(0))
+    side = min(box.length for box in boxes) / 2
+    parts = windows(boxes, side, 7, torch.Generator().manual_seed(0))
+    names = [part.camera.names[0] for part in parts]
+    assert sorted(names.count(box.camera.names[0]) for box in boxes) == [2, 2, 3]
+    for part in parts:
+        (box,) = (box for box in boxes if box.camera.names == part.camera.names)
+        assert (part.low >= box.low).all() and (part.high <= box.high).all()
+        assert part.length <= side
+    (view, *_) = cut_views(SPLATS, parts, ball(0), [network.cells(1)], zoom=4.0)
+    inside = (view.cells[0].sum(dim=1) > 0).sum()
+    assert 0 < inside <= 4 * side + 2, "features of the margin are not the part's"
+
+
+def test_windows_of_small_boxes_are_the_boxes():
+    boxes = find_boxes(SPLATS, CAMERAS[:1], ball(0))
+    (part,) = windows(boxes, 1000.0, 1, torch.Generator().manual_seed(0))
+    assert torch.equal(part.low, boxes[0].low) and torch.equal(part.high, boxes[0].high)

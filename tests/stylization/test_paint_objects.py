@@ -27,7 +27,7 @@ from stylesplat.stylization.paint_objects import (
     paint_live,
     paint_objects,
 )
-from stylesplat.stylization.repaint import StyleJob
+from stylesplat.stylization.style_job import StyleJob
 
 
 def changed(styled: Splats) -> set[str]:
@@ -89,6 +89,18 @@ def test_colors_start_where_they_were(job: StyleJob, network: FeatureNetwork):
     torch.testing.assert_close(styled.shN, SCENE.shN, atol=1e-5, rtol=0)
 
 
+def test_the_own_pattern_is_gone_before_the_first_step(job: StyleJob, network: FeatureNetwork):
+    settings = {"steps": 2, "lr": 1e-6, "view_dependence": "train", "color": "free"}
+    plain = [
+        styled_by(job, network, texture=texture, **settings)
+        for texture in ("replace", 1.0, "soften")
+    ]
+    assert same(plain[0], plain[1])
+    before = SCENE.shN[job.picked].std()  # the constant bands of a ball are all the same
+    replaced, softened = (plain[number].shN[job.picked].std() for number in (0, 2))
+    assert replaced < softened < before
+
+
 def test_colors_stay_in_range_where_gradients_exist(job: StyleJob, network: FeatureNetwork):
     styled = styled_by(job, network, lr=2.0, final_lr=1.0, color="free")
     colors = rgb_from_sh0(styled.sh0[job.picked])
@@ -98,7 +110,7 @@ def test_colors_stay_in_range_where_gradients_exist(job: StyleJob, network: Feat
 
 def test_the_rate_decays(job: StyleJob, network: FeatureNetwork):
     """With Adam's steps of about one rate each, the sum of the rates bounds the way."""
-    styled = styled_by(job, network, lr=0.1, final_lr=1e-6, color="free", steps=4)
+    styled = styled_by(job, network, lr=0.1, final_lr=1e-6, color="free", steps=4, quality="draft")
     # one stage of three steps and one of one, each decays
     rates = [0.1 * 1e-6 ** (step / 3) for step in range(3)] + [0.1]
     assert (styled.sh0 - SCENE.sh0).abs().max() < 1.5 * sum(rates) < 0.8 * 0.1 * 4
@@ -221,8 +233,9 @@ def test_live_states_lead_to_the_same(job: StyleJob, network: FeatureNetwork):
     assert same(late[-1].splats, paint(*rest, config=config, network=network))
     assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
     assert not torch.equal(early[-2].splats.sh0, kept)
-    assert len(early[0].splats) == len(early[0].parents) > len(SCENE)
-    assert same(early[0].base, late[-1].base)
+    assert len(early[0].splats) == len(early[0].parents) == len(SCENE), "coarse steps come first"
+    assert len(late[-1].splats) == len(late[-1].parents) > len(SCENE)
+    assert same(early[0].base, SCENE)
 
 
 def test_a_shorter_look_costs_nothing_later(job: StyleJob, network: FeatureNetwork):

@@ -3,6 +3,7 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.stylization.stages import FINEST, PLANS, Quality, Stage
 from stylesplat.stylization.style_config import PRESETS, StyleConfig
 
 
@@ -25,6 +26,8 @@ from stylesplat.stylization.style_config import PRESETS, StyleConfig
         ({"steps": 10**7}, "steps 10000000 and seed 0: use 1e.06"),
         ({"seed": -(10**400)}, "seed -10+: use .* 1e.18 at most"),
         ({"max_growth": 0.5}, r"grow to 0\.5 times"),
+        ({"texture": 1.5}, r"texture 1\.5: use keep, soften, replace or 0 to 1"),
+        ({"texture": float("nan")}, "texture nan"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], message: str):
@@ -36,14 +39,44 @@ def test_the_papers_preset():
     paper = PRESETS["paper"]
     assert (paper.steps, paper.view_share, paper.lr) == (500, 0.25, 0.0025)
     assert (paper.view_dependence, paper.color, paper.max_growth) == ("train", "free", 1)
-    assert paper.stages(321.0) == [(321.0, 500)], "as large as in the photos"
+    assert paper.stages(321.0) == [Stage((321.0,), 500)], "whole, as large as in the photos"
 
 
-@pytest.mark.parametrize("steps", [1, 2, 3, 300])
-def test_stages_use_up_the_steps_and_end_at_full_size(steps: int):
-    stages = StyleConfig(steps=steps, object_size=100).stages(500.0)
-    assert sum(count for _, count in stages) == steps
-    assert all(count > 0 for _, count in stages)
-    lengths = [length for length, _ in stages]
+def test_textures_by_name_and_share():
+    textures = ("keep", 0.25, "soften", 0.75, "replace")
+    softened = [StyleConfig(texture=texture).softened for texture in textures]
+    assert softened == [0, 0.25, 0.5, 0.75, 1]
+
+
+@pytest.mark.parametrize("quality", ["draft", "normal", "high"])
+@pytest.mark.parametrize("steps", [1, 2, 3, 300, None])
+def test_stages_use_up_the_steps_and_grow(quality: Quality, steps: int | None):
+    config = StyleConfig(quality=quality, steps=steps)
+    stages = config.stages(500.0)
+    assert sum(stage.steps for stage in stages) == config.all_steps == (steps or config.all_steps)
+    assert all(stage.steps > 0 for stage in stages)
+    lengths = [length for stage in stages for length in stage.lengths]
     assert lengths == sorted(lengths)
-    assert steps < 4 or lengths[-1] == 100
+
+
+def test_qualities_end_at_their_sizes():
+    configs = [StyleConfig(quality=quality) for quality in PLANS]
+    ends = [config.stages(500.0)[-1].lengths for config in configs]
+    assert ends == [(160.0,), (160.0,), (250.0, 500.0)]
+    steps = [config.all_steps for config in configs]
+    assert steps == sorted(steps)
+
+
+@pytest.mark.parametrize(
+    ("photo_length", "lengths"),
+    [(100.0, (160.0, 160.0)), (200.0, (160.0, 200.0)), (4000.0, (FINEST / 2, FINEST))],
+)
+def test_fine_stages_follow_the_photos_within_bounds(
+    photo_length: float, lengths: tuple[float, ...]
+):
+    assert StyleConfig(quality="high").stages(photo_length)[-1].lengths == lengths
+
+
+def test_an_object_size_is_the_largest():
+    stages = StyleConfig(object_size=100).stages(500.0)
+    assert max(length for stage in stages for length in stage.lengths) == 100

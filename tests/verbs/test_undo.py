@@ -211,7 +211,7 @@ def test_nothing_is_told_of_what_is_painted_only_in_passing(folder: Path, tmp_pa
         del by_object["train"]
         assert {"seconds_by_object", "nnfm_after"} <= by_object.keys()
         assert all(each.keys() <= names for each in by_object.values()), by_object
-        assert numbers["steps"] == FAST.steps * len(names)
+        assert numbers["steps"] == FAST.all_steps * len(names)
         assert numbers["changed_outside"] == 0
         assert numbers["painted_gaussians"] <= 80 * len(names)
         assert numbers["changed_gaussians"] == _changed(again, opened(folder / "trained"))

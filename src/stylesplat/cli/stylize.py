@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, painted_commands
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
-from stylesplat.cli.parse import parse_style
+from stylesplat.cli.parse import number_or_word, parse_style
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import write_before_after
 from stylesplat.errors import StyleSplatError
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe, StyledObject
 
 SETTINGS = (
+    "quality",
     "steps",
     "pattern",
     "layers",
@@ -27,6 +28,7 @@ SETTINGS = (
     "region",
     "intensity",
     "color",
+    "texture",
     "content",
     "smoothness",
     "view_dependence",
@@ -55,8 +57,10 @@ class Stylize:
     here precede its own. A styled scene's recipe.json is one too."""
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper is the method as published (which used --features vgg16)."""
+    quality: Literal["draft", "normal", "high"] | None = None
+    """How fine, normal by default: draft is quick and soft, high takes a few minutes."""
     steps: int | None = None
-    """Optimiser steps per object, 300 by default."""
+    """Optimiser steps per object; by default as many as the quality needs."""
     features: Network | None = None
     """Network whose features are matched, by default compact, which ships with the package."""
     weights: Path | None = None
@@ -75,8 +79,11 @@ class Stylize:
     """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
     color: Literal["style", "keep", "blend", "free"] | None = None
     """Whose hues the object gets: the style's (default), its own, both, or what matching gives."""
+    texture: str | None = None
+    """keep, soften, replace, or 0 to 1: how much of the object's own pattern to take away before;
+    keep (0) by default."""
     content: float | None = None
-    """Weight of keeping what it looks like; 0 by default, 0.5 shows more of it, 2 mostly it."""
+    """How much of its own features the object keeps, 0 (default) to 1 (nearly all)."""
     smoothness: float | None = None
     """Weight of the total variation; 0 by default, 1 calms, 5 makes flat areas."""
     view_dependence: Literal["keep", "drop", "train"] | None = None
@@ -141,6 +148,8 @@ class Stylize:
         settings = given(self, SETTINGS)
         if self.hard:
             settings["hard"] = True
+        if self.texture is not None:
+            settings["texture"] = number_or_word(self.texture)
         if self.recipe is None:
             styles = [parse_style(text) for text in self.style]
             if not styles:

@@ -18,15 +18,11 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import Box, ObjectView, find_boxes
+from stylesplat.stylization.looking import object_views, see_object
+from stylesplat.stylization.object_views import Box, ObjectView, find_boxes, typical_length
 from stylesplat.stylization.paint_objects import moved
-from stylesplat.stylization.repaint import (
-    Studio,
-    StyleJob,
-    object_views,
-    see_object,
-    target_features,
-)
+from stylesplat.stylization.repaint import target_features
+from stylesplat.stylization.style_job import Studio, StyleJob
 
 LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever the pattern
 VIEWS = 4  # of the object, and of the scene
@@ -187,5 +183,6 @@ def _object_in_styles(
 ) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the object, and the features of the style image, for some layer groups."""
     config = replace(job.config, layers=tuple(layers))
-    views = object_views(studio, replace(job, config=config), boxes, LENGTH)
+    zoom = LENGTH / typical_length(boxes)
+    views = object_views(studio, replace(job, config=config), boxes, zoom)
     return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)

@@ -106,9 +106,11 @@ def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing
     """Colours of all but the picked Gaussians, and the coverage of these."""
     gaussians, camera = activated(splats), beside(splats, camera)
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    dirs = splats.means - camera.positions
-    colors = cpu.spherical_harmonics(splats.sh_degree, dirs, splats.sh0, splats.shN)
-    colors = torch.cat([colors * ~picked[:, None], picked[:, None].to(colors)], dim=1)
+    others = ((projected.radii > 0).all(dim=1) & ~picked).nonzero()[:, 0]
+    dirs = splats.means[others] - camera.positions
+    sh = splats.sh0[others], splats.shN[others]
+    colors = picked[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
+    colors[others, :3] = cpu.spherical_harmonics(splats.sh_degree, dirs, *sh)
     return cpu.draw(projected, gaussians.opacities, colors, camera.size)
 
 

@@ -35,6 +35,8 @@ class Box:
     """Left and top, in pixels."""
     high: Float[Tensor, " 2"]
     """Right and bottom."""
+    places: Float[Tensor, "P 2"]
+    """Where it covers the image, evenly: x and y."""
 
     @property
     def length(self) -> float:
@@ -86,7 +88,8 @@ def find_boxes(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> 
         if covered.any():
             ratio = camera.sizes[0] / small.sizes[0]
             low, high = _extent(covered)
-            boxes.append(Box(camera, low * ratio, high * ratio))
+            places = covered.nonzero().flip(1).cpu() + 0.5
+            boxes.append(Box(camera, low * ratio, high * ratio, places * ratio))
     return boxes
 
 
@@ -96,6 +99,24 @@ def _extent(covered: Bool[Tensor, "H W"]) -> tuple[Tensor, Tensor]:
     few = int(STRAY * len(pixels))
     ordered = pixels.sort(dim=0).values
     return ordered[few], ordered[len(ordered) - 1 - few] + 1
+
+
+def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Generator) -> list[Box]:
+    """Square parts of boxes, in random order and around random places that the object covers.
+
+    Args:
+        boxes: Each gives as many as the others.
+        side: In pixels of the cameras, at most; parts of smaller boxes are smaller.
+        count: How many.
+        generator: Draws the places.
+    """
+    drawn = []
+    order = torch.randperm(count, generator=generator).tolist()
+    for box in (boxes[index % len(boxes)] for index in order):
+        place = box.places[int(torch.randint(len(box.places), (), generator=generator))]
+        low = (place - side / 2).minimum(box.high - side).maximum(box.low)
+        drawn.append(replace(box, low=low, high=box.high.minimum(low + side)))
+    return drawn
 
 
 def typical_length(boxes: Sequence[Box]) -> float:
@@ -125,10 +146,11 @@ def cut_views(
     views, used, full = [], 0, False
     keeps = max_memory > 0 and splats.device.type == "cpu"
     for box in track(boxes, "cutting the views"):
-        camera = _cut(box, zoom, cells)
+        camera, inside = _cut(box, zoom, cells)
         linear = contributions(splats, camera, picked) if keeps and not full else None
         seen = linear.coverage if linear else coverage(splats, camera, picked)
-        masks = tuple(F.avg_pool2d(seen[None], c.stride)[0] > COVERED for c in cells)
+        own = seen * inside.to(seen.device)
+        masks = tuple(F.avg_pool2d(own[None], c.stride)[0] > COVERED for c in cells)
         if all(mask.sum() >= MIN_CELLS for mask in masks):
             used += linear.nbytes if linear else 0
             if used > max_memory:
@@ -147,10 +169,15 @@ def _say_full(views: Sequence[ObjectView], max_memory: float) -> None:
     )
 
 
-def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> Cameras:
-    """The camera of a box and of the pixels around it that its features depend on."""
+def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> tuple[Cameras, Bool[Tensor, "H W"]]:
+    """The camera of a box and of what its features depend on around it, and which pixels it is."""
     camera = box.camera.downscale(1 / zoom)
-    low = (box.low * zoom).floor() - min(MARGIN, max(c.before for c in cells))
-    high = (box.high * zoom).ceil() + min(MARGIN, max(c.size - c.before for c in cells))
+    inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
+    low = inner[0] - min(MARGIN, max(c.before for c in cells))
+    high = inner[1] + min(MARGIN, max(c.size - c.before for c in cells))
     low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
-    return crop(camera, low.tolist(), (high - low).tolist())
+    cut = crop(camera, low.tolist(), (high - low).tolist())
+    (left, top), (right, bottom) = ((place - low).long().tolist() for place in inner)
+    inside = torch.zeros(cut.size[::-1], dtype=torch.bool)
+    inside[top:bottom, left:right] = True
+    return cut, inside

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.optim.lr_scheduler import ExponentialLR
 
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
@@ -14,6 +13,7 @@ from stylesplat.stylization.color import softened
 from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.objective import Objective
+from stylesplat.training.adam import Moments, adam_step
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
@@ -34,60 +34,53 @@ class Step:
 
 
 def optimize_colors(
-    splats: Splats,
-    picked: Bool[Tensor, " N"],
+    paint: Splats,
+    base: Splats,
+    shares: Float[Tensor, " N"],
     views: Sequence[ObjectView],
     objective: Objective,
     steps: int,
-    shares: Float[Tensor, " N"] | None = None,
 ) -> Iterator[Step]:
-    """Move the colours of picked Gaussians until the object's features match the style's.
+    """Move the colours of an object's Gaussians until its features match the style's.
 
     Args:
-        splats: The scene, without gradients, its object in paint.
-        picked: The object's Gaussians.
+        paint: The scene, without gradients, its object in the paint to start from.
+        base: The scene before, of which Gaussians keep what is not the object's share.
+        shares: How much of its paint each Gaussian takes on.
         views: Of the object; one is drawn per step.
         objective: What to minimise; its settings are the rates and the seed.
         steps: How many to take.
-        shares: How much of its paint each Gaussian takes on, all of it by default; the rest is the
-            objective's original.
 
     Yields:
         Every step; whoever stops asking keeps the last one's splats.
     """
     config = objective.config
     generator = torch.Generator().manual_seed(config.seed)
+    picked = shares > 0
     rows = picked.nonzero()[:, 0]
     fields = ("sh0", "shN") if config.view_dependence == "train" else ("sh0",)
-    leaves = {name: getattr(splats, name)[rows].requires_grad_() for name in fields}
-    optimizer = torch.optim.Adam(
-        [
-            {"params": [leaf], "lr": config.lr / (SHN_SLOWDOWN if name == "shN" else 1)}
-            for name, leaf in leaves.items()
-        ],
-        eps=1e-15,  # as in 3D Gaussian splatting: gradients of single Gaussians are tiny
-    )
-    scheduler = ExponentialLR(optimizer, config.final_lr ** (1 / steps))
-    shares = picked.to(splats.means) if shares is None else shares
-    base, shown = objective.original, softened(objective.original, splats, shares)
+    leaves = {name: getattr(paint, name)[rows].requires_grad_() for name in fields}
+    rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
+    moments = Moments.zeros(leaves)
+    shown = softened(base, paint, shares)
     if "shN" not in leaves:
         views = [view.with_fixed_bands(shown) for view in views]
-    trust = _trust(splats, picked, views)
+    trust = _trust(base, picked, views)
     for number, view in enumerate(_draws(views, steps, generator), start=1):
-        optimizer.zero_grad()
         with torch.enable_grad():  # a viewer may well have turned it off
             losses = objective(view, _with_rows(shown, _softened(leaves, base, shares, rows), rows))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
-        optimizer.step()
-        scheduler.step()
+        decayed = config.final_lr ** ((number - 1) / steps)
+        adam_step(leaves, moments, {name: rate * decayed for name, rate in rates.items()}, number)
         with torch.no_grad():
             for name, leaf in leaves.items():
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
+                leaf.grad = None
         _keep_in_range(leaves["sh0"])
         after = _with_rows(shown, _softened(leaves, base, shares, rows), rows).detach()
-        paint = _with_rows(splats, leaves, rows).detach()
-        yield Step(number, losses.style.item(), after, paint)
+        full = _with_rows(paint, leaves, rows).detach()
+        yield Step(number, losses.style.item(), after, full)
 
 
 def _trust(

@@ -20,9 +20,10 @@ from stylesplat.stylization.color import blend_colors
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
+from stylesplat.stylization.repaint import Repainted, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
 from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_job import Studio, StyleJob
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
 MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
@@ -191,7 +192,7 @@ def moved(job: StyleJob, splats: Splats) -> StyleJob:
 def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
     """All steps of one object, with a progress bar."""
     state = None
-    with task(job.name, job.config.steps) as bar:
+    with task(job.name, job.config.all_steps) as bar:
         for state in repaint(studio, job):
             bar.advance()
             if state.step % REPORT_EVERY == 0:

@@ -1,78 +1,33 @@
-"""Repainting one object, step by step: split what is too large, then paint coarse and fine."""
+"""Repainting one object, step by step: coarse, then split what is too large, and finer."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.soft_picks import Place, find_places, soft_shares
-from stylesplat.stylization.color import (
-    color_map,
-    object_colors,
-    softened,
-    transfer_colors,
-    vary_colors,
-)
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.color import color_map, object_colors, softened, transfer_colors
+from stylesplat.stylization.looking import object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
-from stylesplat.stylization.near_palette import near_palette, settle
-from stylesplat.stylization.object_views import (
-    Box,
-    ObjectView,
-    cut_views,
-    find_boxes,
-    typical_length,
-)
+from stylesplat.stylization.near_palette import NearPalette, near_palette, settle
+from stylesplat.stylization.object_views import Box, ObjectView, typical_length
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.overflow import without_overflow
-from stylesplat.stylization.refit import refit
-from stylesplat.stylization.split import Split, split_large
+from stylesplat.stylization.paint_ground import Ground, finer_ground, own_ground
+from stylesplat.stylization.stages import Stage
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
+from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.target import check_size, fits, style_features
+from stylesplat.stylization.texture import soften
+from stylesplat.stylization.undercoat import COLOR_VIEWS, undercoat
 
-COLOR_VIEWS = 8  # whose pixels tell an object's colours
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
-SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
-
-
-@dataclass(frozen=True)
-class StyleJob:
-    """One object and the style it is to have."""
-
-    name: str
-    """What messages and metrics call it."""
-    picked: Bool[Tensor, " N"]
-    """Its Gaussians."""
-    styles: tuple[Float[Tensor, "_ _ 3"], ...]
-    """The style images, colours in 0..1; every feature takes the best match of all."""
-    config: StyleConfig
-    """Its settings."""
-
-
-@dataclass(frozen=True)
-class Studio:
-    """What all jobs share."""
-
-    splats: Splats
-    """The scene before."""
-    cameras: Cameras
-    """Views to optimise on."""
-    every_camera: Cameras
-    """Those and the held-out ones, in which nothing but the object may change."""
-    network: FeatureNetwork
-    """Whose features are matched, in float32."""
-    precision: torch.dtype
-    """Of the features while optimising."""
-    max_memory: float
-    """Bytes that linear views may take."""
+STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
+SPLIT_AT = 1  # the stage: Gaussians are fine enough for the one before
 
 
 @dataclass(frozen=True)
@@ -93,6 +48,20 @@ class Repainted:
     """Which Gaussian of the scene before each one comes from."""
 
 
+@dataclass(frozen=True)
+class Aim:
+    """What an object is to look like."""
+
+    views: Sequence[ObjectView]
+    """A few, which tell its colours."""
+    pictures: Sequence[Float[Tensor, "_ _ 3"]]
+    """The style images, in the hues that the object is to have."""
+    palette: Float[Tensor, "P 3"]
+    """All of their colours."""
+    near: NearPalette | None
+    """The colours to stay near to; None leaves them free."""
+
+
 def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     """Repaint one object of a scene.
 
@@ -101,102 +70,58 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         goes on.
 
     Raises:
-        StyleSplatError: If the object is not seen or nothing is its own, or a style image is too
-            small.
+        StyleSplatError: If the object is not seen, or a style image is too small.
     """
-    hard = job.config.hard
-    places = [] if hard else find_places(studio.splats, job.picked, studio.cameras)
-    job, _ = _soft(studio, job, places)
-    boxes = see_object(studio, job, studio.cameras)
-    boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
+    ground, config = own_ground(studio, job), job.config
+    boxes = see_object(studio, ground.job, studio.cameras)
+    boxes = evenly(boxes, math.ceil(config.view_share * len(boxes)))
     stages = _stages(studio, job, typical_length(boxes))
-    split = _split(studio, job, boxes, length=stages[-1][0])
-    studio = replace(studio, splats=split.splats)
-    job = replace(job, picked=job.picked[split.parents])
-    job, shares = _soft(studio, job, places)
-    current, done, views, near = split.splats, 0, [], None
-    for length, steps in stages:
+    split_at = min(SPLIT_AT, len(stages) - 1)
+    aim = _aim(ground, boxes, stages[split_at])
+    plain = soften(studio.splats, ground.job.picked, aim.views, config.softened)
+    current = undercoat(plain, ground.job.picked, aim.views, aim.palette, config)
+    generator = torch.Generator().manual_seed(config.seed)
+    done, views = 0, []
+    for number, stage in enumerate(stages):
         views.clear()  # before there are others: they take much memory
-        views += object_views(studio, job, boxes, length, max_memory=studio.max_memory)
-        pictures = _pictures(studio, job, views)
-        palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
-        if done == 0:
-            current = _undercoat(studio, job, views, palette)
-            near = None if job.config.color == "free" else near_palette(palette)
-        objective = replace(_objective(studio, job, pictures, length), near=near)
-        for step in optimize_colors(current, job.picked, views, objective, steps, shares):
+        if number == split_at:
+            ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
+            plain, current = ground.handed_down(plain), ground.handed_down(current)
+            aim = replace(aim, views=_few_views(ground, boxes, stage))
+        views += stage_views(ground.studio, ground.job, boxes, stage, generator)
+        objective = _objective(ground, aim, stage, plain)
+        for step in optimize_colors(
+            current, ground.studio.splats, ground.shares, views, objective, stage.steps
+        ):
             done, current, shown = done + 1, step.paint, step.splats
-            if step.number == steps:
-                current = _match_palette(studio, job, current, views, palette)
-                shown = softened(split.splats, current, shares)
-                if near is not None and done == job.config.steps:
-                    shown = settle(shown, shares, evenly(views, COLOR_VIEWS), near)
-            yield Repainted(done, job.config.steps, step.nnfm, shown, split.splats, split.parents)
+            if step.number == stage.steps:
+                current, shown = _ended(ground, aim, current, last=done == config.all_steps)
+            before, parents = ground.studio.splats, ground.parents
+            yield Repainted(done, config.all_steps, step.nnfm, shown, before, parents)
 
 
-def _soft(
-    studio: Studio, job: StyleJob, places: Sequence[Place]
-) -> tuple[StyleJob, Float[Tensor, " N"]]:
-    """The job without Gaussians that are not its object's, and how much of each is.
-
-    Args:
-        studio: The scene, perhaps with Gaussians split.
-        job: The object.
-        places: Where it is in some views.
-
-    Raises:
-        StyleSplatError: If nothing is left.
-    """
-    if job.config.hard:
-        return job, job.picked.to(studio.splats.means)
-    shares = soft_shares(studio.splats, job.picked, places)
-    if (shares > 0).any():
-        return replace(job, picked=shares > 0), shares
-    see_object(studio, job, studio.cameras)  # else that is why
-    raise StyleSplatError(
-        f"Cannot stylise {job.name}: most of what each of its Gaussians paints lies where they "
-        "cover less than half. Pick more of the object, or pass --hard (hard=True)."
-    )
+def _few_views(ground: Ground, boxes: Sequence[Box], stage: Stage) -> list[ObjectView]:
+    """Views that tell the object's colours."""
+    few, zoom = evenly(boxes, COLOR_VIEWS), stage.lengths[0] / typical_length(boxes)
+    return object_views(ground.studio, ground.job, few, zoom, max_memory=math.inf)
 
 
-def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:
-    """Where the object shows in some cameras.
-
-    Raises:
-        StyleSplatError: If it does nowhere.
-    """
-    boxes = find_boxes(studio.splats, cameras, job.picked)
-    if not boxes:
-        raise StyleSplatError(
-            f"Cannot stylise {job.name}: it is seen in none of the {len(cameras)} views. "
-            f"Pick other Gaussians, or show views of it."
-        )
-    return boxes
+def _aim(ground: Ground, boxes: Sequence[Box], stage: Stage) -> Aim:
+    views = _few_views(ground, boxes, stage)
+    pictures = _pictures(ground, views)
+    palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
+    near = None if ground.job.config.color == "free" else near_palette(palette)
+    return Aim(views, pictures, palette, near)
 
 
-def object_views(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, *, max_memory: float = 0.0
-) -> list[ObjectView]:
-    """Views of the object in which its longer side has some length.
-
-    Raises:
-        StyleSplatError: If it is hardly visible in any.
-    """
-    cells = [studio.network.cells(block) for block in job.config.layers]
-    views = cut_views(
-        studio.splats,
-        boxes,
-        job.picked,
-        cells,
-        zoom=length / typical_length(boxes),
-        max_memory=max_memory,
-    )
-    if not views:
-        raise StyleSplatError(
-            f"Cannot stylise {job.name}: it is hardly visible in the {len(boxes)} views that show "
-            f"it. Pick a larger object, or show closer views of it."
-        )
-    return views
+def _ended(ground: Ground, aim: Aim, paint: Splats, *, last: bool) -> tuple[Splats, Splats]:
+    """The paint and what shows of it, in the colours of the style, after a stage."""
+    base, shares = ground.studio.splats, ground.shares
+    if aim.near is None:
+        return paint, softened(base, paint, shares)
+    paint = transfer_colors(paint, ground.job.picked, aim.palette, aim.views)
+    shown = softened(base, paint, shares)
+    return paint, settle(shown, shares, aim.views, aim.near) if last else shown
 
 
 def target_features(
@@ -217,8 +142,8 @@ def target_features(
     return [torch.cat(group) for group in zip(*features, strict=True)]
 
 
-def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[tuple[float, int]]:
-    """Lengths of the object and steps; all at the last length if a style is too small before.
+def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[Stage]:
+    """Sizes of the object and steps; all at the last size if a style is too small before.
 
     Raises:
         StyleSplatError: If a style image is too small for that, too.
@@ -227,67 +152,38 @@ def _stages(studio: Studio, job: StyleJob, photo_length: float) -> list[tuple[fl
     *_, last = stages = config.stages(photo_length)
     styles = (studio.network, config.layers)
     for picture in job.styles:
-        check_size(picture, *styles, length=config.scale * last[0])
-        if not all(fits(picture, *styles, length=config.scale * length) for length, _ in stages):
-            return [(last[0], config.steps)]
+        check_size(picture, *styles, length=config.scale * last.lengths[0])
+        if not all(fits(picture, *styles, length=config.scale * s.lengths[0]) for s in stages):
+            return [replace(last, steps=config.all_steps)]
     return stages
 
 
-def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], *, length: float) -> Split:
-    growth, device = job.config.max_growth, studio.splats.device
-    if growth == 1 or job.config.intensity == 0:
-        return Split(studio.splats, torch.arange(len(studio.splats), device=device))
-    # contributions are known on the CPU only
-    studio = replace(studio, splats=studio.splats.to("cpu"))
-    job = replace(job, picked=job.picked.cpu())
-    few = evenly(boxes, SPLIT_VIEWS)
-    views = object_views(studio, job, few, length, max_memory=math.inf)
-    split = split_large(studio.splats, job.picked, views, max_growth=growth)
-    split = refit(studio.splats, split, job.picked, boxes, seed=job.config.seed)
-    split = without_overflow(studio.splats, split, job.picked, studio.every_camera)
-    return Split(split.splats.to(device), split.parents.to(device))
-
-
-def _pictures(studio: Studio, job: StyleJob, views: Sequence[ObjectView]) -> list[Tensor]:
+def _pictures(ground: Ground, views: Sequence[ObjectView]) -> list[Tensor]:
     """The style images, in the object's colours as far as these are to be kept."""
+    job = ground.job
     share = KEPT[job.config.color]
     if share == 0:
         return list(job.styles)
-    own = object_colors(studio.splats, evenly(views, COLOR_VIEWS))
+    own = object_colors(ground.studio.splats, views)
     matrix, offset = color_map(torch.cat([s.reshape(-1, 3) for s in job.styles]), own)
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in job.styles]
 
 
-def _undercoat(
-    studio: Studio, job: StyleJob, views: Sequence[ObjectView], palette: Tensor
-) -> Splats:
-    """The colours to start from."""
-    splats = studio.splats
-    if job.config.color != "free":
-        splats = vary_colors(splats, job.picked, seed=job.config.seed)
-    splats = _match_palette(studio, job, splats, views, palette)
-    if job.config.view_dependence == "drop":
-        matte = splats.shN.masked_fill(job.picked[:, None, None], 0)
-        splats = replace(splats, shN=matte)
-    return splats
-
-
-def _match_palette(
-    studio: Studio, job: StyleJob, splats: Splats, views: Sequence[ObjectView], palette: Tensor
-) -> Splats:
-    if job.config.color == "free":
-        return splats
-    seen = evenly(views, COLOR_VIEWS)
-    return transfer_colors(splats, job.picked, palette, seen)
-
-
-def _objective(
-    studio: Studio, job: StyleJob, pictures: Sequence[Tensor], length: float
-) -> Objective:
-    features = target_features(studio, job.config, pictures, length)
+def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats) -> Objective:
+    studio, config = ground.studio, ground.job.config
+    features = target_features(studio, config, aim.pictures, stage.lengths[0])
+    if stage.window is not None:
+        generator = torch.Generator().manual_seed(config.seed)
+        features = [_some(group, generator) for group in features]
     return Objective(
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
-        original=studio.splats,
-        config=job.config,
+        original=plain,
+        config=replace(config, lr=stage.rate * config.lr),
+        near=aim.near,
     )
+
+
+def _some(group: Tensor, generator: torch.Generator) -> Tensor:
+    few = torch.randperm(len(group), generator=generator)[:STYLE_FEATURES]
+    return group[few.to(group.device)]

@@ -10,9 +10,9 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.bookkeeping import refuse_painted, strengths
 from stylesplat.stylization.paint_objects import check_jobs
-from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style import Recipe, StyledObject
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 
 

@@ -75,8 +75,9 @@ def unsplit(splats: Splats, split: Split, rows: Int[Tensor, " R"]) -> Split:
     whole[rows] = True
     kept = ~whole[split.parents]
     kept[: len(splats)] = True
-    after = _replace_rows(split.splats[kept], rows, splats[rows])
-    return Split(after, split.parents[kept])
+    before, after = splats.tensors(), split.splats[kept]
+    tensors = {k: t.index_copy(0, rows, before[k][rows]) for k, t in after.tensors().items()}
+    return Split(replace(after, **tensors), split.parents[kept])
 
 
 def screen_sizes(
@@ -149,19 +150,21 @@ def _visible(opacities: Tensor, combination: tuple[int, ...]) -> Bool[Tensor, "R
 
 def _divide(splats: Splats, counts: Int[Tensor, "N 3"]) -> Split:
     everyone = torch.arange(len(splats), device=splats.device)
-    centred, children, parents = splats, [], [everyone]
+    centred, children, parents = {k: t.clone() for k, t in splats.tensors().items()}, [], [everyone]
     for combination, rows in _groups(counts):
         visible = _visible(torch.sigmoid(splats.opacities[rows]), combination)
         middle = visible.shape[1] // 2
         centre = torch.full_like(rows, middle)
-        centred = _replace_rows(centred, rows, _children_at(splats[rows], combination, centre))
+        middles = _children_at(splats[rows], combination, centre).tensors()
+        for name, tensor in centred.items():
+            tensor[rows] = middles[name]
         visible[:, middle] = False
         places, which = visible.T.nonzero(as_tuple=True)
         children.append(_children_at(splats[rows[which]], combination, places))
         parents.append(rows[which])
     tensors = {
         name: torch.cat([tensor, *(child.tensors()[name] for child in children)])
-        for name, tensor in centred.tensors().items()
+        for name, tensor in centred.items()
     }
     return Split(replace(splats, **tensors), torch.cat(parents))
 
@@ -182,14 +185,6 @@ def _children_at(
         means=parents.means + moved,
         scales=parents.scales + shrink.log(),
         opacities=torch.logit(opacities),
-    )
-
-
-def _replace_rows(splats: Splats, rows: Tensor, others: Splats) -> Splats:
-    theirs = others.tensors()
-    return replace(
-        splats,
-        **{name: t.index_copy(0, rows, theirs[name]) for name, t in splats.tensors().items()},
     )
 
 

@@ -5,6 +5,7 @@ from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
+from stylesplat.stylization.stages import Quality, Stage, planned, usual_steps
 
 LAYERS = range(1, 5)  # groups that the networks share
 MOST_STEPS = 10**6  # a day on a CPU
@@ -15,24 +16,28 @@ Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
+Texture = Literal["keep", "soften", "replace"]
 
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
-COARSE = 0.6  # of the final size: where the large shapes are found
-COARSE_SHARE = 0.75  # of the steps; they are cheap, and the fine ones only add strokes
+SOFTENED: dict[Texture, float] = {"keep": 0.0, "soften": 0.5, "replace": 1.0}
 
 
 @dataclass(frozen=True)
 class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
-    steps: int = 300
-    """Optimiser steps per object, one view each."""
+    quality: Quality = "normal"
+    """How fine, and how many steps: draft takes few, high goes on at the photos' size, which gives
+    strokes their edges."""
+    steps: int | None = None
+    """Optimiser steps per object, one view each; None leaves it to quality."""
     layers: tuple[int, ...] = (3,)
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
     """Size of strokes and shapes: features are matched on renders of the object in which its
-    longer side has 224, 160 or 112 pixels, fewer at first; or as many as in the photos."""
+    longer side has 224, 160 or 112 pixels, fewer at first; or, photo, on renders as large as
+    the photos."""
     scale: float = 2.0
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     rotate: float = 0.0
@@ -47,8 +52,14 @@ class StyleConfig:
     color: ColorMode = "style"
     """Whose hues the object has: the style's, its own (keep), half of both (blend), or whatever
     matching features alone gives (free)."""
+    texture: Texture | float = "keep"
+    """How much of the object's own pattern to take away before it is painted, 0 to 1; its light
+    and large shapes stay. keep is 0, soften 0.5, replace 1."""
     content: float = 0.0
-    """Weight of keeping the object's own features: 0.5 shows more of it, 2 mostly it."""
+    """How much of the object's own features to keep: 0 none, 0.5 half-way, 1 nearly all.
+
+    More counts as 1: the weights that it once was went up to 2.
+    """
     smoothness: float = 0.0
     """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
@@ -64,7 +75,8 @@ class StyleConfig:
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
     object_size: int | None = None
-    """Longer side of the object when features are matched, in pixels; None leaves it to pattern."""
+    """Longer side of the object when features are matched, in pixels, at most; None leaves it to
+    pattern."""
     seed: int = 0
     """The same seed gives the same result."""
 
@@ -82,7 +94,7 @@ class StyleConfig:
                 raise StyleSplatError(
                     f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
                 )
-        if self.steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
+        if self.all_steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
             raise StyleSplatError(
                 f"Cannot stylise with steps {self.steps} and seed {self.seed}: use {MOST_STEPS:g} "
                 f"and {MAX_SEED:.0e} at most."
@@ -92,6 +104,10 @@ class StyleConfig:
                 f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
             )
         check_intensity(self.intensity)
+        if not 0 <= self.softened <= 1:
+            raise StyleSplatError(
+                f"Cannot stylise with texture {self.texture}: use keep, soften, replace or 0 to 1."
+            )
         if not 0 < self.view_share <= 1:
             raise StyleSplatError(
                 f"Cannot use a share of {self.view_share} of the views: use more than 0, up to 1."
@@ -102,18 +118,31 @@ class StyleConfig:
                 "splitting) or more."
             )
 
-    def stages(self, photo_length: float) -> list[tuple[float, int]]:
-        """The object's longer side in pixels and the steps, coarse first.
+    @property
+    def softened(self) -> float:
+        """How much of the object's own pattern to take away, 0 to 1."""
+        return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
+
+    @property
+    def all_steps(self) -> int:
+        """The steps, whoever chose them."""
+        return usual_steps(self.quality) if self.steps is None else self.steps
+
+    def stages(self, photo_length: float) -> list[Stage]:
+        """What is looked at in which size for how many steps, coarse first.
 
         Args:
-            photo_length: The longer side in the photos.
+            photo_length: The object's longer side in the photos, in pixels.
         """
         size = self.object_size or SIZES[self.pattern]
         if size is None:
-            return [(photo_length, self.steps)]
-        coarse = round(COARSE_SHARE * self.steps)
-        stages = [(COARSE * size, coarse), (float(size), self.steps - coarse)]
-        return [stage for stage in stages if stage[1] > 0]
+            return [Stage((photo_length,), self.all_steps)]
+        return planned(
+            self.quality,
+            pattern_length=float(size),
+            photo_length=float(self.object_size or photo_length),
+            steps=self.all_steps,
+        )
 
 
 PRESETS = {

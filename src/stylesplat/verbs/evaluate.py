@@ -26,9 +26,9 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.paint_objects import moved, open_studio
 from stylesplat.stylization.plain_settings import with_settings
-from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 from stylesplat.verbs.stylize import flat_metrics, load_network
 

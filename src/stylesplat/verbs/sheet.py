@@ -24,9 +24,10 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.color import blend_colors
 from stylesplat.stylization.paint_objects import REPORT_EVERY, check_jobs, moved, open_studio
-from stylesplat.stylization.repaint import Repainted, Studio, StyleJob, repaint
+from stylesplat.stylization.repaint import Repainted, repaint
 from stylesplat.stylization.style import Picture
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.verbs.stylize import load_network
 
 Drawn = UInt8[Tensor, "_ _ 3"]

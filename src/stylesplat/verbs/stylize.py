@@ -22,7 +22,6 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.paint_objects import MAX_MEMORY, open_studio, paint_objects
 from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.repaint import StyleJob
 from stylesplat.stylization.runs import Run, check_runs, runs_of
 from stylesplat.stylization.style import (
     Picture,
@@ -33,6 +32,7 @@ from stylesplat.stylization.style import (
     digest,
 )
 from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 
 ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over runs
@@ -171,7 +171,7 @@ def _painted(
     shown = unpainted(scene, run.passing).splats.to(studio.splats.device)
     measured = measure_painted(studio, staying, shown, held_out=held_out)
     return scene, {
-        "steps": sum(job.config.steps for job in staying),
+        "steps": sum(job.config.all_steps for job in staying),
         "precision": str(studio.precision).removeprefix("torch."),
         **flat_metrics(measured),
         "seconds_by_object": {job.name: seconds[job.name] for job in staying},

@@ -1,0 +1,79 @@
+"""Views of an object to be repainted, as its job wants them."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.stylization.object_views import (
+    Box,
+    ObjectView,
+    cut_views,
+    find_boxes,
+    typical_length,
+    windows,
+)
+from stylesplat.stylization.stages import Stage
+from stylesplat.stylization.style_job import Studio, StyleJob
+
+VISITS = 2  # of a view at least: cutting one takes as long as a step
+
+
+def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:
+    """Where the object shows in some cameras.
+
+    Raises:
+        StyleSplatError: If it does nowhere.
+    """
+    boxes = find_boxes(studio.splats, cameras, job.picked)
+    if not boxes:
+        raise StyleSplatError(
+            f"Cannot stylise {job.name}: it is seen in none of the {len(cameras)} views. "
+            f"Pick other Gaussians, or show views of it."
+        )
+    return boxes
+
+
+def object_views(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], zoom: float, *, max_memory: float = 0.0
+) -> list[ObjectView]:
+    """Views of the object, or of its parts, some times as large as in the cameras.
+
+    Raises:
+        StyleSplatError: If it is hardly visible in any.
+    """
+    cells = [studio.network.cells(block) for block in job.config.layers]
+    views = cut_views(
+        studio.splats,
+        boxes,
+        job.picked,
+        cells,
+        zoom=zoom,
+        max_memory=max_memory,
+    )
+    if not views:
+        raise StyleSplatError(
+            f"Cannot stylise {job.name}: it is hardly visible in the {len(boxes)} views that show "
+            f"it. Pick a larger object, or show closer views of it."
+        )
+    return views
+
+
+def stage_views(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], stage: Stage, generator: torch.Generator
+) -> list[ObjectView]:
+    """The object or parts of it, in each of the stage's sizes; few steps need few of them."""
+    views = []
+    for length in stage.lengths:
+        zoom = length / typical_length(boxes)
+        count = math.ceil(stage.steps / len(stage.lengths) / VISITS)
+        if stage.window is None:
+            shown = evenly(boxes, count)
+        else:
+            shown = windows(boxes, stage.window / zoom, count, generator)
+        room = studio.max_memory / len(stage.lengths)
+        views += object_views(studio, job, shown, zoom, max_memory=room)
+    return views

@@ -1,0 +1,106 @@
+"""What an object is painted on: Gaussians that are its own, by shares, split where too large."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.soft_picks import Place, find_places, soft_shares
+from stylesplat.stylization.looking import object_views, see_object
+from stylesplat.stylization.object_views import Box, typical_length
+from stylesplat.stylization.overflow import without_overflow
+from stylesplat.stylization.refit import refit
+from stylesplat.stylization.split import Split, split_large
+from stylesplat.stylization.style_job import Studio, StyleJob
+
+SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What an object is painted on."""
+
+    studio: Studio
+    """Its scene is the one that is painted on."""
+    job: StyleJob
+    """Its picked Gaussians are those with a share."""
+    shares: Float[Tensor, " N"]
+    """How much of its paint each Gaussian takes on."""
+    parents: Int[Tensor, " N"]
+    """The Gaussian of the scene before that each one comes from."""
+    places: Sequence[Place]
+    """Where the object is in some views, which tells shares; none if all have one of 1."""
+
+    def handed_down(self, earlier: Splats) -> Splats:
+        """The object's Gaussians in the colours that their parents had earlier."""
+        mask, splats = self.job.picked[:, None, None], self.studio.splats
+        return replace(
+            splats,
+            sh0=torch.where(mask, earlier.sh0[self.parents], splats.sh0),
+            shN=torch.where(mask, earlier.shN[self.parents], splats.shN),
+        )
+
+
+def own_ground(studio: Studio, job: StyleJob) -> Ground:
+    """The object as it is.
+
+    Raises:
+        StyleSplatError: If it is not seen, or nothing is its own.
+    """
+    places = [] if job.config.hard else find_places(studio.splats, job.picked, studio.cameras)
+    everyone = torch.arange(len(studio.splats), device=studio.splats.device)
+    return _softened(studio, job, everyone, places)
+
+
+def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
+    """The same with Gaussians split that are too large.
+
+    Args:
+        ground: Not split yet.
+        boxes: Where the object is seen.
+        length: Its longer side in pixels, for which Gaussians are to be fine enough.
+
+    Raises:
+        StyleSplatError: If it is hardly visible.
+    """
+    split = _split(ground.studio, ground.job, boxes, length)
+    job = replace(ground.job, picked=ground.job.picked[split.parents])
+    studio = replace(ground.studio, splats=split.splats)
+    return _softened(studio, job, split.parents, ground.places)
+
+
+def _softened(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
+    """Without Gaussians that are not the object's."""
+    if job.config.hard:
+        return Ground(studio, job, job.picked.to(studio.splats.means), parents, places)
+    shares = soft_shares(studio.splats, job.picked, places)
+    if (shares > 0).any():
+        return Ground(studio, replace(job, picked=shares > 0), shares, parents, places)
+    see_object(studio, job, studio.cameras)  # else that is why
+    raise StyleSplatError(
+        f"Cannot stylise {job.name}: most of what each of its Gaussians paints lies where they "
+        "cover less than half. Pick more of the object, or pass --hard (hard=True)."
+    )
+
+
+def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float) -> Split:
+    """The scene with Gaussians of the object split, or not where nothing would come of it."""
+    growth, device = job.config.max_growth, studio.splats.device
+    if growth == 1 or job.config.intensity == 0:
+        return Split(studio.splats, torch.arange(len(studio.splats), device=device))
+    # contributions are known on the CPU only
+    studio = replace(studio, splats=studio.splats.to("cpu"))
+    job = replace(job, picked=job.picked.cpu())
+    few = evenly(boxes, SPLIT_VIEWS)
+    zoom = length / typical_length(boxes)
+    views = object_views(studio, job, few, zoom, max_memory=math.inf)
+    split = split_large(studio.splats, job.picked, views, max_growth=growth)
+    split = refit(studio.splats, split, job.picked, boxes, seed=job.config.seed)
+    split = without_overflow(studio.splats, split, job.picked, studio.every_camera)
+    return Split(split.splats.to(device), split.parents.to(device))
