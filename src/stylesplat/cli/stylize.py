@@ -27,6 +27,7 @@ SETTINGS = (
     "region",
     "intensity",
     "color",
+    "texture",
     "content",
     "smoothness",
     "view_dependence",
@@ -75,6 +76,8 @@ class Stylize:
     """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
     color: Literal["style", "keep", "blend", "free"] | None = None
     """Whose hues the object gets: the style's (default), its own, both, or what matching gives."""
+    texture: Literal["keep", "soften", "replace"] | float | None = None
+    """How much of the object's own pattern to take away before, 0 to 1 (replace); keep is 0."""
     content: float | None = None
     """Weight of keeping what it looks like; 0 by default, 0.5 shows more of it, 2 mostly it."""
     smoothness: float | None = None

@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import color_map, object_colors, transfer_colors, vary_colors
+from stylesplat.stylization.color import color_map, object_colors, transfer_colors
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.object_views import (
@@ -27,8 +27,9 @@ from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.split import Split, split_large
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.target import check_size, fits, style_features
+from stylesplat.stylization.texture import soften
+from stylesplat.stylization.undercoat import COLOR_VIEWS, undercoat
 
-COLOR_VIEWS = 8  # whose pixels tell an object's colours
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
 SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
 
@@ -99,15 +100,17 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     split = _split(studio, job, boxes, length=stages[-1][0])
     studio = replace(studio, splats=split.splats)
     job = replace(job, picked=job.picked[split.parents])
-    current, done, views = split.splats, 0, []
+    current = plain = split.splats
+    done, views = 0, []
     for length, steps in stages:
         views.clear()  # before there are others: they take much memory
         views += object_views(studio, job, boxes, length, max_memory=studio.max_memory)
         pictures = _pictures(studio, job, views)
         palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
         if done == 0:
-            current = _undercoat(studio, job, views, palette)
-        objective = _objective(studio, job, pictures, length)
+            plain = soften(plain, job.picked, views, job.config.softened)
+            current = undercoat(plain, job.picked, views, palette, job.config)
+        objective = _objective(studio, job, pictures, length, plain)
         for step in optimize_colors(current, job.picked, views, objective, steps):
             done, current = done + 1, step.splats
             if step.number == steps:
@@ -213,20 +216,6 @@ def _pictures(studio: Studio, job: StyleJob, views: Sequence[ObjectView]) -> lis
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in job.styles]
 
 
-def _undercoat(
-    studio: Studio, job: StyleJob, views: Sequence[ObjectView], palette: Tensor
-) -> Splats:
-    """The colours to start from."""
-    splats = studio.splats
-    if job.config.color != "free":
-        splats = vary_colors(splats, job.picked, seed=job.config.seed)
-    splats = _match_palette(studio, job, splats, views, palette)
-    if job.config.view_dependence == "drop":
-        matte = splats.shN.masked_fill(job.picked[:, None, None], 0)
-        splats = replace(splats, shN=matte)
-    return splats
-
-
 def _match_palette(
     studio: Studio, job: StyleJob, splats: Splats, views: Sequence[ObjectView], palette: Tensor
 ) -> Splats:
@@ -237,12 +226,12 @@ def _match_palette(
 
 
 def _objective(
-    studio: Studio, job: StyleJob, pictures: Sequence[Tensor], length: float
+    studio: Studio, job: StyleJob, pictures: Sequence[Tensor], length: float, original: Splats
 ) -> Objective:
     features = target_features(studio, job.config, pictures, length)
     return Objective(
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
-        original=studio.splats,
+        original=original,
         config=job.config,
     )

@@ -15,9 +15,11 @@ Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
+Texture = Literal["keep", "soften", "replace"]
 
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
+SOFTENED: dict[Texture, float] = {"keep": 0.0, "soften": 0.5, "replace": 1.0}
 COARSE = 0.6  # of the final size: where the large shapes are found
 COARSE_SHARE = 0.75  # of the steps; they are cheap, and the fine ones only add strokes
 
@@ -47,6 +49,9 @@ class StyleConfig:
     color: ColorMode = "style"
     """Whose hues the object has: the style's, its own (keep), half of both (blend), or whatever
     matching features alone gives (free)."""
+    texture: Texture | float = "keep"
+    """How much of the object's own pattern to take away before it is painted, 0 to 1; its light
+    and large shapes stay. keep is 0, soften 0.5, replace 1."""
     content: float = 0.0
     """Weight of keeping the object's own features: 0.5 shows more of it, 2 mostly it."""
     smoothness: float = 0.0
@@ -90,6 +95,10 @@ class StyleConfig:
                 f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
             )
         check_intensity(self.intensity)
+        if not 0 <= self.softened <= 1:
+            raise StyleSplatError(
+                f"Cannot stylise with texture {self.texture}: use keep, soften, replace or 0 to 1."
+            )
         if not 0 < self.view_share <= 1:
             raise StyleSplatError(
                 f"Cannot use a share of {self.view_share} of the views: use more than 0, up to 1."
@@ -99,6 +108,11 @@ class StyleConfig:
                 f"Cannot let an object grow to {self.max_growth} times its Gaussians: use 1 (no "
                 "splitting) or more."
             )
+
+    @property
+    def softened(self) -> float:
+        """How much of the object's own pattern to take away, 0 to 1."""
+        return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
 
     def stages(self, photo_length: float) -> list[tuple[float, int]]:
         """The object's longer side in pixels and the steps, coarse first.
