@@ -12,7 +12,7 @@ from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
-from stylesplat.stylization.objective import Objective, total_variation
+from stylesplat.stylization.objective import Objective, content_weight, total_variation
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.style_config import StyleConfig
 
@@ -52,7 +52,7 @@ def test_content_keeps_the_features(objective: Objective, views: list[ObjectView
         return float(sum(loss.total - loss.style for loss in losses))
 
     assert change(SCENE.sh0) == pytest.approx(0, abs=1e-6)  # bands are fixed with a rounding
-    assert change(optimised(objective, views, content=30.0)) < 0.5 * change(
+    assert change(optimised(objective, views, content=1.0)) < 0.5 * change(
         optimised(objective, views)
     )
 
@@ -94,8 +94,16 @@ def test_the_parts_add_up(objective: Objective, views: list[ObjectView]):
     assert style == total
     content, smooth = losses(content=1.0)[1] - style, losses(smoothness=1.0)[1] - style
     assert content > 0 < smooth
-    both = losses(content=2.0, smoothness=3.0)
-    assert both == (style, pytest.approx(style + 2 * content + 3 * smooth, rel=1e-4))
+    both = losses(content=0.5, smoothness=3.0)
+    weight = content_weight(0.5) / content_weight(1.0)
+    assert both == (style, pytest.approx(style + weight * content + 3 * smooth, rel=1e-4))
+
+
+def test_more_content_counts_for_more_up_to_1():
+    weights = [content_weight(share / 20) for share in range(21)]
+    assert weights[0] == 0
+    assert weights == sorted(set(weights))
+    assert content_weight(2.0) == content_weight(1.0) < float("inf")
 
 
 def test_total_variation():

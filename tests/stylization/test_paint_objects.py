@@ -88,6 +88,27 @@ def test_colors_start_where_they_were(job: StyleJob, network: FeatureNetwork):
     torch.testing.assert_close(styled.shN, SCENE.shN, atol=1e-5, rtol=0)
 
 
+def test_the_own_pattern_is_gone_before_the_first_step(job: StyleJob, network: FeatureNetwork):
+    settings = {"steps": 2, "lr": 1e-6, "view_dependence": "train", "color": "free"}
+    plain = [
+        styled_by(job, network, texture=texture, **settings)
+        for texture in ("replace", 1.0, "soften")
+    ]
+    assert same(plain[0], plain[1])
+    before = SCENE.shN[job.picked].std()  # the constant bands of a ball are all the same
+    replaced, softened = (plain[number].shN[job.picked].std() for number in (0, 2))
+    assert replaced < softened < before
+
+
+def test_content_is_that_without_the_pattern(job: StyleJob, network: FeatureNetwork):
+    """Else it would come back."""
+    settings = {"texture": 1.0, "color": "free", "view_dependence": "train", "content": 1.0}
+    start = styled_by(job, network, steps=1, lr=1e-6, **settings)
+    kept = styled_by(job, network, steps=30, lr=0.1, **settings)
+    moved, back = ((kept.shN - s.shN)[job.picked].norm() for s in (start, SCENE))
+    assert moved < 0.5 * back
+
+
 def test_colors_stay_in_range_where_gradients_exist(job: StyleJob, network: FeatureNetwork):
     styled = styled_by(job, network, lr=2.0, final_lr=1.0, color="free")
     colors = rgb_from_sh0(styled.sh0[job.picked])

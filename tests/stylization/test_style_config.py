@@ -25,6 +25,8 @@ from stylesplat.stylization.style_config import PRESETS, StyleConfig
         ({"steps": 10**7}, "steps 10000000 and seed 0: use 1e.06"),
         ({"seed": -(10**400)}, "seed -10+: use .* 1e.18 at most"),
         ({"max_growth": 0.5}, r"grow to 0\.5 times"),
+        ({"texture": 1.5}, r"texture 1\.5: use keep, soften, replace or 0 to 1"),
+        ({"texture": float("nan")}, "texture nan"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], message: str):
@@ -37,6 +39,12 @@ def test_the_papers_preset():
     assert (paper.steps, paper.view_share, paper.lr) == (500, 0.25, 0.0025)
     assert (paper.view_dependence, paper.color, paper.max_growth) == ("train", "free", 1)
     assert paper.stages(321.0) == [(321.0, 500)], "as large as in the photos"
+
+
+def test_textures_by_name_and_share():
+    textures = ("keep", 0.25, "soften", 0.75, "replace")
+    softened = [StyleConfig(texture=texture).softened for texture in textures]
+    assert softened == [0, 0.25, 0.5, 0.75, 1]
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 300])

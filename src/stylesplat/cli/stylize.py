@@ -79,7 +79,7 @@ class Stylize:
     texture: Literal["keep", "soften", "replace"] | float | None = None
     """How much of the object's own pattern to take away before, 0 to 1 (replace); keep is 0."""
     content: float | None = None
-    """Weight of keeping what it looks like; 0 by default, 0.5 shows more of it, 2 mostly it."""
+    """How much of its own features the object keeps, 0 (default) to 1 (nearly all)."""
     smoothness: float | None = None
     """Weight of the total variation; 0 by default, 1 calms, 5 makes flat areas."""
     view_dependence: Literal["keep", "drop", "train"] | None = None

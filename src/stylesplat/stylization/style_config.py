@@ -53,7 +53,10 @@ class StyleConfig:
     """How much of the object's own pattern to take away before it is painted, 0 to 1; its light
     and large shapes stay. keep is 0, soften 0.5, replace 1."""
     content: float = 0.0
-    """Weight of keeping the object's own features: 0.5 shows more of it, 2 mostly it."""
+    """How much of the object's own features to keep: 0 none, 0.5 half-way, 1 nearly all.
+
+    More counts as 1: the weights that it once was went up to 2.
+    """
     smoothness: float = 0.0
     """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
