@@ -147,10 +147,11 @@ def _near(
 ) -> tuple[Int[Tensor, "M count"], Float[Tensor, "M count"]]:
     """The patches nearest to some places, and how near."""
     tree = KDTree((patches / deviation).cpu().numpy())
-    ranks = np.arange(1, min(count, len(patches)) + 1)
-    far, near = tree.query((places / deviation).cpu().numpy(), k=ranks, workers=-1)
-    squares = torch.from_numpy(far).to(places).square()
-    return torch.from_numpy(near).to(places.device), (-(squares - squares[:, :1]) / 2).exp()
+    count = min(count, len(patches))
+    found = tree.query((places / deviation).cpu().numpy(), k=count, workers=-1)
+    far, near = (torch.from_numpy(np.reshape(each, (-1, count))) for each in found)
+    squares = far.to(places).square()
+    return near.to(places.device), (-(squares - squares[:, :1]) / 2).exp()
 
 
 def _average(values: Tensor, near: Tensor, weights: Tensor) -> Tensor:
