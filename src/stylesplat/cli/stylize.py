@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, painted_commands
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
-from stylesplat.cli.parse import parse_style
+from stylesplat.cli.parse import number_or_word, parse_style
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import write_before_after
 from stylesplat.errors import StyleSplatError
@@ -76,8 +76,9 @@ class Stylize:
     """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
     color: Literal["style", "keep", "blend", "free"] | None = None
     """Whose hues the object gets: the style's (default), its own, both, or what matching gives."""
-    texture: Literal["keep", "soften", "replace"] | float | None = None
-    """How much of the object's own pattern to take away before, 0 to 1 (replace); keep is 0."""
+    texture: str | None = None
+    """keep, soften, replace, or 0 to 1: how much of the object's own pattern to take away before;
+    keep (0) by default."""
     content: float | None = None
     """How much of its own features the object keeps, 0 (default) to 1 (nearly all)."""
     smoothness: float | None = None
@@ -140,6 +141,8 @@ class Stylize:
         from stylesplat.stylization.style_config import PRESETS
 
         settings = given(self, SETTINGS)
+        if self.texture is not None:
+            settings["texture"] = number_or_word(self.texture)
         if self.recipe is None:
             styles = [parse_style(text) for text in self.style]
             if not styles:
