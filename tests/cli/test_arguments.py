@@ -86,7 +86,7 @@ def test_values_that_do_not_fit(arguments: tuple[str, ...], line: str, capsys):
             "train X -o y --max_gausians=3",
             "there is no option --max_gausians. Is it --max-gaussians?",
         ),
-        ("stylize S --quality", "there is no option --quality."),
+        ("stylize S --qualities", "there is no option --qualities. Is it --quality?"),
         ("train X -o y -q", "there is no option -q."),
         ("train my photos -oy", "there is no place for 'photos'; a name with spaces needs quotes."),
     ],

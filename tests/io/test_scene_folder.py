@@ -77,6 +77,9 @@ def test_a_scene_is_not_overwritten_by_accident(tmp_path: Path):
 
 
 def test_no_scene(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"is an empty folder, not a scene: it has no scene"):
+        scene_folder.open(tmp_path)
+    (tmp_path / "notes.txt").touch()
     with pytest.raises(StyleSplatError, match=r"is a folder, not a scene: it has no scene.json"):
         scene_folder.open(tmp_path)
     with pytest.raises(StyleSplatError, match="not a scene"):

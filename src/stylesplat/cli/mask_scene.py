@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
     from stylesplat.cli.mask import Mask, Method
+    from stylesplat.cli.options import Device
     from stylesplat.masks.boxes.from_boxes import Boxes, Strokes
     from stylesplat.scene.scene import Scene
 
@@ -78,7 +79,7 @@ def mask_scene(
             save_or_rescue(after, place, overwrite=command.overwrite)
         if progress:
             shutil.rmtree(progress, ignore_errors=True)
-        return _result(after, place)
+        return _result(after, place, command.device)
 
 
 def scene_words(result: dict[str, Any]) -> Iterator[str]:
@@ -103,7 +104,7 @@ def _revise(before: "Scene", after: "Scene", place: Path) -> None:
         picture.unlink(missing_ok=True)
 
 
-def _result(scene: "Scene", place: Path) -> dict[str, Any]:
+def _result(scene: "Scene", place: Path, device: "Device") -> dict[str, Any]:
     from stylesplat.io.recovery import changing
     from stylesplat.selection.choose import names_of
     from stylesplat.selection.identities import object_ids
@@ -112,7 +113,7 @@ def _result(scene: "Scene", place: Path) -> dict[str, Any]:
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}
     shown = None
     with told_if_missing(), changing(place / PREVIEW):
-        shown = _draw(scene, names, place / PREVIEW)
+        shown = _draw(scene, names, place / PREVIEW, device)
     return {
         "scene": place,
         "preview": None if shown is None else place / PREVIEW,
@@ -123,7 +124,7 @@ def _result(scene: "Scene", place: Path) -> dict[str, Any]:
     }
 
 
-def _draw(scene: "Scene", names: dict[int, str], target: Path) -> int:
+def _draw(scene: "Scene", names: dict[int, str], target: Path, device: "Device") -> int:
     """Draw what the Gaussians' labels look like in the views; how many of these show any."""
     from dataclasses import replace
 
@@ -134,7 +135,8 @@ def _draw(scene: "Scene", names: dict[int, str], target: Path) -> int:
     from stylesplat.scene.resized import at_most
     from stylesplat.selection.identities import render_labels
 
-    small = at_most(rendered_capture(scene, pick_device("cpu")), 480)
-    maps = [render_labels(scene.splats, small.cameras[row]) for row in range(len(small))]
+    place = pick_device(device)
+    small, splats = at_most(rendered_capture(scene, place), 480), scene.splats.to(place)
+    maps = [render_labels(splats, small.cameras[row]).cpu() for row in range(len(small))]
     write_image(mask_preview(replace(small, label_maps=maps), names), target)
     return sum(bool(labels.any()) for labels in maps)

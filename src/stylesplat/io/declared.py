@@ -1,5 +1,6 @@
 """What tensors of files have to be: names, types, shapes and ranges, each declared once."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -98,7 +99,8 @@ def _fits(tensor: Tensor, declared: Declared) -> bool:
     if tensor.dtype == torch.bool or declared.unique or not tensor.numel():
         return False
     low, high = tensor.aminmax()
-    return bool(low >= declared.low and high <= declared.high)
+    finite = low > -math.inf and high < math.inf
+    return bool(finite and low >= declared.low and high <= declared.high)
 
 
 def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, int]) -> None:

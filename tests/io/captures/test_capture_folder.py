@@ -178,6 +178,7 @@ def test_a_photo_that_lies_on_its_side(make_capture: MakeCapture):
 def test_no_capture(tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"There is no folder .*none"):
         load(tmp_path / "none")
+    (tmp_path / "notes.txt").touch()
     with pytest.raises(StyleSplatError, match=r"not a capture: .*sparse/0.*transforms\.json"):
         load(tmp_path)
 

@@ -55,7 +55,7 @@ def mask_boxes(
     for id, name in names.items():
         around = [(row, box) for each, row, box in placed if each == name]
         over = [(row, stroke) for each, row, stroke in drawn if each == name]
-        masks[id] = spread(working.splats, cameras, seen, around, over)
+        masks[id] = spread(working.splats, cameras, seen, around, over, name=name)
     maps = [
         partial(overlaid, [(id, found[row]) for id, found in masks.items()])
         for row in range(len(capture))

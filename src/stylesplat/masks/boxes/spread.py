@@ -76,6 +76,8 @@ def spread(
     seen: Mapping[int, Evidence],
     boxes: Sequence[tuple[int, Box]],
     strokes: Sequence[tuple[int, Stroke]] = (),
+    *,
+    name: str = "object",
 ) -> list[Mask]:
     """The masks of an object in every view, from boxes around it in one or a few.
 
@@ -89,6 +91,7 @@ def spread(
         seen: What GrabCut goes by in each view.
         boxes: Rows of views, and boxes in their pixels, as `refuse_box` lets pass.
         strokes: Rows of views with a box, and strokes in them.
+        name: The object's, for who watches.
 
     Returns:
         A mask per view; empty where the object does not show.
@@ -103,7 +106,7 @@ def spread(
     look = cuts[boxes[0][0]][0]
     known = {row: mask for row, (_, mask) in cuts.items()}
     others, lifted = _nearest_first(cameras, [*known]), _lifted(splats, cameras, known)
-    with task("spreading the mask", (1 + SETTLING) * len(others), unit="view") as bar:
+    with task(f"spreading the mask of {name!r}", (1 + SETTLING) * len(others), unit="view") as bar:
         start = 0
         while start < len(others):
             batch = others[start : start + max(1, (GROWTH - 1) * len(known))]
