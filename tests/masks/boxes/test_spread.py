@@ -2,6 +2,7 @@
 narrower than colours do, so that masks of them cannot agree by more than 0.9 or so."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -66,6 +67,19 @@ def test_the_same_box_gives_the_same_masks(seen: Seen, monkeypatch: pytest.Monke
         monkeypatch.setattr(torch, "get_num_threads", lambda count=threads: count)
         again = spread(SPLATS, LARGE, seen, places)
         assert all(torch.equal(*each) for each in zip(first, again, strict=True))
+
+
+def test_who_watches_is_told_whose_mask_it_is(seen: Seen, monkeypatch: pytest.MonkeyPatch):
+    told = []
+    task = module.task
+
+    def start(what: str, *arguments: Any, **options: Any) -> Any:
+        told.append(what)
+        return task(what, *arguments, **options)
+
+    monkeypatch.setattr(module, "task", start)
+    spread(SPLATS, LARGE, seen, [(1, box(LABELS[1] == 3))], name="red ball")
+    assert told == ["spreading the mask of 'red ball'"]
 
 
 def test_boxes_in_two_photos(seen: Seen):
