@@ -164,7 +164,7 @@ def seen(studio: Studio, job: StyleJob, count: int) -> Case:
     """The object in some of the studio's views."""
     boxes = find_boxes(studio.splats, studio.cameras, job.picked)
     length = typical_length(boxes)
-    views = evenly(object_views(studio, job, boxes, length), count)
+    views = evenly(object_views(studio, job, boxes, SIZES["full"]), count)
     sights = [
         Sight(
             view.camera,
