@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from stylesplat.evaluation.palette import PIXELS, TOLERANCE, off_palette, palette_distance
-from stylesplat.metrics.lab import cells, distinct, lab_from_rgb, nearest_colors
+from stylesplat.evaluation.palette import TOLERANCE, off_palette, palette_distance
+from stylesplat.metrics.lab import PIXELS, cells, distinct, lab_from_rgb, nearest_colors
 
 
 def colors(count: int, seed: int = 0) -> torch.Tensor:

@@ -7,9 +7,10 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from striped_balls import FAST, SCENE, ball
-from stylesplat.evaluation.palette import TOLERANCE, object_pixels, off_palette
+from stylesplat.evaluation.palette import TOLERANCE, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
 from stylesplat.rendering.sh import SH_C0
+from stylesplat.stylization.color import object_colors
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.near_palette import DARKEST, NEAR, near_palette, settle
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
@@ -55,9 +56,9 @@ def test_the_distance_pulls_only_what_is_far():
 
 def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
     picked = ball(0)
-    before = off_palette(object_pixels(SPLATS, views), GREY)
+    before = off_palette(object_colors(SPLATS, views), GREY)
     settled = settle(SPLATS, picked.float(), views, near_palette(GREY))
-    after = off_palette(object_pixels(settled, views), GREY)
+    after = off_palette(object_colors(settled, views), GREY)
     assert before > 0.9 and after < 0.5 * before
     assert torch.equal(settled.sh0[~picked], SPLATS.sh0[~picked])
     assert torch.equal(settled.shN, SPLATS.shN)

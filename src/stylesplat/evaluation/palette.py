@@ -1,31 +1,17 @@
 """Whether an object has the painting's colours, and in the painting's shares."""
 
-from collections.abc import Sequence
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.metrics.lab import cells, distinct, lab_from_rgb, nearest_colors
-from stylesplat.rendering.rasterize import rasterize
-from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.metrics.lab import cells, distinct, lab_from_rgb, nearest_colors, thinned
 
 TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
 SAME = 1.0  # of Lab, the size of the cubes whose colours count as one
 SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart than 8.7
-PIXELS = 2**14  # of an object that stand for all
 DIRECTIONS = 64  # that palettes are projected on
 QUANTILES = 256  # by which two projections are compared
-
-
-@torch.no_grad()
-def object_pixels(splats: Splats, views: Sequence[ObjectView]) -> Float[Tensor, "P 3"]:
-    """An object's colours in some views, one per pixel, in 0..1."""
-    images = (rasterize(splats, view.camera)[0][0].clamp(0, 1) for view in views)
-    return torch.cat([image[view.pixels] for image, view in zip(images, views, strict=True)])
 
 
 def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> float:
@@ -67,8 +53,3 @@ def palette_distance(
         for each in (colors, style)
     )
     return float((one - other).square().mean().sqrt())
-
-
-def thinned(colors: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:
-    """Evenly chosen ones of very many colours."""
-    return colors[evenly(range(len(colors)), PIXELS)]

@@ -12,12 +12,13 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.evaluation.measure import changes, object_nnfm
 from stylesplat.evaluation.own_distance import own_nnfm, share_of_way
-from stylesplat.evaluation.palette import object_pixels, off_palette, palette_distance
+from stylesplat.evaluation.palette import off_palette, palette_distance
 from stylesplat.evaluation.statistics import content_ssim, object_statistics_distance
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.color import object_colors
 from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.object_views import Box, ObjectView, find_boxes, typical_length
 from stylesplat.stylization.paint_objects import moved
@@ -123,7 +124,7 @@ def _colors(views: Sequence[ObjectView], job: StyleJob, styled: Splats) -> dict[
     """Whether the object's colours are the style's, if they are to be."""
     if job.config.color != "style":
         return {}
-    colors = object_pixels(styled, views)
+    colors = object_colors(styled, views)
     style = torch.cat([picture.reshape(-1, 3) for picture in job.styles])
     return {
         "off_palette": off_palette(colors, style),

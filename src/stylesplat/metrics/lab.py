@@ -5,10 +5,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.scene.sampling import evenly
+
 TO_XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750))
 TO_XYZ += ((0.0193339, 0.1191920, 0.9503041),)  # sRGB, IEC 61966-2-1
 D65 = (0.95047, 1.0, 1.08883)
 LOWEST, RANGE = -128.0, 256.0  # L, a and b of all sRGB colours lie well within
+PIXELS = 2**14  # of a picture that stand for all
 DISTANCES_AT_ONCE = 2**22  # bounds the colours x colours matrix
 
 
@@ -20,6 +23,11 @@ def lab_from_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
     cubes = torch.where(xyz > (6 / 29) ** 3, xyz ** (1 / 3), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
     x, y, z = cubes.unbind(-1)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], dim=-1)
+
+
+def thinned(colors: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:
+    """Evenly chosen ones of very many colours."""
+    return colors[evenly(range(len(colors)), PIXELS)]
 
 
 def cells(lab: Float[Tensor, "P 3"], size: float) -> Int[Tensor, " P"]:

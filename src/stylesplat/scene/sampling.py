@@ -1,6 +1,6 @@
-"""Some of many: items at equal distances, cameras that are far from each other."""
+"""Some of many: items at equal distances or at random, cameras that are far from each other."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import torch
@@ -14,6 +14,14 @@ def evenly(items: Sequence[T], count: int) -> list[T]:
     """At most `count` of the items, at equal distances."""
     count = min(count, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]
+
+
+def drawn(items: Sequence[T], count: int, generator: torch.Generator) -> Iterator[T]:
+    """So many of the items in random order, each as often as the others."""
+    order: list[int] = []
+    for _ in range(count):
+        order = order or torch.randperm(len(items), generator=generator).tolist()
+        yield items[order.pop()]
 
 
 def far_apart(cameras: Cameras, count: int) -> list[int]:

@@ -120,22 +120,17 @@ def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float)
         picked: Which of them to move.
         intensity: How far; more than 1 goes beyond.
     """
-    mask = picked[:, None, None]
-    return replace(
-        base,
-        sh0=torch.where(mask, torch.lerp(base.sh0, styled.sh0, intensity), base.sh0),
-        shN=torch.where(mask, torch.lerp(base.shN, styled.shN, intensity), base.shN),
-    )
+    return mixed_colors(base, styled, intensity * picked.to(base.means))
 
 
-def softened(base: Splats, paint: Splats, shares: Float[Tensor, " N"]) -> Splats:
-    """What shows where Gaussians take on shares of their paint.
+def mixed_colors(base: Splats, paint: Splats, shares: Float[Tensor, " N"]) -> Splats:
+    """The base with the colours of each Gaussian moved by its share towards the paint.
 
-    Where the share is 0 it is the base to the bit, where it is 1 the paint.
+    Where the share is 0 they are the base's to the bit, where it is 1 the paint's.
     """
     weights = shares[:, None, None]
-    return replace(
-        paint,
-        sh0=torch.lerp(base.sh0, paint.sh0, weights),
-        shN=torch.lerp(base.shN, paint.shN, weights),
-    )
+
+    def mixed(before: Tensor, after: Tensor) -> Tensor:
+        return torch.where(weights > 0, torch.lerp(before, after, weights), before)
+
+    return replace(base, sh0=mixed(base.sh0, paint.sh0), shN=mixed(base.shN, paint.shN))

@@ -7,12 +7,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.metrics.lab import distinct, lab_from_rgb, nearest_colors
-from stylesplat.scene.sampling import evenly
+from stylesplat.metrics.lab import distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.scene.splats import SH_C0, Splats
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.object_views import ObjectView, weights_in
 
-PIXELS = 2**14  # of a painting that stand for all; what is rarer need not be aimed at
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
 NEAR = 6.0  # of Lab: as near is near enough
 LEVELS = 24  # of red, green and blue, for which the nearest colour is looked up once
@@ -50,7 +48,7 @@ class NearPalette:
 @torch.no_grad()
 def near_palette(style: Float[Tensor, "Q 3"]) -> NearPalette:
     """Prepare the colours of a painting, in 0..1."""
-    palette = distinct(style[evenly(range(len(style)), PIXELS)], SHADE)
+    palette = distinct(thinned(style), SHADE)  # what is rarer need not be aimed at
     axis = torch.linspace(0, 1, LEVELS).to(style)
     every, shades = lab_from_rgb(torch.cartesian_prod(axis, axis, axis)), lab_from_rgb(palette)
     nearest = nearest_colors(every, shades)
@@ -75,7 +73,7 @@ def settle(
     """
     picked = shares > 0
     views = [view.with_fixed_bands(splats) for view in views]
-    weights = torch.stack([view.weights(splats, picked) for view in views]).sum(dim=0)[picked]
+    weights = weights_in(views, splats, picked)
     weights = weights + FAINT * weights[weights > 0].median()
     colors = splats.sh0[picked, 0] * SH_C0 + 0.5
     strides = STRIDE * shares[picked, None]

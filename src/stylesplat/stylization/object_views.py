@@ -78,6 +78,16 @@ class ObjectView:
         return replace(self, linear=linear)
 
 
+def weights_in(
+    views: Sequence[ObjectView], splats: Splats, picked: Bool[Tensor, " N"]
+) -> Float[Tensor, " M"]:
+    """What each picked Gaussian contributes to all of some views, summed over their pixels."""
+    weights = splats.means.new_zeros(len(splats))
+    for view in views:
+        weights += view.weights(splats, picked)
+    return weights[picked]
+
+
 def find_boxes(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> list[Box]:
     """Find in which views an object shows, and where; what hides it is taken into account."""
     boxes = []
@@ -144,9 +154,12 @@ def cut_views(
         max_memory: Bytes that linear views may take; what does not fit is rasterised each time.
     """
     views, used, full = [], 0, False
+    # what features depend on around a box
+    before, after = max(c.before for c in cells), max(c.size - c.before for c in cells)
+    margins = min(MARGIN, before), min(MARGIN, after)
     keeps = max_memory > 0 and splats.device.type == "cpu"
     for box in track(boxes, "cutting the views"):
-        camera, inside = _cut(box, zoom, cells)
+        camera, inside = around(box, zoom, margins)
         linear = contributions(splats, camera, picked) if keeps and not full else None
         seen = linear.coverage if linear else coverage(splats, camera, picked)
         own = seen * inside.to(seen.device)
@@ -169,12 +182,17 @@ def _say_full(views: Sequence[ObjectView], max_memory: float) -> None:
     )
 
 
-def _cut(box: Box, zoom: float, cells: Sequence[Cells]) -> tuple[Cameras, Bool[Tensor, "H W"]]:
-    """The camera of a box and of what its features depend on around it, and which pixels it is."""
+def around(box: Box, zoom: float, margins: tuple[int, int]) -> tuple[Cameras, Bool[Tensor, "H W"]]:
+    """The camera of a box and of some pixels around it, and which pixels are the box's.
+
+    Args:
+        box: Where an object lies.
+        zoom: Size of the image, as a multiple of the camera's.
+        margins: Pixels to the left and above, and to the right and below.
+    """
     camera = box.camera.downscale(1 / zoom)
     inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
-    low = inner[0] - min(MARGIN, max(c.before for c in cells))
-    high = inner[1] + min(MARGIN, max(c.size - c.before for c in cells))
+    low, high = inner[0] - margins[0], inner[1] + margins[1]
     low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
     cut = crop(camera, low.tolist(), (high - low).tolist())
     (left, top), (right, bottom) = ((place - low).long().tolist() for place in inner)

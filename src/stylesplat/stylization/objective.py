@@ -16,7 +16,7 @@ from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.style_config import StyleConfig
 
 PULL = 10.0  # weight of the squared way back to the painting's colours; more costs style
-Place = tuple[float, ...]
+ViewKey = tuple[float, ...]
 EVEN = 0.1  # weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
 MOST_CONTENT = 0.98  # a larger weight of content keeps no more of it
 
@@ -45,7 +45,7 @@ class Objective:
     """The layers and weights."""
     near: NearPalette | None = None
     """The colours to stay near to; None leaves them free."""
-    wanted: dict[Place, list[Tensor]] = field(default_factory=dict)
+    wanted: dict[ViewKey, list[Tensor]] = field(default_factory=dict)
     """The original's features in the pictures seen so far, for `content`."""
 
     def __call__(self, view: ObjectView, splats: Splats) -> Losses:
@@ -73,13 +73,13 @@ class Objective:
 
     def _content(self, view: ObjectView, feats: Sequence[Tensor]) -> Tensor:
         """The mean squared change of the features, in units of their mean square."""
-        place = _place(view)
-        wanted = self.wanted.get(place)
+        key = _key(view)
+        wanted = self.wanted.get(key)
         if wanted is None:
             with torch.no_grad():
                 as_it_was = view.with_fixed_bands(self.original)  # the view may have others
                 image = as_it_was.render(self.original)
-                wanted = self.wanted[place] = self._features(view, image)
+                wanted = self.wanted[key] = self._features(view, image)
         changes = [
             (own.float() - other.float()).square().mean() / other.float().square().mean()
             for own, other in zip(feats, wanted, strict=True)
@@ -87,7 +87,7 @@ class Objective:
         return torch.stack(changes).mean()
 
 
-def _place(view: ObjectView) -> Place:
+def _key(view: ObjectView) -> ViewKey:
     """What tells a view from others, which may see parts of the same photo."""
     camera = view.camera
     return (*camera.viewmats.flatten().tolist(), *camera.Ks.flatten().tolist())

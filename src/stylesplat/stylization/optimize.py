@@ -8,10 +8,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.rendering.sh import sh0_from_rgb
+from stylesplat.scene.sampling import drawn
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import softened
+from stylesplat.stylization.color import mixed_colors
 from stylesplat.stylization.near_palette import DARKEST
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.object_views import ObjectView, weights_in
 from stylesplat.stylization.objective import Objective
 from stylesplat.training.adam import Moments, adam_step
 
@@ -62,13 +63,15 @@ def optimize_colors(
     leaves = {name: getattr(paint, name)[rows].requires_grad_() for name in fields}
     rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
     moments = Moments.zeros(leaves)
-    shown = softened(base, paint, shares)
+    shown = mixed_colors(base, paint, shares)
     if "shN" not in leaves:
         views = [view.with_fixed_bands(shown) for view in views]
     trust = _trust(base, picked, views)
-    for number, view in enumerate(_draws(views, steps, generator), start=1):
+    for number, view in enumerate(drawn(views, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(view, _with_rows(shown, _softened(leaves, base, shares, rows), rows))
+            losses = objective(
+                view, _with_rows(shown, _mixed_rows(leaves, base, shares, rows), rows)
+            )
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         decayed = config.final_lr ** ((number - 1) / steps)
@@ -78,7 +81,7 @@ def optimize_colors(
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
                 leaf.grad = None
         _keep_in_range(leaves["sh0"])
-        after = _with_rows(shown, _softened(leaves, base, shares, rows), rows).detach()
+        after = _with_rows(shown, _mixed_rows(leaves, base, shares, rows), rows).detach()
         full = _with_rows(paint, leaves, rows).detach()
         yield Step(number, losses.style.item(), after, full)
 
@@ -87,18 +90,15 @@ def _trust(
     splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView]
 ) -> Float[Tensor, "M 1 1"]:
     """How far to follow each Gaussian's steps: Adam's are as long for those that hardly show."""
-    weights = splats.means.new_zeros(len(splats))
-    for view in views:
-        weights += view.weights(splats, picked)
-    weights = weights[picked]
+    weights = weights_in(views, splats, picked)
     typical = weights[weights > 0].median()
     return (weights / (weights + TRUSTED * typical))[:, None, None]
 
 
-def _softened(
+def _mixed_rows(
     leaves: dict[str, Tensor], base: Splats, shares: Tensor, rows: Tensor
 ) -> dict[str, Tensor]:
-    """As `softened`, of some rows."""
+    """As `mixed_colors`, of some rows, with gradients."""
     part = shares[rows, None, None]
     return {n: torch.lerp(getattr(base, n)[rows], leaf, part) for n, leaf in leaves.items()}
 
@@ -115,13 +115,3 @@ def _keep_in_range(sh0: Tensor) -> None:
     """Colours that the rasteriser clamps at 0 would have no gradient to come back by."""
     black, white = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(sh0)
     sh0.clamp_(black, white)
-
-
-def _draws(
-    views: Sequence[ObjectView], count: int, generator: torch.Generator
-) -> Iterator[ObjectView]:
-    """Views in random order, each as often as the others."""
-    order: list[int] = []
-    for _ in range(count):
-        order = order or torch.randperm(len(views), generator=generator).tolist()
-        yield views[order.pop()]

@@ -55,7 +55,7 @@ def own_ground(studio: Studio, job: StyleJob) -> Ground:
     """
     places = [] if job.config.hard else find_places(studio.splats, job.picked, studio.cameras)
     everyone = torch.arange(len(studio.splats), device=studio.splats.device)
-    return _softened(studio, job, everyone, places)
+    return _with_shares(studio, job, everyone, places)
 
 
 def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
@@ -72,11 +72,11 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     split = _split(ground.studio, ground.job, boxes, length)
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
-    return _softened(studio, job, split.parents, ground.places)
+    return _with_shares(studio, job, split.parents, ground.places)
 
 
-def _softened(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
-    """Without Gaussians that are not the object's."""
+def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
+    """The object without Gaussians that are not its own."""
     if job.config.hard:
         return Ground(studio, job, job.picked.to(studio.splats.means), parents, places)
     shares = soft_shares(studio.splats, job.picked, places)

@@ -17,10 +17,9 @@ from stylesplat.rendering import cpu
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sampling import drawn, evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import Box, typical_length
+from stylesplat.stylization.object_views import Box, around, typical_length
 from stylesplat.stylization.split import Split
 from stylesplat.training.adam import Moments, adam_step
 
@@ -81,14 +80,16 @@ def refit(
     if not divided.any():
         return split
     zoom = min(1.0, LENGTH / typical_length(boxes))
-    views = [_look(splats, split, picked, _cut(box, zoom)) for box in evenly(boxes, VIEWS)]
+    views = [
+        _look(splats, split, picked, around(box, zoom, (MARGIN, MARGIN))[0])
+        for box in evenly(boxes, VIEWS)
+    ]
     leaves = {name: split.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments = Moments.zeros(leaves)
     generator = torch.Generator().manual_seed(seed)
-    order = list[int]()
-    for step in track(range(1, STEPS + 1), "fitting split Gaussians"):
-        order = order or torch.randperm(len(views), generator=generator).tolist()
-        view, raised = views[order.pop()], RAISED * torch.rand(3, generator=generator)
+    shown = track(drawn(views, STEPS, generator), "fitting split Gaussians", total=STEPS)
+    for step, view in enumerate(shown, start=1):
+        raised = RAISED * torch.rand(3, generator=generator)
         with torch.enable_grad():
             view.error(leaves, raised.to(view.image)).backward()
         rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
@@ -97,14 +98,6 @@ def refit(
             leaf.grad = None
     fitted = {name: leaf.detach() for name, leaf in leaves.items()}
     return replace(split, splats=replace(split.splats, **fitted))
-
-
-def _cut(box: Box, zoom: float) -> Cameras:
-    """The camera of a box and of a margin around it."""
-    camera = box.camera.downscale(1 / zoom)
-    low = ((box.low * zoom).floor() - MARGIN).clamp(min=0).long()
-    high = torch.minimum((box.high * zoom).ceil() + MARGIN, camera.sizes[0]).long()
-    return crop(camera, low.tolist(), (high - low).tolist())
 
 
 @torch.no_grad()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import color_map, object_colors, softened, transfer_colors
+from stylesplat.stylization.color import color_map, mixed_colors, object_colors, transfer_colors
 from stylesplat.stylization.looking import object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import NearPalette, near_palette, settle
@@ -23,10 +23,11 @@ from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.target import check_size, fits, style_features
 from stylesplat.stylization.texture import soften
-from stylesplat.stylization.undercoat import COLOR_VIEWS, undercoat
+from stylesplat.stylization.undercoat import undercoat
 
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
 STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
+COLOR_VIEWS = 8  # whose pixels tell an object's colours
 SPLIT_AT = 1  # the stage: Gaussians are fine enough for the one before
 
 
@@ -70,7 +71,8 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         goes on.
 
     Raises:
-        StyleSplatError: If the object is not seen, or a style image is too small.
+        StyleSplatError: If the object is not seen, nothing is its own, or a style image is too
+            small.
     """
     ground, config = own_ground(studio, job), job.config
     boxes = see_object(studio, ground.job, studio.cameras)
@@ -118,9 +120,9 @@ def _ended(ground: Ground, aim: Aim, paint: Splats, *, last: bool) -> tuple[Spla
     """The paint and what shows of it, in the colours of the style, after a stage."""
     base, shares = ground.studio.splats, ground.shares
     if aim.near is None:
-        return paint, softened(base, paint, shares)
+        return paint, mixed_colors(base, paint, shares)
     paint = transfer_colors(paint, ground.job.picked, aim.palette, aim.views)
-    shown = softened(base, paint, shares)
+    shown = mixed_colors(base, paint, shares)
     return paint, settle(shown, shares, aim.views, aim.near) if last else shown
 
 

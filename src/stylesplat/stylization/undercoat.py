@@ -7,13 +7,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import transfer_colors, vary_colors
 from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.style_config import StyleConfig
-
-COLOR_VIEWS = 8  # whose pixels tell an object's colours
 
 
 @torch.no_grad()
@@ -29,13 +26,13 @@ def undercoat(
     Args:
         splats: The scene, with as much of the object's own pattern as is wanted.
         picked: The object's Gaussians.
-        views: That show it.
+        views: Whose pixels tell its colours.
         palette: Colours in 0..1, that it is to have.
         config: The settings.
     """
     if config.color != "free":
         splats = vary_colors(splats, picked, seed=config.seed)
-        splats = transfer_colors(splats, picked, palette, evenly(views, COLOR_VIEWS))
+        splats = transfer_colors(splats, picked, palette, views)
     if config.view_dependence == "drop":
         matte = splats.shN.masked_fill(picked[:, None, None], 0)
         splats = replace(splats, shN=matte)
