@@ -17,7 +17,7 @@ from stylesplat.io.label_maps import write_label_map
 from stylesplat.progress import task
 from stylesplat.scene.cameras import Cameras
 
-VERSION = 3  # raise it when the same seed gives another picture
+VERSION = 4  # raise it when the same seed gives another picture
 POINTS = 40_000  # with fewer, training takes half as long again to be as sharp
 POINT_VIEWS = 12  # how many views the points are taken from
 MARKER = "object_names.json"  # tells a folder that was made here

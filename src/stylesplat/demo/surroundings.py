@@ -109,9 +109,8 @@ def _linen(u: float, v: float, grain: float) -> Vec:
 @kernel
 def table_albedo(p: Vec, grain: float) -> Vec:
     """Oak planks, and the cloth that lies askew on them."""
-    wood = _planks(p, grain)
     if p[2] < -1e-4:
-        return scaled(wood, 0.6)
+        return scaled(_planks(p, grain), 0.6)
     c, s = cos(CLOTH_TURN), sin(CLOTH_TURN)
     u, v = c * p[0] + s * p[1], c * p[1] - s * p[0]
     ragged = 0.012 * (noise((u * 5, v * 5, grain)) - 0.5)
@@ -121,4 +120,4 @@ def table_albedo(p: Vec, grain: float) -> Vec:
     inside = min(end, side)
     if inside > 0:
         return _linen(u, v, grain)
-    return scaled(wood, 0.65 + 0.35 * smoothstep(0.0, -0.05, inside))
+    return scaled(_planks(p, grain), 0.65 + 0.35 * smoothstep(0.0, -0.05, inside))

@@ -207,7 +207,7 @@ def render_view(
     """Fill `photo` [H, W, 3] with sRGB in 0..1 and `geometry` [H, W, 2] with label and depth.
 
     Label and depth (along the camera's z) belong to the pixel's centre; the colour is the
-    mean of four samples around it, which share the shadow and the sky of the centre.
+    mean of four samples around it, which share the centre's shadow, sky and backdrop.
     """
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     cone = HALF_PIXEL / min(K[0, 0], K[1, 1])
@@ -219,7 +219,9 @@ def render_view(
             t, hit = trace(origin, unit(central), layout, starts, cone)
             geometry[row, column, 0] = max(hit, 0)
             geometry[row, column, 1] = t / sqrt(dot(central, central))
-            shared = _arriving(along(origin, unit(central), t), hit, layout)
+            centre = along(origin, unit(central), t)
+            shared = _arriving(centre, hit, layout)
+            behind = backdrop_albedo(centre) if hit == BACKDROP else (0.0, 0.0, 0.0)
             color = (0.0, 0.0, 0.0)
             for sample in range(4):
                 x, y = column + 0.25 + 0.5 * (sample & 1), row + 0.25 + 0.5 * (sample >> 1)
@@ -227,8 +229,11 @@ def render_view(
                 reached, what = trace(origin, direction, layout, starts, NOWHERE)
                 p = along(origin, direction, reached)
                 near = what == hit and abs(reached - t) < SAME_PLACE
-                arriving = shared if near else _arriving(p, what, layout)
-                seen = _shade(p, direction, what, arriving, layout)
+                if near and what == BACKDROP:
+                    seen = behind
+                else:
+                    arriving = shared if near else _arriving(p, what, layout)
+                    seen = _shade(p, direction, what, arriving, layout)
                 color = along(color, (_film(seen[0]), _film(seen[1]), _film(seen[2])), 0.25)
             for channel in range(3):
                 photo[row, column, channel] = color[channel]

@@ -37,6 +37,7 @@ from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras
 
+CHANNELS = 3, 6, 19  # colours; with some features; with identities: compiled for these alone
 PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 MB a thread
 
 Noun = TypeVar("Noun", bound=tuple)
@@ -231,6 +232,11 @@ def rasterize(
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render; see `rasterize.Rasterizer`."""
+    wanted = colors.shape[-1]
+    unused = next((count for count in CHANNELS if count >= wanted), wanted) - wanted
+    if unused:
+        geometry_channels += unused if geometry_channels == wanted else 0
+        colors = torch.nn.functional.pad(colors, (0, unused))
     images, projections = [], []
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = project_gaussians(gaussians, view)
@@ -239,7 +245,7 @@ def rasterize(
         projections.append(projected)
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))
-    return render_colors, render_alphas, info._asdict()
+    return render_colors[..., :wanted], render_alphas, info._asdict()
 
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:
