@@ -1,3 +1,4 @@
+from .atelier.opening import studio as studio
 from .errors import StyleSplatError as StyleSplatError
 from .io.scene_folder import open as open
 from .io.scene_folder import save as save
@@ -24,5 +25,6 @@ from .verbs.sfm import sfm as sfm
 from .verbs.sheet import sheet as sheet
 from .verbs.stylize import stylise as stylise
 from .verbs.stylize import stylize as stylize
+from .verbs.stylize_live import stylize_live as stylize_live
 from .verbs.train import train as train
 from .verbs.view import view as view

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from stylesplat.drawing.browser import covariances, serve
+from stylesplat.drawing.browser import serve
+from stylesplat.drawing.live_splats import covariances
 from stylesplat.drawing.private_server import is_own
 from stylesplat.errors import StyleSplatError
 from stylesplat.signals import Terminated

@@ -23,6 +23,7 @@ from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
+from stylesplat.cli.studio import Studio
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.telling import told
 from stylesplat.cli.train import Train
@@ -49,6 +50,7 @@ VERBS = {
     "export": Export,
     "evaluate": Evaluate,
     "view": View,
+    "studio": Studio,
 }
 
 

@@ -5,19 +5,21 @@ import time
 from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
+from stylesplat.drawing.at_rest import AtRest
+from stylesplat.drawing.compositing import BLACK
+from stylesplat.drawing.live_splats import LiveSplats
 from stylesplat.drawing.private_server import private_server
+from stylesplat.drawing.shown import Shown
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import Sight, distances, focal_at
 from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import Terminated
+from stylesplat.work import Worker
 
 if TYPE_CHECKING:
     import viser
@@ -31,7 +33,7 @@ MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie b
 def serve(
     splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
 ) -> "viser.ViserServer":
-    """Show splats in a browser, in their mean colours (spherical harmonics of degree 0).
+    """Show splats in a browser: in mean colours, and as they are as soon as the camera rests.
 
     Only this machine is served, and only the server's own pages: other sites cannot read along.
 
@@ -48,34 +50,29 @@ def serve(
     Raises:
         StyleSplatError: If viser is not installed or there is nothing to show.
     """
-    if not len(splats):
-        raise StyleSplatError("These splats are empty, so there is nothing to view.")
+    refuse_empty(splats)
     server = private_server(port, "StyleSplat")
-    splats = splats.detach().to("cpu")
-    _add_splats(server, splats)
-    _place_camera(server, splats, cameras)
+    shown = Shown(splats.detach().to("cpu"))
+    place_camera(server, shown.splats, cameras)
+    LiveSplats(server, shown)
+    AtRest(server, Worker(_failed), lambda camera: shown.render(camera, BLACK).numpy())
     if block:
         _serve_until_interrupted(server)
     return server
 
 
-def covariances(splats: Splats) -> Float[Tensor, "N 3 3"]:
-    """World covariance of each Gaussian."""
-    axes = rotation_matrices(splats.quats) * splats.scales.exp()[:, None]
-    return axes @ axes.mT
+def refuse_empty(splats: Splats) -> None:
+    """Raise a StyleSplatError if there is nothing to show."""
+    if not len(splats):
+        raise StyleSplatError("These splats are empty, so there is nothing to view.")
 
 
-def _add_splats(server: "viser.ViserServer", splats: Splats) -> None:
-    server.scene.add_gaussian_splats(
-        "/splats",
-        centers=splats.means.numpy(),
-        covariances=covariances(splats).numpy(),
-        rgbs=rgb_from_sh0(splats.sh0[:, 0]).clamp(0, 1).numpy(),
-        opacities=torch.sigmoid(splats.opacities)[:, None].numpy(),
-    )
+def _failed(error: Exception) -> None:
+    say(f"No exact picture: {error}")
 
 
-def _place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
+def place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
+    """Where browsers start, and what is up."""
     content = content_of(splats)
     middle = content.extent.centre
     if cameras is None:

@@ -5,10 +5,14 @@ point here (DNS rebinding), which `Host` then tells; and over websockets, which 
 everywhere, telling the site as `Origin`. Either could read the splat.
 """
 
+import hmac
 import re
 from collections.abc import Callable
+from functools import partial
 from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
 
 from stylesplat.errors import StyleSplatError
 
@@ -23,14 +27,26 @@ REFUSAL = (
     "This server answers its own pages only. Open it as http://localhost:PORT, from elsewhere by "
     "way of an SSH tunnel.\n"
 )
+COOKIE = "stylesplat-token"
+ASKING = """<!doctype html><html lang="en"><meta charset="utf-8"><title>StyleSplat</title>
+<body style="font: 16px system-ui; background: #161618; color: #e6e6e8; display: grid;
+place-content: center; height: 90vh"><form method="get"><h1>StyleSplat</h1>
+<p>This studio asks for the token that its terminal shows.</p>
+<input name="token" autofocus autocomplete="off" style="font: inherit; padding: 6px; width: 22em">
+<button style="font: inherit; padding: 6px 14px">Open</button></form></body></html>
+"""
 
 
-def private_server(port: int, label: str) -> "viser.ViserServer":
-    """Serve on this machine alone, to pages of this server alone.
+def private_server(
+    port: int, label: str, *, host: str = ADDRESS, token: str | None = None
+) -> "viser.ViserServer":
+    """Serve on this machine alone, to pages of this server alone; or to those who have a token.
 
     Args:
-        port: Port on 127.0.0.1, or the next free one.
+        port: Port, or the next free one.
         label: Title of the page.
+        host: The address to serve at; others than 127.0.0.1 need a token.
+        token: What everybody is asked for before anything is sent; None asks nobody.
 
     Raises:
         StyleSplatError: If viser is not installed, or does not let others be refused.
@@ -43,15 +59,17 @@ def private_server(port: int, label: str) -> "viser.ViserServer":
         ) from error
     from websockets.asyncio import server as library
 
+    assert token or host == ADDRESS  # never to a network without one
     serve, guarded = library.serve, list[bool]()
+    guard = _own_only if token is None else partial(_with_token, token)
 
     def serve_own(*args: Any, process_request: Any = None, **options: Any) -> Any:
         guarded.append(True)
-        return serve(*args, process_request=_own_only(process_request), **options)
+        return serve(*args, process_request=guard(process_request), **options)
 
     library.serve = serve_own  # viser has no hook; it has called this when it is made
     try:
-        server = viser.ViserServer(host=ADDRESS, port=port, label=label)
+        server = viser.ViserServer(host=host, port=port, label=label)
     finally:
         library.serve = serve
     if not guarded:
@@ -77,3 +95,42 @@ def _own_only(process_request: Callable[..., Any] | None) -> Callable[..., Any]:
         return None if process_request is None else process_request(connection, request)
 
     return checked
+
+
+def has_token(token: str, path: str, cookies: list[str]) -> bool:
+    """Whether a request has the token: in its address, or in a cookie of an earlier one."""
+    given = parse_qs(urlsplit(path).query).get("token", [])
+    for text in cookies:
+        try:
+            given += [morsel.value for name, morsel in SimpleCookie(text).items() if name == COOKIE]
+        except CookieError:
+            continue
+    return any(hmac.compare_digest(each.strip().encode(), token.encode()) for each in given)
+
+
+def _with_token(token: str, process_request: Callable[..., Any] | None) -> Callable[..., Any]:
+    """Ask everybody for a token, before pages and before websockets; also where Origin differs."""
+
+    def checked(connection: "ServerConnection", request: "Request") -> "Response | Any":
+        headers = request.headers
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or origins not in ([], [f"http://{hosts[0]}"]):
+            return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
+        if not has_token(token, request.path, headers.get_all("Cookie")):
+            return _page(connection, HTTPStatus.UNAUTHORIZED, ASKING)
+        if "token=" in urlsplit(request.path).query:  # from now on the cookie has it
+            response = _page(connection, HTTPStatus.SEE_OTHER, "")
+            response.headers["Location"] = "/"
+            cookie = f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
+            response.headers["Set-Cookie"] = cookie
+            return response
+        return None if process_request is None else process_request(connection, request)
+
+    return checked
+
+
+def _page(connection: "ServerConnection", status: HTTPStatus, text: str) -> "Response":
+    response = connection.respond(status, text)
+    del response.headers["Content-Type"]
+    response.headers["Content-Type"] = "text/html; charset=utf-8"
+    return response

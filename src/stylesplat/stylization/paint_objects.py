@@ -100,7 +100,7 @@ def paint_live(
     """
     studio, job = _one_object(splats, capture, picked, style, config, network)
     for state in repaint(studio, job):
-        yield state if job.config.intensity == 1 else replace(state, splats=_blended(state, job))
+        yield state if job.config.intensity == 1 else replace(state, splats=blended(state, job))
 
 
 def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dict[str, float]]:
@@ -198,10 +198,10 @@ def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    return Styled(_blended(state, job), state.splats, state.base, state.parents)
+    return Styled(blended(state, job), state.splats, state.base, state.parents)
 
 
-def _blended(state: Repainted, job: StyleJob) -> Splats:
+def blended(state: Repainted, job: StyleJob) -> Splats:
     """The state's colours at the intensity that is wanted."""
     mask = job.picked[state.parents]
     return blend_colors(state.base, state.splats, mask, job.config.intensity)

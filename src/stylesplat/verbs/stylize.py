@@ -164,7 +164,7 @@ def _painted(
         max_memory=max_memory,
     )
     styled, seconds = paint_objects(studio, jobs)
-    scene = with_paintings(ground, styled, _records(run, jobs, strengths(ground)))
+    scene = with_paintings(ground, styled, records(run, jobs, strengths(ground)))
     staying = [job for job in jobs if job.name not in run.passing]
     if not staying:
         return scene, {}
@@ -178,7 +178,8 @@ def _painted(
     }
 
 
-def _records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:
+def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:
+    """What a scene remembers of the jobs of a run, and of what was painted before it."""
     weights = run.weights
     if weights is not None and weights.path is not None:
         path = weights.path.resolve()

@@ -1,0 +1,178 @@
+"""What the panel Keep does: scenes saved, kept against crashes, and given to other programs."""
+
+import io
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from PIL import Image
+
+from stylesplat.atelier.session import Progress, Session
+from stylesplat.atelier.studio_state import State, with_scene
+from stylesplat.drawing.orbit import orbit_around, orbit_cameras
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.io.places import refuse_unwritable
+from stylesplat.io.recovery import changing
+from stylesplat.io.splats.splat_files import COMPRESSED, write_splats
+from stylesplat.io.video import write_video
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of
+from stylesplat.scene.ring import FOCAL, has_no_photos
+from stylesplat.scene.scene import Scene, check_name
+
+AUTOSAVE = "autosave"  # the folder inside a scene's
+FORMATS = (".ply", COMPRESSED, ".spz", ".splat")
+FRAMES = 120  # of a turntable: four seconds
+TURNTABLE = 960  # pixels along its longer side
+MOST_PIXELS = 8192  # along a side of a still picture
+
+
+class Place:
+    """The folder of a scene, which others may change meanwhile."""
+
+    def __init__(self, folder: Path) -> None:
+        """Remember how it is now."""
+        self.folder = folder
+        self._stamp = _stamp(folder)
+
+    def save(self, session: Session) -> None:
+        """Write the scene as it is now; paintings can be taken back from it.
+
+        Raises:
+            StyleSplatError: If the folder cannot be written, or was changed since it was read.
+        """
+        scene = session.state.scene
+        with changing(self.folder):
+            if _stamp(self.folder) != self._stamp:
+                raise StyleSplatError(
+                    f"{self.folder} was changed by somebody else meanwhile. Save the scene under "
+                    "another name."
+                )
+            refuse_unwritable(self.folder)
+            scene_folder.revise(session.saved.scene, scene, self.folder)
+            self._stamp = _stamp(self.folder)
+        self._now_saved(session, f"Saved {self.folder}.")
+
+    def save_as(self, session: Session, name: str) -> None:
+        """Write the scene to another folder beside its own, and go on there.
+
+        Raises:
+            StyleSplatError: If it cannot be called so, or there is something.
+        """
+        check_name(name)  # no slashes: it is a name and no path
+        if name.startswith("."):
+            raise StyleSplatError("A name must not begin with a dot. Choose another one.")
+        folder = self.folder.resolve().parent / name
+        scene_folder.save(session.state.scene, folder)
+        with suppress(OSError):
+            shutil.rmtree(self.folder / AUTOSAVE)
+        self.folder, self._stamp = folder, _stamp(folder)
+        self._now_saved(session, f"Saved {folder}.")
+
+    def _now_saved(self, session: Session, line: str) -> None:
+        session.saved = session.state
+        with suppress(OSError):
+            shutil.rmtree(self.folder / AUTOSAVE)
+        session.tell(line)
+        session.tell_change()
+
+    def autosave(self, session: Session) -> bool:
+        """Keep the scene in its folder if it differs from what is saved; whether it does.
+
+        Raises:
+            StyleSplatError: If it cannot be written.
+        """
+        if not session.unsaved:
+            return False
+        refuse_unwritable(self.folder)
+        scene_folder.save(session.state.scene, self.folder / AUTOSAVE, overwrite=True)
+        return True
+
+    def recovered(self, state: State) -> State | None:
+        """What an earlier run left unsaved; None if it left nothing.
+
+        Raises:
+            StyleSplatError: If it is damaged.
+        """
+        kept = self.folder / AUTOSAVE
+        if not kept.is_dir():
+            return None
+        scene = replace(scene_folder.open(kept), path=state.scene.path)
+        return with_scene(state, scene, "Recovered what was not saved")
+
+
+def exported(scene: Scene, ending: str) -> bytes:
+    """The scene's splats as a file of another program.
+
+    Raises:
+        StyleSplatError: As `export` does.
+    """
+    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
+        path = Path(folder) / f"scene{ending}"
+        write_splats(scene.splats, path)
+        return path.read_bytes()
+
+
+def still(
+    session: Session, camera: Cameras, width: int, behind: tuple[float, float, float]
+) -> bytes:
+    """A PNG of what a camera sees, so many pixels wide, without a glow.
+
+    Raises:
+        StyleSplatError: If it is too wide.
+    """
+    if not 1 <= width <= MOST_PIXELS:
+        raise StyleSplatError(f"A picture has 1 to {MOST_PIXELS} pixels a side, not {width}.")
+    camera = camera.downscale(float(camera.sizes[0, 0]) / width)
+    pixels = replace(session.shown, glowing=None).render(camera, behind)
+    return png(pixels.numpy())
+
+
+def png(pixels: "object") -> bytes:
+    """Pixels as a file."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "PNG")  # pyright: ignore[reportArgumentType]
+    return file.getvalue()
+
+
+def turntable(
+    session: Session, behind: tuple[float, float, float], done: "list[bytes]", count: int = FRAMES
+) -> Iterator[None]:
+    """Make a video of a round trip, frame by frame.
+
+    Args:
+        session: Of whose scene.
+        behind: The colour behind it.
+        done: Gets the file in the end.
+        count: Of frames.
+    """
+    scene, seen = session.state.scene, replace(session.shown, glowing=None)
+    if has_no_photos(scene):
+        cameras = orbit_around(content_of(scene.splats), scene.cameras, FOCAL, count)
+    else:
+        cameras = orbit_cameras(scene.cameras, count)
+    cameras, frames = cameras.at_most(TURNTABLE), list[torch.Tensor]()
+    for row in range(count):
+        frames.append(seen.render(cameras[row], behind))
+        session.progress = Progress(f"Turntable, frame {row + 1} of {count}", (row + 1) / count)
+        session.tell_progress()
+        yield
+    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
+        path = Path(folder) / "turntable.mp4"
+        write_video(frames, path)
+        done.append(path.read_bytes())
+
+
+def _stamp(folder: Path) -> dict[str, tuple[int, int]]:
+    """What tells whether a folder's files were changed."""
+    try:
+        files = [entry for entry in os.scandir(folder) if entry.is_file()]
+        return {file.name: (file.stat().st_mtime_ns, file.stat().st_size) for file in files}
+    except OSError:
+        return {}

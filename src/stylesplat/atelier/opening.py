@@ -1,0 +1,136 @@
+"""`studio`: choose, paint and compare in the browser."""
+
+import contextlib
+import secrets
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stylesplat.atelier.easel import Easel
+from stylesplat.atelier.gallery import Gallery
+from stylesplat.atelier.keeping import Place
+from stylesplat.atelier.page import Page
+from stylesplat.atelier.session import Session
+from stylesplat.drawing.browser import refuse_empty
+from stylesplat.drawing.private_server import ADDRESS, private_server
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.progress import say
+from stylesplat.scene.scene import Scene
+
+if TYPE_CHECKING:
+    import viser
+
+AUTOSAVE_SECONDS = 60.0
+
+
+class Studio:
+    """A studio that is open."""
+
+    def __init__(self, server: "viser.ViserServer", page: Page, place: Place, gallery: Gallery):
+        self.server, self.page, self.place, self._gallery = server, page, place, gallery
+        self.session = page.session
+        self.token: str | None = None
+        """What browsers are asked for; None on this machine alone."""
+        self._closed = threading.Event()
+        self._complained = False
+        self._timer = threading.Thread(target=self._autosaves, daemon=True)
+        self._timer.start()
+
+    @property
+    def port(self) -> int:
+        """Where it is served."""
+        return self.server.get_port()
+
+    def wait(self) -> None:
+        """Serve until Ctrl-C, then close."""
+        try:
+            while not self._closed.wait(1.0):
+                pass
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End it; what is not saved is kept in the scene's folder for the next time."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self.session.worker.close()
+        if self._autosave():
+            say(
+                f"Kept what was not saved in {self.place.folder}: `stylesplat studio` goes on "
+                "with it."
+            )
+        self.server.stop()
+        self.session.close()
+        self._gallery.close()
+
+    def _autosaves(self) -> None:
+        while not self._closed.wait(AUTOSAVE_SECONDS):
+            self.session.ask(self._autosave, kind="autosave", patient=True)
+
+    def _autosave(self) -> bool:
+        try:
+            return self.place.autosave(self.session)
+        except StyleSplatError as error:
+            if not self._complained or self._closed.is_set():
+                self._complained = True  # once is enough
+                say(f"Nothing is kept against crashes: {error}")
+            return False
+
+
+def studio(
+    scene: Scene | Path | str,
+    *,
+    styles: Path | str | None = None,
+    port: int = 8080,
+    host: str = ADDRESS,
+    block: bool = True,
+    **options: Any,
+) -> Studio:
+    """Choose objects, paint them and compare in a browser.
+
+    Args:
+        scene: A scene's folder, or a scene that was opened from one: there it is saved.
+        styles: A folder of style pictures; more can be sent from the browser.
+        port: Port, or the next free one.
+        host: The address to serve at. Others than 127.0.0.1 are open to the network, so that
+            browsers are asked for a token.
+        block: Serve until Ctrl-C; otherwise return at once.
+        options: Of `stylize_live`, such as `features` and `device`.
+
+    Returns:
+        The studio; `close()` ends it.
+
+    Raises:
+        StyleSplatError: If viser is not installed, the scene is empty or has no folder, or there
+            is no folder of styles.
+    """
+    if not isinstance(scene, Scene):
+        scene = scene_folder.open(scene)
+    if scene.path is None:
+        raise StyleSplatError("This scene has no folder to save to. Save it first, and open that.")
+    refuse_empty(scene.splats)
+    gallery = Gallery(None if styles is None else Path(styles))
+    token = None if host == ADDRESS else secrets.token_urlsafe(12)
+    server = private_server(port, "StyleSplat studio", host=host, token=token)
+    session = Session(scene, folder=scene.path)
+    place = Place(scene.path)
+    with contextlib.suppress(StyleSplatError):
+        kept = place.recovered(session.state)
+        if kept is not None:
+            session.history.add(kept)
+            say("Recovered what was not saved the last time. Undo goes back to what was saved.")
+    page = Page(server, session, Easel(session, **options), gallery, place)
+    opened = Studio(server, page, place, gallery)
+    opened.token = token
+    if token is not None:
+        say(
+            f"Everybody who reaches {host}:{opened.port} and has the token {token} sees and "
+            f"changes this scene: http://{host}:{opened.port}/?token={token}"
+        )
+    if block:
+        opened.wait()
+    return opened

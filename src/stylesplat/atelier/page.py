@@ -1,0 +1,102 @@
+"""The page of the studio: its panels, and what is told in all of them."""
+
+from typing import TYPE_CHECKING
+
+from stylesplat.atelier.compare_panel import ComparePanel
+from stylesplat.atelier.easel import Easel
+from stylesplat.atelier.gallery import Gallery
+from stylesplat.atelier.keep_panel import KeepPanel
+from stylesplat.atelier.keeping import Place
+from stylesplat.atelier.paint_panel import PaintPanel
+from stylesplat.atelier.pick_panel import PickPanel
+from stylesplat.atelier.see_panel import add_see_panel
+from stylesplat.atelier.session import Session
+from stylesplat.atelier.viewing import Stage
+from stylesplat.atelier.widgets import icon
+
+if TYPE_CHECKING:
+    import viser
+
+BRAND = (232, 138, 30)
+SECONDS = 6.0  # that a word is shown; failures stay longer
+UNDO, REDO = "undo", "redo"
+
+
+class Page:
+    """Everything that browsers show."""
+
+    def __init__(
+        self,
+        server: "viser.ViserServer",
+        session: Session,
+        easel: Easel,
+        gallery: Gallery,
+        place: Place,
+    ) -> None:
+        """Build it."""
+        self.server, self.session, self._easel = server, session, easel
+        self.stage = Stage(server, session)
+        gui = server.gui
+        gui.configure_theme(
+            dark_mode=True,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=BRAND,
+            control_width="large",
+        )
+        gui.main_panel.dock_right()
+        self._status = gui.add_markdown("")
+        self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._history = gui.add_button_group("History", (UNDO, REDO))
+        self._history.on_click(lambda _: session.step(-1 if self._history.value == UNDO else 1))
+        self._keys(gui)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Pick", icon("pointer")):
+            self.pick = PickPanel(server, session)
+        with tabs.add_tab("Paint", icon("brush")):
+            self.paint = PaintPanel(server, session, easel, gallery)
+        with tabs.add_tab("Compare", icon("adjustments")):
+            self.compare = ComparePanel(server, session, self.stage)
+        with tabs.add_tab("Keep", icon("device-floppy")):
+            self.keep = KeepPanel(server, session, self.stage, place)
+        with tabs.add_tab("See", icon("eye")):
+            add_see_panel(server, self.stage)
+        session.on_change(self.refresh)
+        session.on_progress(self.progress)
+        session.on_word(self._say)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """The state is another: in the worker's thread."""
+        for panel in (self.pick, self.paint, self.compare, self.keep):
+            panel.refresh()
+        self.progress()
+
+    def progress(self) -> None:
+        """How far long work is."""
+        progress, waiting = self.session.progress, self._easel.waiting
+        self._bar.visible = progress is not None
+        if progress is None:
+            star = " · not saved" if self.session.unsaved else ""
+            self._status.content = f"{self.session.state.note}{star}"
+            return
+        self._bar.value = 100 * progress.share
+        left = "" if progress.left is None else f", {progress.left:.0f} s left"
+        doing = f" ({progress.doing})" if progress.doing and not progress.share else ""
+        queue = f" · {waiting} waiting" if waiting else ""
+        self._status.content = f"{progress.what}{doing}{left}{queue}"
+
+    def _keys(self, gui: "viser.GuiApi") -> None:
+        back = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl")
+        back.on_trigger(lambda _: self.session.step(-1))
+        forth = gui.add_command("Redo", hotkey="Y", modifier="cmd/ctrl")
+        forth.on_trigger(lambda _: self.session.step(1))
+
+    def _say(self, line: str, failure: bool) -> None:
+        for client in self.server.get_clients().values():
+            client.add_notification(
+                "That did not work" if failure else "StyleSplat",
+                line,
+                color="red" if failure else None,
+                auto_close_seconds=(3 if failure else 1) * SECONDS,
+            )

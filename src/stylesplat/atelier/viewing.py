@@ -1,0 +1,168 @@
+"""What the panel See does: the picture of all browsers, and where their cameras are."""
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, UInt8
+from torch import Tensor
+
+from stylesplat.atelier.session import Session
+from stylesplat.drawing.at_rest import AtRest
+from stylesplat.drawing.browser import place_camera
+from stylesplat.drawing.live_splats import MOST, LiveSplats
+from stylesplat.drawing.shown import Shown
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import extent_of
+from stylesplat.scene.poses import up_vector
+from stylesplat.scene.splats import Splats
+
+if TYPE_CHECKING:
+    import viser
+
+Compared = Literal["after", "before", "split"]
+
+BEHIND = (0.086, 0.086, 0.094)  # what is behind everything at first: that of the dark page
+MOST_FRAMES = 60  # cameras that are drawn
+CLOSE = 1.6  # extents of an object from which it is looked at
+
+
+class Stage:
+    """The picture: splats that follow the session, and exact ones as cameras rest."""
+
+    def __init__(self, server: "viser.ViserServer", session: Session) -> None:
+        """Show the session's state from now on."""
+        self.server, self.session = server, session
+        self.behind = BEHIND
+        """The colour behind everything."""
+        self.compared: Compared = "after"
+        """Whether paintings are seen, or what was before, or one beside the other."""
+        scene = session.state.scene
+        place_camera(server, scene.splats, scene.cameras)
+        self._last = self.shown()
+        self._splats = LiveSplats(server, self._last)
+        self.rest = AtRest(server, session.worker, self.look)
+        self.rest.set_paper(BEHIND)
+        self._frames = list["viser.CameraFrustumHandle"]()
+        session.on_change(self.refresh)
+        if len(scene.splats) > MOST:
+            session.tell(
+                f"The browser moves {MOST:,} of {len(scene.splats):,} Gaussians; at rest the "
+                "picture is of all."
+            )
+
+    def shown(self) -> Shown:
+        """What is to be seen now."""
+        seen = self.session.shown
+        if self.compared == "before" and self.session.preview is None:
+            return Shown(self.session.state.scene.unpainted, hidden=seen.hidden)
+        return seen
+
+    def refresh(self) -> None:
+        """Something is another: in the worker's thread."""
+        self._last = self.shown()
+        self._splats.show(self._last)
+        self.rest.active = not self.session.painting and not self._frames
+        self.rest.changed()
+
+    def look(self, camera: Cameras) -> UInt8[np.ndarray, "H W 3"]:
+        """What a camera sees exactly."""
+        image = self._last.render(camera, self.behind).numpy()
+        if self.compared == "split" and self.session.preview is None:
+            scene, hidden = self.session.state.scene, self._last.hidden
+            before = Shown(scene.unpainted, hidden=hidden).render(camera, self.behind).numpy()
+            middle = image.shape[1] // 2
+            image[:, :middle] = before[:, :middle]
+            image[:, max(0, middle - 1) : middle + 1] = 255
+        return image
+
+    def compare(self, compared: Compared) -> None:
+        """Show paintings, or what was before, or both."""
+        self.compared = compared
+        self.session.ask(self.refresh, kind="compare")
+
+    def paper(self, behind: tuple[float, float, float]) -> None:
+        """Another colour behind everything."""
+        self.behind = behind
+        self.rest.set_paper(behind)
+        self.session.ask(self.refresh, kind="compare")
+
+    def frames(self, show: bool) -> None:
+        """Draw the cameras of the photos, to fly to, or take them away; no exact picture then."""
+        for frame in self._frames:
+            frame.remove()
+        self._frames = []
+        if show:
+            cameras = self.session.state.scene.cameras
+            for row in range(0, len(cameras), -(-len(cameras) // MOST_FRAMES)):
+                self._frames.append(self._frame(cameras[row], _spacing(cameras)))
+        self.session.ask(self.refresh, kind="compare")
+
+    def _frame(self, camera: Cameras, size: float) -> "viser.CameraFrustumHandle":
+        wxyz, position, fov = pose_of(camera)
+        width, height = camera.size
+        frame = self.server.scene.add_camera_frustum(
+            f"/photos/{camera.names[0]}",
+            fov=fov,
+            aspect=width / height,
+            scale=size,
+            color=(255, 170, 40),
+            wxyz=wxyz,
+            position=position,
+        )
+
+        @frame.on_click
+        def _(event: "viser.SceneNodePointerEvent[viser.CameraFrustumHandle]") -> None:
+            fly(event.client, camera)
+
+        return frame
+
+    def home(self, client: "viser.ClientHandle") -> None:
+        """Where it began, or if something is picked, close to that."""
+        state = self.session.state
+        picked = self.session.masks.together(state.scene, state.picked)
+        start = self.server.initial_camera
+        if picked is None:
+            client.camera.position, client.camera.look_at = start.position, start.look_at
+            return
+        position, centre = close_to(state.scene.splats, picked, client.camera.position)
+        client.camera.position, client.camera.look_at = position, centre
+
+
+def close_to(
+    splats: Splats, picked: Bool[Tensor, " N"], position: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where to stand and where to look to see an object from the side that one is at."""
+    extent = extent_of(splats, picked)
+    centre = extent.centre.numpy()
+    away = position - centre
+    distance = CLOSE * float(extent.size.norm())
+    return centre + away / max(float(np.linalg.norm(away)), 1e-9) * distance, centre
+
+
+def fly(client: "viser.ClientHandle", camera: Cameras) -> None:
+    """Take a browser's camera to that of a photo."""
+    wxyz, position, fov = pose_of(camera)
+    with client.atomic():
+        client.camera.up_direction = up_vector(camera).numpy()
+        client.camera.wxyz, client.camera.position = wxyz, position
+        client.camera.fov = fov
+
+
+def pose_of(camera: Cameras) -> tuple[np.ndarray, np.ndarray, float]:
+    """A camera's rotation to the world, wxyz; its place; and radians from top to bottom."""
+    from viser.transforms import SO3
+
+    rotation = camera.viewmats[0, :3, :3].double().numpy()
+    height, focal = camera.sizes[0, 1], camera.Ks[0, 1, 1]
+    fov = 2 * float(torch.atan(height / (2 * focal)))
+    return SO3.from_matrix(rotation.T).wxyz, camera.positions[0].double().numpy(), fov
+
+
+def _spacing(cameras: Cameras) -> float:
+    """A length by which cameras can be drawn without hiding each other."""
+    positions = cameras.positions.double()
+    if len(cameras) < 2:
+        return 0.1
+    gaps = torch.cdist(positions, positions).fill_diagonal_(float("inf")).amin(dim=1)
+    return float(gaps.median().clamp(min=1e-3)) / 3

@@ -1,0 +1,120 @@
+"""One thread that does all computing of a program with an interface, so that this never waits.
+
+Rendering in several threads at once is not safe with every threading layer of numba.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+
+Job = Callable[[], object]
+
+
+class Worker:
+    """Does what it is asked for in order, and between that goes on with one long piece of work."""
+
+    def __init__(self, failed: Callable[[Exception], None]) -> None:
+        """Start the thread.
+
+        Args:
+            failed: Is told, in that thread, what a job raises.
+        """
+        self._failed = failed
+        self._changed = threading.Condition()
+        self._soon, self._later = deque[tuple[str, Job]](), deque[tuple[str, Job]]()
+        self._lengthy: Iterator[object] | None = None
+        self._busy, self._closed = False, False
+        self._thread = threading.Thread(target=self._run, name="stylesplat worker", daemon=True)
+        self._thread.start()
+
+    def ask(self, job: Job, *, kind: str = "", patient: bool = False) -> None:
+        """Have something done, soon.
+
+        Args:
+            job: What to call.
+            kind: Takes the place of what was asked of that kind before and is not done yet.
+            patient: Whether everything else comes first, but for the long work.
+        """
+        with self._changed:
+            queue = self._later if patient else self._soon
+            if kind:
+                for waiting in [each for each in queue if each[0] == kind]:
+                    queue.remove(waiting)
+            queue.append((kind, job))
+            self._changed.notify_all()
+
+    def go_on_with(self, steps: Iterator[object] | None) -> None:
+        """From now on ask these for the next one whenever there is nothing else to do.
+
+        Args:
+            steps: In place of what there was; None for nothing.
+        """
+        with self._changed:
+            self._lengthy = steps
+            self._changed.notify_all()
+
+    @property
+    def lengthy(self) -> Iterator[object] | None:
+        """What it goes on with."""
+        return self._lengthy
+
+    def breathe(self) -> None:
+        """Within a long step, in the worker's thread: do what is asked for soon."""
+        while threading.current_thread() is self._thread:
+            with self._changed:
+                if not self._soon or self._closed:
+                    return
+                _, job = self._soon.popleft()
+            self._do(job)
+
+    def settle(self, seconds: float = 60.0) -> bool:
+        """Wait until there is nothing more to do; whether that came about."""
+        end = time.monotonic() + seconds
+        with self._changed:
+            while self._busy or self._soon or self._later or self._lengthy is not None:
+                if self._closed or not self._changed.wait(max(0.0, end - time.monotonic())):
+                    return False
+        return True
+
+    def close(self) -> None:
+        """Finish what is being done, and nothing else."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(self._has_work)
+                if self._closed:
+                    return
+                self._busy = True
+                queue = self._soon or self._later
+                job = queue.popleft()[1] if queue else self._step
+            self._do(job)
+
+    def _has_work(self) -> bool:
+        return bool(self._closed or self._soon or self._later or self._lengthy is not None)
+
+    def _do(self, job: Job) -> None:
+        try:
+            job()
+        except Exception as error:
+            self._failed(error)
+
+    def _step(self) -> None:
+        lengthy = self._lengthy
+        assert lengthy is not None  # nobody else asks for a step
+        try:
+            next(lengthy)
+        except BaseException as error:
+            with self._changed:
+                if self._lengthy is lengthy:
+                    self._lengthy = None
+            if not isinstance(error, StopIteration):
+                raise

@@ -1,0 +1,154 @@
+"""The studio in a real browser: pick, paint, compare, undo, save, export."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from balls import CAMERAS, SPLATS, enlarged
+from chromium import Tab, browser, find_chromium, until
+from stylesplat.atelier.opening import Studio, studio
+from stylesplat.atelier.studio_state import shown
+from stylesplat.drawing.at_rest import camera_of
+from stylesplat.io.scene_folder import open, save
+from stylesplat.io.splats.splat_files import read_splats
+from stylesplat.rendering.shares import coverage
+from stylesplat.scene.scene import Scene
+
+pytestmark = pytest.mark.skipif(
+    find_chromium() is None, reason="needs Chromium, such as Debian's package chromium"
+)
+
+SIZE = 760, 420  # pixels of the window: software draws them
+# Messages, such as that of viser that nothing but software draws, lie over the picture
+HIDE = "document.querySelectorAll('.mantine-Notifications-root').forEach(e => e.remove())"
+# Its splats' corners are told without a z, by which three.js measures them at a click
+VISERS = "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN."
+FAR = 8  # pixels around an object to which its strokes may reach
+SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels by less
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Studio]:
+    """The balls, and a picture of stripes."""
+    folder, styles = tmp_path / "balls", tmp_path / "styles"
+    save(Scene(SPLATS, enlarged(CAMERAS, 4)), folder)
+    styles.mkdir()
+    rows = torch.arange(96) // 6 % 2
+    pixels = torch.stack([200 * rows, 90 + 0 * rows, 255 - 200 * rows], dim=-1).to(torch.uint8)
+    image = Image.fromarray(pixels[:, None].expand(96, 96, 3).numpy())
+    image.save(styles / "stripes.png")
+    found = studio(folder, styles=styles, port=0, block=False, device="cpu")
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
+    downloads = tmp_path / "downloads"
+    downloads.mkdir()
+    with browser(size=SIZE, downloads=downloads) as tab:
+        tab.open(f"http://127.0.0.1:{opened.port}")
+        yield tab
+
+
+def at_rest(tab: Tab, opened: Studio) -> np.ndarray:
+    """What the page shows of the scene once there is nothing more to do."""
+    (client,) = until(opened.server.get_clients, "a browser")
+    assert opened.session.worker.settle()
+
+    def picture() -> np.ndarray | None:
+        wanted = exact(opened)  # each time: the camera may move at first
+        if not opened.page.stage.rest.showing(client):
+            return None
+        tab.run(HIDE)
+        pixels = tab.screenshot().astype(float)[: wanted.shape[0], : wanted.shape[1]]
+        alike = pixels.shape == wanted.shape and np.abs(pixels - wanted).mean() < SLIGHT / 4
+        return pixels if alike else None
+
+    return until(picture, "the exact picture on the page")
+
+
+def exact(opened: Studio) -> np.ndarray:
+    (client,) = opened.server.get_clients().values()
+    stage = opened.page.stage
+    seen = shown(opened.session.state, opened.session.masks)
+    return seen.render(camera_of(client), stage.behind).numpy().astype(float)
+
+
+def center_of(opened: Studio, id: int) -> tuple[float, float]:
+    """Where a ball shows on the page."""
+    (client,) = opened.server.get_clients().values()
+    camera = camera_of(client)
+    scene = opened.session.state.scene
+    seen = coverage(scene.splats, camera, opened.session.masks.of(scene, str(id)))
+    y, x = (each.float().mean().item() for each in (seen > 0.8).nonzero(as_tuple=True))
+    return x, y
+
+
+def wait_for_note(opened: Studio, begins: str) -> Callable[[], bool]:
+    return lambda: opened.session.state.note.startswith(begins)
+
+
+def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path: Path):
+    session = opened.session
+    until(lambda: "Picked: nothing" in tab.text(), "the page")
+    until(opened.server.get_clients, "a browser")
+    before = at_rest(tab, opened)
+
+    x, y = center_of(opened, 3)
+    tab.click(x, y)
+    until(lambda: session.state.picked == ("3",), "a pick")
+    glowing = at_rest(tab, opened)
+    near = near_object(opened, 3)
+    assert np.abs(glowing - before)[near].mean() > SLIGHT, "it glows"
+    assert np.abs(glowing - before)[~near].max(initial=0) < 3 * SLIGHT, "nothing else does"
+
+    tab.press_button("Paint")
+    tab.press_button("stripes")
+    until(wait_for_note(opened, "Painted 3"), "strokes")
+    painted = at_rest(tab, opened)
+    assert np.abs(painted - before)[near].mean() > SLIGHT, "it is painted"
+    assert np.abs(painted - before)[~near].max(initial=0) < 3 * SLIGHT, "nothing else is"
+
+    tab.press_button("Compare")
+    until(lambda: tab.place_of("slider"), "a slider of intensity")
+    tab.run("[...document.querySelectorAll('[role=slider]')].find(e => e.offsetParent).focus()")
+    tab.press("Home")
+    until(lambda: session.state.note == "3 at 0%", "intensity 0")
+    faded = at_rest(tab, opened)
+    gone = np.abs(faded - before)
+    assert gone[~near].max() < 3 * SLIGHT
+    assert gone[near].mean() < SLIGHT / 4, "as before, but for JPEG and for refitting splits"
+
+    tab.press_button("undo")
+    until(wait_for_note(opened, "Painted 3"), "undo")
+    assert np.abs(at_rest(tab, opened) - painted).max() < 3 * SLIGHT
+
+    tab.press_button("Keep")
+    tab.press_button("Save")
+    until(lambda: not session.unsaved, "saving")
+    saved = open(session.folder)
+    assert saved.painted is not None and saved.painted.names == ("3",)
+    assert "--style" in tab.text() and "stripes.png" in tab.text()
+
+    tab.press_button("Download")
+    file = tmp_path / "downloads" / "balls.ply"
+    until(file.exists, "a download")
+    assert len(read_splats(file)) == len(saved.splats)
+    complaints = [line for line in tab.complaints if not line.startswith(VISERS)]
+    assert not complaints, json.dumps(complaints, indent=1)
+
+
+def near_object(opened: Studio, id: int) -> np.ndarray:
+    """The pixels of a ball, and some around it."""
+    (client,) = opened.server.get_clients().values()
+    scene = opened.session.state.scene
+    camera = camera_of(client)
+    seen = coverage(scene.splats, camera, opened.session.masks.of(scene, str(id))) > 0.02
+    grown = torch.nn.functional.max_pool2d(seen[None].float(), 2 * FAR + 1, 1, FAR)[0]
+    return grown.numpy() > 0
