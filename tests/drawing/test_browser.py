@@ -2,6 +2,7 @@ import http.client
 import socket
 import sys
 from dataclasses import replace
+from email.message import Message
 from urllib.request import urlopen
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from stylesplat.atelier.viewing import pose_of
 from stylesplat.drawing.browser import serve
-from stylesplat.drawing.live_splats import covariances
-from stylesplat.drawing.private_server import is_own
+from stylesplat.drawing.client_camera import browser_camera
+from stylesplat.drawing.live_splats import covariances, weightiest
+from stylesplat.drawing.private_server import is_own, private_server
 from stylesplat.errors import StyleSplatError
 from stylesplat.signals import Terminated
 
@@ -161,3 +164,49 @@ def test_without_viser(monkeypatch):
 def test_empty_splats():
     with pytest.raises(StyleSplatError, match="nothing to view"):
         serve(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
+
+
+def test_with_a_token_nobody_else_gets_a_page_or_a_scene(free_port):
+    server = private_server(free_port, "test", token="secret")
+
+    def answer(path: str, **headers: str) -> tuple[int, Message, bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", free_port, timeout=10)
+        try:
+            connection.request("GET", path, headers=headers)
+            response = connection.getresponse()
+            return response.status, response.headers, response.read()
+        finally:
+            connection.close()
+
+    try:
+        for path in ("/", "/?token=wrong", "/index.html"):
+            status, _, page = answer(path)
+            assert status == 401 and b"token" in page, path
+        assert answer("/", **WEBSOCKET)[0] == 401
+        assert answer("/", Cookie="stylesplat-token=wrong")[0] == 401
+        status, headers, _ = answer("/?token=secret")
+        assert (status, headers["Location"]) == (303, "/")
+        cookie = headers["Set-Cookie"]
+        assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+        own = cookie.partition(";")[0]
+        assert answer("/", Cookie=own)[0] == 200
+        assert answer("/", Cookie=own, Origin="http://elsewhere.example")[0] == 403
+    finally:
+        server.stop()
+
+
+def test_of_too_many_gaussians_those_that_show_most_are_sent():
+    opacities = torch.linspace(-3, 3, len(SPLATS))
+    rows = weightiest(replace(SPLATS, opacities=opacities), 100)
+    assert rows is not None and rows.tolist() == [*range(len(SPLATS) - 100, len(SPLATS))]
+    assert weightiest(SPLATS, len(SPLATS)) is None
+
+
+def test_a_browsers_camera_sees_what_ours_does():
+    camera = CAMERAS[2]
+    wxyz, position, fov = pose_of(camera)
+    found = browser_camera(wxyz, position, fov, camera.size)
+    assert torch.allclose(found.viewmats, camera.viewmats, atol=1e-5)
+    assert torch.allclose(found.Ks, camera.Ks, atol=1e-3) and found.size == camera.size
+    large = browser_camera(wxyz, position, fov, (3840, 2160))
+    assert large.size == (960, 540)

@@ -119,7 +119,7 @@ def region_of(
 ) -> tuple[int, int, int, int]:
     """Shares of a picture in percent as its pixels: x0, y0, x1, y1."""
     (x0, x1), (y0, y1) = (
-        (round(share * length / 100) for share in shares)
+        [round(share * length / 100) for share in shares]
         for shares, length in ((across, size[0]), (down, size[1]))
     )
     return x0, y0, x1, y1

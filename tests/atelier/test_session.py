@@ -1,0 +1,210 @@
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from studio_balls import quick_style, session_in, stripes
+from stylesplat.atelier.comparing import at_intensity, taken_back, variant_of
+from stylesplat.atelier.easel import Easel, previewed
+from stylesplat.atelier.history import History
+from stylesplat.atelier.keeping import AUTOSAVE, Place, exported, still
+from stylesplat.atelier.picking import pick_names, renamed
+from stylesplat.atelier.session import Session
+from stylesplat.atelier.studio_state import State
+from stylesplat.drawing.client_camera import browser_camera
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import open
+from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.scene.scene import Scene
+from stylesplat.stylization.bookkeeping import strengths
+from stylesplat.verbs.stylize import stylize
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    found = session_in(tmp_path)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def said(session: Session) -> list[str]:
+    lines = list[str]()
+    session.on_word(lambda line, failure: lines.append(line))
+    return lines
+
+
+@pytest.fixture(scope="module")
+def stylized() -> Scene:
+    """What the verb gives; it measures, too, here at a size that takes less time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
+        return stylize(Scene(SPLATS, CAMERAS), {"3": quick_style()}, device="cpu")
+
+
+def painted(session: Session, *names: str) -> Easel:
+    easel = Easel(session, device="cpu")
+    easel.paint(names, quick_style(), "stripes")
+    assert session.worker.settle()
+    return easel
+
+
+def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
+    session: Session, stylized: Scene
+):
+    before, seen = session.state.scene, list[torch.Tensor]()
+    session.on_change(lambda: seen.append(session.shown.splats.sh0))
+    painted(session, "3")
+    found = session.state.scene
+    assert torch.equal(found.splats.sh0, stylized.splats.sh0)
+    assert found.painted is not None and stylized.painted is not None
+    assert found.painted.paintings[0].settings == stylized.painted.paintings[0].settings
+    assert found.painted.paintings[0].styles == stylized.painted.paintings[0].styles
+    assert not torch.equal(seen[0], before.splats.sh0), "the colours are there at once"
+    assert len(seen) > 2 and session.preview is None and session.progress is None
+
+
+def test_several_are_queued_and_undo_takes_one_after_the_other_back(session: Session):
+    painted(session, "3", "7")
+    assert [*strengths(session.state.scene)] == ["3", "7"]
+    session.step(-1)
+    assert session.worker.settle()
+    assert [*strengths(session.state.scene)] == ["3"]
+    session.step(-1)
+    session.step(1)
+    session.step(1)
+    assert session.worker.settle()
+    assert [*strengths(session.state.scene)] == ["3", "7"]
+
+
+def test_stop_keeps_what_there_is_and_continue_finishes_it(
+    session: Session, said: list[str], stylized: Scene
+):
+    easel = Easel(session, device="cpu")
+    steps = list[int]()
+
+    def stop_at_two() -> None:
+        if session.progress is not None and session.progress.share >= 0.25 and not steps:
+            steps.append(1)
+            easel.stop()
+
+    session.on_change(stop_at_two)
+    easel.paint(("3",), quick_style(), "stripes")
+    assert session.worker.settle()
+    assert session.state.note.startswith("Stopped at step"), said
+    early = session.state.scene
+    assert early.painted is not None and easel.can_continue
+    easel.go_on()
+    assert session.worker.settle()
+    assert torch.equal(session.state.scene.splats.sh0, stylized.splats.sh0)
+    assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
+    assert not easel.can_continue
+
+
+def test_what_cannot_be_painted_is_told_and_changes_nothing(session: Session, said: list[str]):
+    before = session.state
+    painted(session)
+    painted(session, "nobody")
+    assert session.state is before and not session.painting
+    assert "Nothing is picked" in said[0] and "nobody" in said[1]
+
+
+def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(session: Session):
+    painted(session, "3")
+    variant = variant_of(session, "3", "stripes")
+    full = session.state
+    for value in (0.8, 0.4, 0.0):
+        session.do(
+            lambda state, value=value: at_intensity(state, "3", value),
+            merge="slider",
+            kind=f"slider {value}",
+        )
+    assert session.worker.settle()
+    assert strengths(session.state.scene) == {"3": 0.0}
+    assert full.scene.painted is not None
+    assert torch.equal(session.state.scene.splats.sh0, full.scene.painted.before.sh0)
+    session.step(-1)
+    assert session.worker.settle()
+    assert strengths(session.state.scene) == {"3": 1.0}
+    session.do(lambda state: taken_back(state, "3"))
+    session.do(lambda _: session.history.at(variant.bookmark))
+    assert session.worker.settle()
+    assert torch.equal(session.state.scene.splats.sh0, full.scene.splats.sh0)
+    assert variant.thumbnail.shape[2] == 3 and variant.settings["steps"] == 4
+
+
+def test_the_preview_has_the_pictures_colours_on_the_object_alone(session: Session):
+    scene = session.state.scene
+    picked = session.masks.of(scene, "7")
+    splats = previewed(scene.splats, picked, (stripes(),))
+    assert torch.equal(splats.sh0[~picked], scene.splats.sh0[~picked])
+    mean = rgb_from_sh0(splats.sh0[picked, 0]).mean(dim=0)
+    assert torch.allclose(mean, stripes().mean(dim=(0, 1)), atol=0.05)
+
+
+def test_history_is_bounded_in_memory_and_loses_nothing(session: Session):
+    first = session.state
+    history = History(first, budget=3 * 10**5)
+    states = [first]
+    for number in range(12):
+        splats = replace(first.scene.splats, shN=torch.full((440, 15, 3), float(number)))
+        states.append(State(replace(first.scene, splats=splats), note=str(number)))
+        history.add(states[-1])
+    assert history.on_disk > 3, "a tensor has 80 kB"
+    for state in reversed(states):
+        assert history.now.note == state.note
+        assert torch.equal(history.now.scene.splats.shN, state.scene.splats.shN)
+        history.step(-1)
+    assert not history.can_undo and history.can_redo
+    history.step(1)
+    history.add(first)
+    assert not history.can_redo, "what was undone is forgotten"
+    history.close()
+
+
+def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, said: list[str]):
+    place = Place(session.folder)
+    session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert session.worker.settle() and session.unsaved
+    assert place.autosave(session)
+    kept = Place(session.folder).recovered(State(open(session.folder)))
+    assert kept is not None and [*kept.scene.objects] == ["red"]
+    place.save(session)
+    assert not session.unsaved and not (session.folder / AUTOSAVE).exists()
+    assert not place.autosave(session), "there is nothing to keep"
+    assert [*open(session.folder).objects] == ["red"]
+    painted(session, "red")
+    place.save(session)
+    assert strengths(open(session.folder)) == {"red": 1.0}
+    session.step(-1)
+    assert session.worker.settle()
+    place.save(session)
+    assert open(session.folder).painted is None, "saving after undo takes the paint back"
+
+
+def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Session):
+    place = Place(session.folder)
+    (session.folder / "objects.json").write_text("{}  ")
+    with pytest.raises(StyleSplatError, match="changed by somebody else"):
+        place.save(session)
+    for name in ("../out", ".hidden", ""):
+        with pytest.raises(StyleSplatError):
+            place.save_as(session, name)
+    place.save_as(session, "elsewhere")
+    assert open(session.folder.parent / "elsewhere").splats is not None
+
+
+@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".splat"])
+def test_exports_are_files_of_their_kind(session: Session, ending: str):
+    assert len(exported(session.state.scene, ending)) > 1000
+
+
+def test_stills_have_the_size_that_is_asked_for(session: Session):
+    camera = browser_camera((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -3.0), 1.0, (300, 200), pixels=10**9)
+    content = still(session, camera, 90, (0.0, 0.0, 0.0))
+    assert content[:4] == b"\x89PNG" and content[16:24] == (90).to_bytes(4) + (60).to_bytes(4)
+    with pytest.raises(StyleSplatError, match="8192"):
+        still(session, camera, 10**6, (0.0, 0.0, 0.0))
