@@ -19,8 +19,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.choose import find_object
 from stylesplat.stylization.bookkeeping import strengths
-from stylesplat.verbs.stylize import stylize
+from stylesplat.stylization.paint_objects import paint
+from stylesplat.stylization.plain_settings import plain
 
 
 @pytest.fixture
@@ -38,11 +41,10 @@ def said(session: Session) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def stylized() -> Scene:
-    """What the verb gives; it measures, too, here at a size that takes less time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
-        return stylize(Scene(SPLATS, CAMERAS), {"3": quick_style()}, device="cpu")
+def wanted() -> Splats:
+    """What painting gives without a studio."""
+    picked = find_object(Scene(SPLATS, CAMERAS), "3")
+    return paint(SPLATS, CAMERAS, picked, stripes(), config=QUICK)
 
 
 def painted(session: Session, *names: str) -> Easel:
@@ -53,16 +55,16 @@ def painted(session: Session, *names: str) -> Easel:
 
 
 def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
-    session: Session, stylized: Scene
+    session: Session, wanted: Splats
 ):
     before, seen = session.state.scene, list[torch.Tensor]()
     session.on_change(lambda: seen.append(session.shown.splats.sh0))
     painted(session, "3")
     found = session.state.scene
-    assert torch.equal(found.splats.sh0, stylized.splats.sh0)
-    assert found.painted is not None and stylized.painted is not None
-    assert found.painted.paintings[0].settings == stylized.painted.paintings[0].settings
-    assert found.painted.paintings[0].styles == stylized.painted.paintings[0].styles
+    assert torch.equal(found.splats.sh0, wanted.sh0)
+    assert found.painted is not None
+    (painting,) = found.painted.paintings
+    assert painting.settings == plain(QUICK) and painting.styles == quick_style().sources()
     assert not torch.equal(seen[0], before.splats.sh0), "the colours are there at once"
     assert len(seen) > 2 and session.preview is None and session.progress is None
 
@@ -81,7 +83,7 @@ def test_several_are_queued_and_undo_takes_one_after_the_other_back(session: Ses
 
 
 def test_stop_keeps_what_there_is_and_continue_finishes_it(
-    session: Session, said: list[str], stylized: Scene
+    session: Session, said: list[str], wanted: Splats
 ):
     easel = Easel(session, device="cpu")
     steps = list[int]()
@@ -99,7 +101,7 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     assert early.painted is not None and easel.can_continue
     easel.go_on()
     assert session.worker.settle()
-    assert torch.equal(session.state.scene.splats.sh0, stylized.splats.sh0)
+    assert torch.equal(session.state.scene.splats.sh0, wanted.sh0)
     assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
     assert not easel.can_continue
 
