@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from studio_balls import quick_style, session_in, stripes
+from studio_balls import QUICK, quick_style, session_in, stripes
 from stylesplat.atelier.comparing import at_intensity, taken_back, variant_of
 from stylesplat.atelier.easel import Easel, previewed
 from stylesplat.atelier.history import History

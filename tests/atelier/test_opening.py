@@ -1,0 +1,54 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from stylesplat.atelier.opening import studio
+from stylesplat.atelier.picking import pick_names, renamed
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import open, save
+from stylesplat.scene.scene import Scene
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    save(Scene(SPLATS, CAMERAS), tmp_path / "balls")
+    return tmp_path / "balls"
+
+
+def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, block=False)
+    opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert opened.session.worker.settle()
+    opened.close()
+    assert "Kept what was not saved" in said[-1]
+    assert not open(folder).objects, "the scene itself is as it was"
+    again = studio(folder, port=0, block=False)
+    try:
+        assert [*again.session.state.scene.objects] == ["red"] and again.session.unsaved
+        assert "Recovered" in said[-1]
+        again.session.step(-1)
+        assert again.session.worker.settle()
+        assert not again.session.state.scene.objects
+    finally:
+        again.close()
+
+
+def test_the_network_needs_a_token_and_is_warned_of(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, host="0.0.0.0", block=False)
+    opened.close()
+    assert opened.token is not None and len(opened.token) >= 16
+    assert opened.token in said[0] and "sees and changes" in said[0]
+
+
+def test_what_cannot_be_opened_is_told_before_anything_is_served(tmp_path: Path, folder: Path):
+    with pytest.raises(StyleSplatError, match="empty"):
+        studio(Scene(SPLATS[torch.arange(0)], CAMERAS, path=folder), block=False)
+    with pytest.raises(StyleSplatError, match="no folder to save to"):
+        studio(replace(open(folder), path=None), block=False)
+    with pytest.raises(StyleSplatError, match="no folder"):
+        studio(folder, styles=tmp_path / "none", block=False)
+    with pytest.raises(StyleSplatError):
+        studio(tmp_path / "nothing", block=False)
