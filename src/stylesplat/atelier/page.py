@@ -52,7 +52,7 @@ class Page:
         self._keys(gui)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Pick", icon("pointer")):
-            self.pick = PickPanel(server, session)
+            self.pick = PickPanel(server, session, self.stage)
         with tabs.add_tab("Paint", icon("brush")):
             self.paint = PaintPanel(server, session, easel, gallery)
         with tabs.add_tab("Compare", icon("adjustments")):

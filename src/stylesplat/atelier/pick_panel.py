@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from stylesplat.atelier.box_handles import BoxHandles
 from stylesplat.atelier.picking import (
     How,
     alone,
@@ -11,6 +12,7 @@ from stylesplat.atelier.picking import (
     object_in,
     pick_at,
     pick_ball,
+    pick_box,
     pick_names,
     pick_words,
     renamed,
@@ -21,6 +23,7 @@ from stylesplat.atelier.portraits import Portraits
 from stylesplat.atelier.session import Change, Session
 from stylesplat.atelier.studio_state import State, names_in
 from stylesplat.atelier.thumbnails import grid
+from stylesplat.atelier.viewing import Stage
 from stylesplat.atelier.widgets import icon
 from stylesplat.drawing.at_rest import camera_of
 from stylesplat.scene.cameras import Cameras
@@ -29,7 +32,8 @@ from stylesplat.scene.content import content_of
 if TYPE_CHECKING:
     import viser
 
-OBJECT, BALL = "whole object", "ball"
+OBJECT, BALL, BOX = "whole object", "ball", "box with handles"
+BOXES: dict[str, How] = {"pick": "new", "add": "add", "take away": "away"}
 HOW: dict[str, How] = {"": "new", "shift": "add", "cmd/ctrl": "away"}
 SHARE = 0.05  # of its extent, by which an object grows or shrinks at a click
 NOBODY = "none"
@@ -40,9 +44,10 @@ HELP = """**Click** an object in the picture. **Shift** adds, **Ctrl** takes awa
 class PickPanel:
     """What is picked, and what there is to pick."""
 
-    def __init__(self, server: "viser.ViserServer", session: Session) -> None:
+    def __init__(self, server: "viser.ViserServer", session: Session, stage: Stage) -> None:
         """Add it to the container that is open."""
         self.session, gui = session, server.gui
+        self._handles = BoxHandles(stage)
         gui.add_markdown(HELP)
         self._sheet: viser.GuiImageHandle | None = None
         self._portraits = Portraits(session, self.refresh)
@@ -82,8 +87,11 @@ class PickPanel:
         extent = float(content_of(scene.splats).extent.size.norm())
         first = OBJECT if names_in(scene) else BALL
         self._what = gui.add_dropdown(
-            "A click takes", (OBJECT, BALL), initial_value=first, hint="A ball corrects a pick"
+            "A click takes", (OBJECT, BALL, BOX), initial_value=first, hint="A ball corrects a pick"
         )
+        self._inside = gui.add_button_group("In the box", tuple(BOXES), visible=False)
+        self._inside.on_click(lambda _: self._box(BOXES[self._inside.value]))
+        self._what.on_update(lambda _: self._chosen())
         largest = round(extent / 2, 4)
         self._radius = gui.add_slider("Radius", largest / 200, largest, largest / 200, largest / 10)
         self._text = gui.add_text("Words", "", hint="What to find, such as red chair")
@@ -112,6 +120,16 @@ class PickPanel:
         name = gui.add_text("Name", "")
         button = gui.add_button("Rename", icon=icon("pencil"))
         button.on_click(lambda _: self._do(lambda state: renamed(state, name.value)))
+
+    def _chosen(self) -> None:
+        boxed = self._what.value == BOX
+        self._inside.visible = boxed
+        self.session.ask(lambda: self._handles.show(boxed))
+
+    def _box(self, how: How) -> None:
+        corners = self._handles.corners
+        if corners is not None:
+            self._do(lambda state: pick_box(state, *corners, how))
 
     def _do(self, change: Change) -> None:
         self.session.do(change)

@@ -43,6 +43,7 @@ class Stage:
         self._splats = LiveSplats(server, self._last)
         self.rest = AtRest(server, session.worker, self.look)
         self.rest.set_paper(BEHIND)
+        self._drawn_over = set[str]()
         self._frames = list["viser.CameraFrustumHandle"]()
         session.on_change(self.refresh)
         if len(scene.splats) > MOST:
@@ -62,7 +63,7 @@ class Stage:
         """Something is another: in the worker's thread."""
         self._last = self.shown()
         self._splats.show(self._last)
-        self.rest.active = not self.session.painting and not self._frames
+        self.rest.active = not self.session.painting and not self._drawn_over
         self.rest.changed()
 
     def look(self, camera: Cameras) -> UInt8[np.ndarray, "H W 3"]:
@@ -96,6 +97,11 @@ class Stage:
             cameras = self.session.state.scene.cameras
             for row in range(0, len(cameras), -(-len(cameras) // MOST_FRAMES)):
                 self._frames.append(self._frame(cameras[row], _spacing(cameras)))
+        self.draw_over("frames", show)
+
+    def draw_over(self, what: str, there: bool) -> None:
+        """Something is drawn in the scene, which exact pictures would hide; or no longer."""
+        (self._drawn_over.add if there else self._drawn_over.discard)(what)
         self.session.ask(self.refresh, kind="compare")
 
     def _frame(self, camera: Cameras, size: float) -> "viser.CameraFrustumHandle":
