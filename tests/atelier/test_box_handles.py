@@ -28,7 +28,8 @@ def test_the_box_begins_around_the_pick_and_its_corners_may_cross(tmp_path: Path
         first, second = box._handles  # as dragging does
         places = first.position.copy(), second.position.copy()
         first.position, second.position = places[1], places[0]
-        assert np.allclose(box.corners, corners)
+        again = box.corners
+        assert again is not None and np.allclose(again, corners)
         box.show(False)
         assert session.worker.settle() and stage.rest.active and box.corners is None
     finally:

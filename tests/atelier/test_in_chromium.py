@@ -28,6 +28,8 @@ SIZE = 760, 420  # pixels of the window: software draws them
 HIDE = "document.querySelectorAll('.mantine-Notifications-root').forEach(e => e.remove())"
 # Its splats' corners are told without a z, by which three.js measures them at a click
 VISERS = "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN."
+SLIDERS = "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent)"
+FOCUS = f"{SLIDERS}.at(-1).focus()"
 FAR = 8  # pixels around an object to which its strokes may reach
 SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels by less
 
@@ -117,7 +119,9 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
 
     tab.press_button("Compare")
     until(lambda: tab.place_of("slider"), "a slider of intensity")
-    tab.run("[...document.querySelectorAll('[role=slider]')].find(e => e.offsetParent).focus()")
+    tab.run(
+        "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent).at(-1).focus()"
+    )
     tab.press("Home")
     until(lambda: session.state.note == "3 at 0%", "intensity 0")
     faded = at_rest(tab, opened)

@@ -47,7 +47,7 @@ class KeepPanel:
         self._told.content = f"{word}. Folder: `{folder}`"
         output = folder.resolve().with_name(f"{folder.resolve().name}-painted")
         lines = commands(self.session.state, self._opened, output)
-        text = "\n".join(lines) or "# nothing is painted or picked by a shape"
+        text = "\n".join(map(broken, lines)) or "# nothing is painted or picked by a shape"
         self._command.content = f"```\n{text}\n```"
 
     def _files(self, gui: "viser.GuiApi") -> None:
@@ -108,3 +108,8 @@ class KeepPanel:
         if client is not None:
             client.send_file_download(name, content, save_immediately=True)
             self.session.tell(f"{name}: {len(content) / 1e6:.1f} MB.")
+
+
+def broken(command: str) -> str:
+    """A command over several lines; as it is where something in it is quoted."""
+    return command if "'" in command else command.replace(" -", " \\\n  -")

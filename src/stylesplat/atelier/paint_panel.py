@@ -27,7 +27,7 @@ class PaintPanel:
         """Add it to the container that is open."""
         self.session, self.easel, self.gallery = session, easel, gallery
         self._gui = gui = server.gui
-        self._told = gui.add_markdown(HELP)
+        self._told = gui.add_markdown(HELP, order=0.5)
         self._sheet: viser.GuiImageHandle | None = None
         self._titles = gui.add_button_group("Paint like", (NONE,), order=2.0)
         self._titles.on_click(lambda _: self._paint(self._titles.value))

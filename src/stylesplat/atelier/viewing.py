@@ -37,6 +37,8 @@ class Stage:
         """The colour behind everything."""
         self.compared: Compared = "after"
         """Whether paintings are seen, or what was before, or one beside the other."""
+        self.split = 0.5
+        """Where a split view has its border, of the picture's width."""
         scene = session.state.scene
         place_camera(server, scene.splats, scene.cameras)
         self._last = self.shown()
@@ -72,14 +74,15 @@ class Stage:
         if self.compared == "split" and self.session.preview is None:
             scene, hidden = self.session.state.scene, self._last.hidden
             before = Shown(scene.unpainted, hidden=hidden).render(camera, self.behind).numpy()
-            middle = image.shape[1] // 2
+            middle = round(self.split * image.shape[1])
             image[:, :middle] = before[:, :middle]
             image[:, max(0, middle - 1) : middle + 1] = 255
         return image
 
-    def compare(self, compared: Compared) -> None:
-        """Show paintings, or what was before, or both."""
+    def compare(self, compared: Compared, split: float | None = None) -> None:
+        """Show paintings, or what was before, or both, with a border somewhere."""
         self.compared = compared
+        self.split = self.split if split is None else split
         self.session.ask(self.refresh, kind="compare")
 
     def paper(self, behind: tuple[float, float, float]) -> None:
