@@ -60,7 +60,7 @@ def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
 
 def at_rest(tab: Tab, opened: Studio) -> np.ndarray:
     """What the page shows of the scene once there is nothing more to do."""
-    (client,) = until(opened.server.get_clients, "a browser")
+    (client,) = until(lambda: opened.server.get_clients() or None, "a browser")
     assert opened.session.worker.settle()
 
     def picture() -> np.ndarray | None:
@@ -99,53 +99,53 @@ def wait_for_note(opened: Studio, begins: str) -> Callable[[], bool]:
 def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path: Path):
     session = opened.session
     until(lambda: "Picked: nothing" in tab.text(), "the page")
-    until(opened.server.get_clients, "a browser")
     before = at_rest(tab, opened)
 
-    x, y = center_of(opened, 3)
-    tab.click(x, y)
+    tab.click(*center_of(opened, 3))
     until(lambda: session.state.picked == ("3",), "a pick")
-    glowing = at_rest(tab, opened)
-    near = near_object(opened, 3)
-    assert np.abs(glowing - before)[near].mean() > SLIGHT, "it glows"
-    assert np.abs(glowing - before)[~near].max(initial=0) < 3 * SLIGHT, "nothing else does"
+    assert_changed(at_rest(tab, opened) - before, opened)
 
     tab.press_button("Paint")
     tab.press_button("stripes")
     until(wait_for_note(opened, "Painted 3"), "strokes")
     painted = at_rest(tab, opened)
-    assert np.abs(painted - before)[near].mean() > SLIGHT, "it is painted"
-    assert np.abs(painted - before)[~near].max(initial=0) < 3 * SLIGHT, "nothing else is"
+    assert_changed(painted - before, opened)
 
     tab.press_button("Compare")
     until(lambda: tab.place_of("slider"), "a slider of intensity")
-    tab.run(
-        "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent).at(-1).focus()"
-    )
+    tab.run(FOCUS)
     tab.press("Home")
     until(lambda: session.state.note == "3 at 0%", "intensity 0")
-    faded = at_rest(tab, opened)
-    gone = np.abs(faded - before)
-    assert gone[~near].max() < 3 * SLIGHT
-    assert gone[near].mean() < SLIGHT / 4, "as before, but for JPEG and for refitting splits"
+    faded = np.abs(at_rest(tab, opened) - before)
+    near = near_object(opened, 3)
+    assert faded[~near].max() < 3 * SLIGHT
+    assert faded[near].mean() < SLIGHT / 4, "as before, but for JPEG and for refitted splits"
 
     tab.press_button("undo")
     until(wait_for_note(opened, "Painted 3"), "undo")
     assert np.abs(at_rest(tab, opened) - painted).max() < 3 * SLIGHT
-
-    tab.press_button("Keep")
-    tab.press_button("Save")
-    until(lambda: not session.unsaved, "saving")
-    saved = open(session.folder)
-    assert saved.painted is not None and saved.painted.names == ("3",)
-    assert "--style" in tab.text() and "stripes.png" in tab.text()
-
-    tab.press_button("Download")
-    file = tmp_path / "downloads" / "balls.ply"
-    until(file.exists, "a download")
-    assert len(read_splats(file)) == len(saved.splats)
+    saved_and_exported(opened, tab, tmp_path / "downloads" / "balls.ply")
     complaints = [line for line in tab.complaints if not line.startswith(VISERS)]
     assert not complaints, json.dumps(complaints, indent=1)
+
+
+def assert_changed(change: np.ndarray, opened: Studio) -> None:
+    """The ball is another, and nothing else is."""
+    near = near_object(opened, 3)
+    assert np.abs(change)[near].mean() > SLIGHT
+    assert np.abs(change)[~near].max(initial=0) < 3 * SLIGHT
+
+
+def saved_and_exported(opened: Studio, tab: Tab, file: Path) -> None:
+    tab.press_button("Keep")
+    tab.press_button("Save")
+    until(lambda: not opened.session.unsaved, "saving")
+    saved = open(opened.session.folder)
+    assert saved.painted is not None and saved.painted.names == ("3",)
+    assert "--style" in tab.text() and "stripes.png" in tab.text()
+    tab.press_button("Download")
+    until(file.exists, "a download")
+    assert len(read_splats(file)) == len(saved.splats)
 
 
 def near_object(opened: Studio, id: int) -> np.ndarray:

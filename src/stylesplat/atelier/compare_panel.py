@@ -27,7 +27,7 @@ class ComparePanel:
         gui = server.gui
         self._show = gui.add_button_group("Show", tuple(VIEWS), hint="B shows what was before")
         self._show.on_click(lambda _: stage.compare(VIEWS[self._show.value]))
-        border = gui.add_slider("Split at %", 0, 100, 1, 50)
+        self.border = border = gui.add_slider("Split at %", 0, 100, 1, 50)
         border.on_update(lambda _: stage.compare("split", border.value / 100))
         before = gui.add_command("Before or after", hotkey="B", icon=icon("switch-horizontal"))
         before.on_trigger(lambda _: self._toggle())
