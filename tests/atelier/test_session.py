@@ -106,6 +106,25 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     assert not easel.can_continue
 
 
+def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
+    easel, before = Easel(session, device="cpu"), session.state
+    prepared = list[str]()
+
+    def stop() -> None:
+        assert session.progress is not None
+        prepared.append(session.progress.doing)
+        easel.stop()
+
+    session.on_progress(stop)
+    easel.paint(("3", "7"), quick_style(), "stripes")
+    assert session.worker.settle()
+    assert prepared[0].startswith("looking for") and len(prepared) < 3
+    assert session.state is before and not session.painting and not easel.can_continue
+    assert session.preview is None and not easel.waiting
+    painted(session, "3")
+    assert strengths(session.state.scene) == {"3": 1.0}, "it can be painted afterwards"
+
+
 def test_what_cannot_be_painted_is_told_and_changes_nothing(session: Session, said: list[str]):
     before = session.state
     painted(session)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "viser.ViserServer":
-    """Show a scene in a browser, in its mean colours (spherical harmonics of degree 0).
+    """Show a scene in a browser: in mean colours, and as it is as soon as the camera rests.
 
     Args:
         what: A scene, or splats alone, of which nobody knows what is up.
