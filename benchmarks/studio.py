@@ -53,7 +53,7 @@ def picks(opened: Studio, tab: Tab) -> Iterator[Time]:
     for _ in range(TIMES):
         session.worker.settle(PATIENCE)
         before = session.state
-        tab.click(SIZE[0] * 0.3, SIZE[1] * 0.5)
+        tab.click(480, 270)  # the middle
         changed = lambda before=before: session.state is not before  # noqa: E731
         yield "click to the pick", seconds_until(changed, "a pick")
         opened.page.stage.rest.changed()
@@ -95,6 +95,7 @@ def measure(scene: Path, styles: Path, tab: Tab) -> dict[str, list[float]]:
         for found in (picks(opened, tab), painting(opened, tab), intensities(opened)):
             for name, seconds in found:
                 times.setdefault(name, []).append(seconds)
+                print(f"{name}: {seconds:.2f} s", file=sys.stderr, flush=True)
     finally:
         opened.close()
     return times
