@@ -1,4 +1,4 @@
-"""A real browser without a screen: Chromium, whose WebGL is software, driven by its own protocol."""
+"""A real browser without a screen: Chromium with software WebGL, driven by its own protocol."""
 
 import base64
 import json
@@ -10,11 +10,13 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 from PIL import Image
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here")
@@ -30,7 +32,7 @@ SECONDS = 60  # for any answer
 class Page:
     """A tab."""
 
-    def __init__(self, socket: ClientConnection):
+    def __init__(self, socket: Connection):
         self._socket, self._number = socket, 0
         self.events: list[dict[str, Any]] = []
 
@@ -60,6 +62,11 @@ class Page:
         )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
+
+    def until(self, expression: str) -> None:
+        """Wait for an expression to become true."""
+        again = f"const again = () => ({expression}) ? done() : requestAnimationFrame(again)"
+        self.evaluate(f"new Promise((done) => {{ {again}; again(); }})")
 
     def mouse(self, what: str, x: float, y: float, **options: Any) -> None:
         """Move, press or release the left button, in pixels of the page."""
@@ -114,8 +121,6 @@ def launched(width: int = 800, height: int = 600, *flags: str) -> Iterator[Page]
 
 def _address(process: "subprocess.Popen[bytes]") -> str:
     """Where the tab listens, from what the browser says when it starts."""
-    from urllib.request import urlopen
-
     assert process.stderr is not None
     for line in process.stderr:
         if b"DevTools listening on" in line:

@@ -29,8 +29,8 @@ function listen(canvas, camera, changed) {
   }
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
-    // In a page that scrolls the wheel is that page's, until one clicks here
-    if (window.parent !== window && document.activeElement !== canvas && !event.ctrlKey) return;
+    const ours = document.hasFocus() && document.activeElement === canvas;
+    if (window.parent !== window && !ours && !event.ctrlKey) return; // it scrolls the page around
     event.preventDefault();
     const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 33 : 1;
     camera.zoom(Math.exp(0.0012 * lines * event.deltaY));
@@ -38,15 +38,15 @@ function listen(canvas, camera, changed) {
   }, { passive: false });
   canvas.addEventListener("keydown", (event) => {
     const does = {
-      ArrowLeft: () => camera.turn(0.1, 0),
-      ArrowRight: () => camera.turn(-0.1, 0),
-      ArrowUp: () => camera.turn(0, 0.1),
-      ArrowDown: () => camera.turn(0, -0.1),
+      arrowleft: () => camera.turn(0.1, 0),
+      arrowright: () => camera.turn(-0.1, 0),
+      arrowup: () => camera.turn(0, 0.1),
+      arrowdown: () => camera.turn(0, -0.1),
       "+": () => camera.zoom(0.9),
       "-": () => camera.zoom(1 / 0.9),
-      Home: () => camera.reset(),
+      home: () => camera.reset(),
       r: () => camera.reset(),
-    }[event.key];
+    }[event.key.toLowerCase()];
     if (!does || event.ctrlKey || event.metaKey) return;
     event.preventDefault();
     does();

@@ -55,6 +55,7 @@ async function start() {
   document.body.classList.toggle("compared", about.painted > 0);
   fit();
   say("");
+  if (window.parent === window) canvas.focus();
   // For other scripts: a view of their own, as viewmat (16 numbers, line by line), focal and centre
   window.viewer = {
     camera,
