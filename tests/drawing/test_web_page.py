@@ -220,7 +220,7 @@ def test_hands(shown: Page):
 def test_browsers_that_cannot_say_so(browser: Page, tmp_path: Path):
     export(SPLATS, tmp_path / "a.html")
     for missing, said in (
-        ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
+        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2 is missing"),
         ("delete window.DecompressionStream", "too old"),
     ):
         script = browser.call("Page.addScriptToEvaluateOnNewDocument", source=missing)

@@ -33,10 +33,10 @@ class Orbit {
     this.turn(0, 0);
   }
 
-  // From where it is, but so near that a ball fills half of the picture
+  // From where it is, but so near that a ball fills two thirds of the picture
   approach(centre, radius) {
     this.target = centre;
-    this.distance = (4 * radius) / Math.min(...this.start.slopes);
+    this.distance = (3 * radius) / Math.min(...this.start.slopes);
   }
 
   turn(aside, above) {

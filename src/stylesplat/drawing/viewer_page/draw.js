@@ -2,9 +2,11 @@
 
 const WIDE = 1024; // Gaussians in a line of a texture, and those that are drawn as one instance
 
+const REMEDY = "Turn on hardware acceleration in the browser's settings, or open this page in another.";
+
 function drawer(canvas, splats, about, sources) {
   const gl = canvas.getContext("webgl2", { alpha: false, antialias: false });
-  if (!gl) throw new Error("This browser has no WebGL 2, which drawing splats takes.");
+  if (!gl) throw new Error(`WebGL 2 is missing or turned off. ${REMEDY}`);
   const program = linked(gl, sources.vertex, sources.fragment);
   const at = (name) => gl.getUniformLocation(program, name);
   const places = Object.fromEntries(
@@ -51,7 +53,7 @@ function drawer(canvas, splats, about, sources) {
 function splatTexture(gl, { count, words }, unit) {
   const lines = Math.ceil(count / WIDE);
   if (lines > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
-    throw new Error(`${count} Gaussians are more than this graphics card can hold.`);
+    throw new Error(`${count} Gaussians are more than this graphics card can hold. Export fewer.`);
   }
   const padded = new Uint32Array(WORDS * WIDE * lines);
   padded.set(words);

@@ -24,7 +24,7 @@ function legend(objects, camera, changed) {
 
 async function start() {
   const canvas = element("canvas");
-  if (!window.DecompressionStream) throw new Error("This browser is too old to show this page.");
+  if (!window.DecompressionStream) throw new Error("This browser is too old for this page. Open it in one from 2023 or later.");
   const about = JSON.parse(text("about"));
   const bytes = await inflated(text("splats"));
   const sources = { vertex: text("vertex"), fragment: text("fragment") };
