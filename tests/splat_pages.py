@@ -34,9 +34,11 @@ def scene() -> Scene:
         SPLATS[rows],
         means=SPLATS.means[rows] + 0.03 * noise(count, 3),
         quats=noise(count, 4),
-        scales=SPLATS.scales[rows] - 0.5 + 0.4 * noise(count, 3),
+        scales=SPLATS.scales[rows]
+        - torch.where(rows % 3 == 0, 3.5, 0.5)[:, None]
+        + 0.4 * noise(count, 3),
         opacities=0.5 + noise(count),
-        shN=(0.2 * noise(40, 15, 3))[rows % 40],  # few kinds: a palette can hold them all
+        shN=(0.1 * noise(300, 15, 3))[torch.arange(count) % 300],  # more than a palette holds
     )
     painted = PICKED["red"] | PICKED["blue"]
     sh0 = torch.where(painted[:, None, None], sh0_from_rgb(before.sh0.abs() % 1), before.sh0)

@@ -49,7 +49,8 @@ def test_a_page_holds_the_numbers_within_their_rounding():
     for one, other in ((found.splats, splats), (found.before, before)):
         mean = rgb_from_sh0(one.sh0) - rgb_from_sh0(other.sh0)
         assert mean.abs().max() <= 0.51 * (high - low) / 255
-        assert (one.shN - other.shN).abs().max() < 0.01  # of up to 0.8; two roundings
+        rest = (one.shN - other.shN).square().mean() / other.shN.square().mean()
+        assert rest < 0.15, "300 kinds"
     assert found.splats.shN[(splats.shN == 0).all(dim=2).all(dim=1)].eq(0).all()
 
 
@@ -171,14 +172,15 @@ def psnr(one: torch.Tensor, other: torch.Tensor) -> float:
 
 @needs_chromium
 def test_a_browser_shows_what_our_rasteriser_does(shown: Page):
+    held = read(page_of(SCENE, title=""))
     for row in (0, 3):
-        after, before = (drawn(each, VIEWS[row]) for each in (SCENE.splats, SCENE.unpainted))
+        after, before = (drawn(each, VIEWS[row]) for each in (held.splats, held.before))
         assert psnr(after, before) < 30, "they differ"
-        # Rounded as above, and blended in steps of 1/255: 44 dB or more
-        assert psnr(picture(shown, VIEWS[row], 0.0), after) > 43
-        assert psnr(picture(shown, VIEWS[row], 1.0), before) > 43
+        # Both blend the same numbers, but a browser in steps of 1/255
+        assert psnr(picture(shown, VIEWS[row], 0.0), after) > 48
+        assert psnr(picture(shown, VIEWS[row], 1.0), before) > 48
         split = torch.cat([before[:, : SIZE[0] // 4], after[:, SIZE[0] // 4 :]], dim=1)
-        assert psnr(picture(shown, VIEWS[row], 0.25), split) > 43
+        assert psnr(picture(shown, VIEWS[row], 0.25), split) > 48
     asked = [e["params"] for e in shown.events if e["method"] == "Network.requestWillBeSent"]
     assert [each["type"] for each in asked] == ["Document"], "nothing else is loaded"
     assert shown.complaints() == []
@@ -202,6 +204,9 @@ def test_hands(shown: Page):
     drag((240, 100), (360, 90))
     assert shown.evaluate("document.getElementById('cut').getAttribute('aria-valuenow')") == "75"
     assert (looks(), turned()) == (first, angle), "the handle is not the scene"
+    shown.evaluate("document.getElementById('cut').focus()")
+    shown.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowRight")
+    assert shown.evaluate("document.getElementById('cut').style.left") == "77%"
     drag((100, 200), (150, 200))
     assert turned() == pytest.approx(angle - np.pi * 50 / SIZE[1])
     shown.call("Input.dispatchMouseEvent", type="mouseWheel", x=100, y=200, deltaX=0, deltaY=100)
