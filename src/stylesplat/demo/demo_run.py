@@ -203,7 +203,7 @@ def _results(output: Path) -> tuple[Section, ...]:
         Section(
             "5. The splat itself",
             f"Drag to turn it; the handle in the middle lies between before and after. {SPLAT} "
-            f"opens in any viewer; {PAGE} is the splat with this one, in one file to send.",
+            f"opens in any viewer; {PAGE} holds the splat and this one, a single file to send.",
             (Figure(output / PAGE, PAGE),),
         ),
         Section("6. All around", "A video of it.", (Figure(output / "orbit.mp4", "orbit.mp4"),)),

@@ -16,6 +16,7 @@ from torch import Tensor
 from stylesplat.drawing.palettes import meant, nearest, palette_of
 from stylesplat.io.splats.morton import morton_order
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
+from stylesplat.progress import track
 from stylesplat.rendering.constants import MIN_ALPHA
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.splats import Splats
@@ -108,7 +109,7 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
         return
     rest = torch.cat([splats.shN, before.shN]).flatten(1)
     indices = []
-    for level in range(LEVELS):
+    for level in track(range(LEVELS), "packing colours", unit="palette"):
         palette, about["strongest"][level] = palette_of(rest)
         entries = meant(palette, about["strongest"][level])
         index = nearest(rest, entries)
