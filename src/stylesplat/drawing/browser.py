@@ -8,24 +8,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.drawing.first_view import first_view
 from stylesplat.drawing.private_server import private_server
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of
-from stylesplat.scene.framing import Sight, distances, focal_at
-from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import Terminated
 
 if TYPE_CHECKING:
     import viser
-
-UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where nobody knows it
-WINDOW = (1600, 1200)  # pixels, or wider: what all content fits into at the start
-FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
-MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
 def serve(
@@ -76,25 +69,11 @@ def _add_splats(server: "viser.ViserServer", splats: Splats) -> None:
 
 
 def _place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
-    content = content_of(splats)
-    middle = content.extent.centre
-    if cameras is None:
-        outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
-        sight = Sight(middle, outward, UP, WINDOW)
-        distance = distances(content, sight, FOCAL).best
-        position, up = middle + distance * outward, UP
-        focal = focal_at(content.outline, sight, distance)
-        server.initial_camera.fov = 2 * math.atan(WINDOW[1] / (2 * focal))
-    else:
-        position, forward = cameras.positions[0].double(), cameras.viewmats[0, 2, :3].double()
-        middle = position + ((middle - position) @ forward).clamp(min=MIN_DISTANCE) * forward
-        up = up_vector(cameras)
-        server.initial_camera.fov = 2 * float(
-            torch.atan(cameras.sizes[0, 1] / (2 * cameras.Ks[0, 1, 1]))
-        )
-    server.scene.set_up_direction(up.numpy())
-    server.initial_camera.position = position.numpy()
-    server.initial_camera.look_at = middle.numpy()
+    view = first_view(splats, cameras)
+    server.scene.set_up_direction(view.up.numpy())
+    server.initial_camera.fov = 2 * math.atan(view.slopes[1] / 2)
+    server.initial_camera.position = view.position.numpy()
+    server.initial_camera.look_at = view.target.numpy()
 
 
 def _serve_until_interrupted(server: "viser.ViserServer") -> None:
