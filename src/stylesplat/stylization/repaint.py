@@ -87,9 +87,11 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     for number, stage in enumerate(stages):
         views.clear()  # before there are others: they take much memory
         if number == split_at:
-            ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
-            plain, current = ground.handed_down(plain), ground.handed_down(current)
-            aim = replace(aim, views=_few_views(ground, boxes, stage))
+            finer = finer_ground(ground, boxes, stages[-1].lengths[-1])
+            if finer is not ground:
+                ground = finer
+                plain, current = ground.handed_down(plain), ground.handed_down(current)
+                aim = replace(aim, views=_few_views(ground, boxes, stage))
         views += stage_views(ground.studio, ground.job, boxes, stage, generator)
         objective = _objective(ground, aim, stage, plain)
         for step in optimize_colors(
