@@ -116,9 +116,7 @@ def inside_parts(
 
 
 @torch.no_grad()
-def seen_anew(
-    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]
-) -> list[Place]:
+def seen_anew(splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]) -> list[Place]:
     """The same places, and what the Gaussians of another scene paint there.
 
     Args:

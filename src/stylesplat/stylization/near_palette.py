@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.metrics.lab import distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.scene.splats import SH_C0, Splats
-from stylesplat.stylization.object_views import ObjectView, weights_in
+from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
 
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
 NEAR = 6.0  # of Lab: as near is near enough
@@ -72,7 +72,7 @@ def settle(
         near: The painting's colours.
     """
     picked = shares > 0
-    views = [view.with_fixed_bands(splats) for view in views]
+    views = with_fixed_bands(views, splats)
     weights = weights_in(views, splats, picked)
     weights = weights + FAINT * weights[weights > 0].median()
     colors = splats.sh0[picked, 0] * SH_C0 + 0.5

@@ -12,7 +12,7 @@ from stylesplat.scene.sampling import drawn
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import mixed_colors
 from stylesplat.stylization.near_palette import DARKEST
-from stylesplat.stylization.object_views import ObjectView, weights_in
+from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
 from stylesplat.stylization.objective import Objective
 from stylesplat.training.adam import Moments, adam_step
 
@@ -65,7 +65,7 @@ def optimize_colors(
     moments = Moments.zeros(leaves)
     shown = mixed_colors(base, paint, shares)
     if "shN" not in leaves:
-        views = [view.with_fixed_bands(shown) for view in views]
+        views = with_fixed_bands(views, shown)
     trust = _trust(base, picked, views)
     for number, view in enumerate(drawn(views, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off

@@ -41,7 +41,7 @@ GROWTH = 4.0
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
 PLANS: dict[Quality, tuple[Row, ...]] = {
     "draft": (Row(90, COARSE), Row(30, 1.0)),
-    "normal": (Row(225, COARSE), Row(75, 1.0)),
+    "normal": (Row(165, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
     "high": (Row(225, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
 }
 
