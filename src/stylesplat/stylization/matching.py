@@ -39,7 +39,8 @@ class StyleIndex:
         found = []
         for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
             candidates = _largest(query @ self.compressed, len(self.directions))
-            exact = torch.einsum("pd,pkd->pk", chunk, self.directions[candidates])
+            shortlist = self.directions.index_select(0, candidates.flatten())
+            exact = torch.einsum("pd,pkd->pk", chunk, shortlist.view(*candidates.shape, feats.shape[1]))
             found.append(candidates.gather(1, exact.argmax(dim=1, keepdim=True))[:, 0])
         return torch.cat(found)
 

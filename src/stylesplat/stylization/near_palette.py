@@ -33,8 +33,9 @@ class NearPalette:
         """From colours in 0..1 to where the painting is near; has no gradients."""
         colors = colors.detach()
         levels = (colors.clamp(0, 1) * (LEVELS - 1)).round()
-        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long()
-        return (self.table[rows] - colors) * self.shares[rows][..., None]
+        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long().flatten()
+        nearest = self.table.index_select(0, rows).view(colors.shape)
+        return (nearest - colors) * self.shares.index_select(0, rows).view(*colors.shape[:-1], 1)
 
     def distance(
         self, image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]

@@ -57,7 +57,7 @@ class Objective:
         feats = self._features(view, image)
         pairs = zip(feats, self.styles, strict=True)
         matched = [
-            cosine_distance(own, style.directions[style.nearest(own.detach())])
+            cosine_distance(own, style.directions.index_select(0, style.nearest(own.detach())))
             for own, style in pairs
         ]
         style = total = torch.stack(matched).mean()

@@ -28,8 +28,8 @@ class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
     quality: Quality = "normal"
-    """How fine, and how many steps: draft takes few, high goes on at the photos' size, which gives
-    strokes their edges."""
+    """How fine, and how many steps: draft takes few and splits nothing, normal ends at the photos'
+    size, which gives strokes their edges, and high goes on there."""
     steps: int | None = None
     """Optimiser steps per object, one view each; None leaves it to quality."""
     layers: tuple[int, ...] = (3,)
