@@ -69,9 +69,10 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     Raises:
         StyleSplatError: If it is hardly visible.
     """
-    if ground.job.config.growth == 1 or ground.job.config.intensity == 0:
+    growth = ground.job.config.growth(int(ground.job.picked.sum()))
+    if growth == 1 or ground.job.config.intensity == 0:
         return ground  # nothing would come of it
-    split = _split(ground.studio, ground.job, boxes, length)
+    split = _split(ground.studio, ground.job, boxes, length, growth)
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
     places = seen_anew(studio.splats, job.picked, ground.places)
@@ -92,9 +93,11 @@ def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequenc
     )
 
 
-def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float) -> Split:
+def _split(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
+) -> Split:
     """The scene with Gaussians of the object split."""
-    growth, device = job.config.growth, studio.splats.device
+    device = studio.splats.device
     # contributions are known on the CPU only
     studio = replace(studio, splats=studio.splats.to("cpu"))
     job = replace(job, picked=job.picked.cpu())

@@ -67,7 +67,8 @@ class StyleConfig:
     max_growth: float | None = None
     """Gaussians too large for strokes are split, up to this many times as many; 1 splits none.
 
-    None leaves it to quality: 4, and 1 for draft.
+    None leaves it to quality and object: 1 for draft, else 4, and up to 16 for an object of few
+    Gaussians.
     """
     lr: float = 0.1
     """Adam's step for the constant colour band."""
@@ -115,7 +116,7 @@ class StyleConfig:
             raise StyleSplatError(
                 f"Cannot use a share of {self.view_share} of the views: use more than 0, up to 1."
             )
-        if not self.growth >= 1:
+        if self.max_growth is not None and not self.max_growth >= 1:
             raise StyleSplatError(
                 f"Cannot let an object grow to {self.max_growth} times its Gaussians: use 1 (no "
                 "splitting) or more."
@@ -126,10 +127,9 @@ class StyleConfig:
         """How much of the object's own pattern to take away, 0 to 1."""
         return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
 
-    @property
-    def growth(self) -> float:
-        """How many times as many Gaussians the object may get, whoever chose it."""
-        return usual_growth(self.quality) if self.max_growth is None else self.max_growth
+    def growth(self, gaussians: int) -> float:
+        """How many times as many Gaussians an object of so many may get, whoever chose it."""
+        return usual_growth(self.quality, gaussians) if self.max_growth is None else self.max_growth
 
     @property
     def all_steps(self) -> int:
