@@ -71,8 +71,8 @@ def test_drafts_split_nothing_unless_asked():
     growths = [StyleConfig(quality=quality).growth(20_000) for quality in PLANS]
     assert growths == [1, 4, 4]
     assert StyleConfig(quality="draft", max_growth=2.0).growth(20_000) == 2
-    few = [StyleConfig().growth(gaussians) for gaussians in (10_000, 4_000, 1_000, 0)]
-    assert few == [5, 11, 16, 16], "small and smooth objects grow more"
+    few = [StyleConfig().growth(gaussians) for gaussians in (10_000, 5_000, 1_000, 0)]
+    assert few == [4, 6, 16, 16], "small and smooth objects grow more"
 
 
 @pytest.mark.parametrize(
