@@ -18,7 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import stylesplat as ss
-from chromium import Tab, browser, until
+from studio_tab import Tab, studio_tab, until
 from stylesplat.atelier.comparing import at_intensity
 from stylesplat.atelier.opening import Studio
 
@@ -38,7 +38,7 @@ def seconds_until(ask: Callable[[], object], what: str) -> float:
 def opening(scene: Path, styles: Path, tab: Tab) -> tuple[Studio, float]:
     start = time.perf_counter()
     opened = ss.studio(scene, styles=styles, port=0, block=False)
-    tab.open(f"http://127.0.0.1:{opened.port}")
+    tab.page.open(f"http://127.0.0.1:{opened.port}")
     until(lambda: opened.server.get_clients() or None, "a browser", PATIENCE)
     seconds_until(lambda: rests(opened), "a picture")
     return opened, time.perf_counter() - start
@@ -108,7 +108,7 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(shutil.copytree(given.scene, Path(folder) / "scene"))
-        with browser(size=SIZE, downloads=Path(folder)) as tab:
+        with studio_tab(size=SIZE, downloads=Path(folder)) as tab:
             for name, times in measure(scene, given.styles, tab).items():
                 print(f"{name:36s} {statistics.median(times):7.2f} s")
 

@@ -1,211 +1,136 @@
-"""A browser without a window, driven by Chromium's own protocol."""
+"""A real browser without a screen: Chromium with software WebGL, driven by its own protocol."""
 
 import base64
-import io
-import itertools
 import json
-import os
 import shutil
 import subprocess
-import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from tempfile import TemporaryDirectory
+from typing import Any
 from urllib.request import urlopen
 
 import numpy as np
+import pytest
 from PIL import Image
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
-T = TypeVar("T")
-Place = tuple[float, float]
-
-NAMES = ("chromium", "chromium-browser", "google-chrome")
+PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
+needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here")
 FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--hide-scrollbars",
-    "--disable-extensions",
-    "--no-first-run",
-    "--remote-debugging-port=0",
-    "--remote-allow-origins=*",
-    "--use-angle=swiftshader",  # WebGL 2 without a graphics card
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
+    *("--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--no-first-run"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-sandbox"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--force-device-scale-factor=1", "--hide-scrollbars", "--mute-audio"),
 )
-PATIENCE = 30.0  # seconds: of a machine that does much else
-SHIFT = 8  # how the protocol calls that key
+SECONDS = 60  # for any answer
 
 
-def find_chromium() -> str | None:
-    return next(filter(None, map(shutil.which, NAMES)), None)
+class Page:
+    """A tab."""
 
-
-class Tab:
-    """A page that is open."""
-
-    def __init__(self, socket: Connection) -> None:
-        self._socket, self._numbers = socket, itertools.count(1)
-        self.complaints: list[str] = []
-        """Errors of the page."""
-        for domain in ("Page", "Runtime", "Log"):
-            self.call(f"{domain}.enable")
+    def __init__(self, socket: Connection):
+        self._socket, self._number = socket, 0
+        self.events: list[dict[str, Any]] = []
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        """What the browser answers to a command of its protocol."""
+        self._number += 1
+        command = {"id": self._number, "method": method, "params": parameters}
+        self._socket.send(json.dumps(command))
         while True:
-            message = json.loads(self._socket.recv(timeout=PATIENCE))
-            if message.get("id") == number:
-                assert "error" not in message, message
-                return message["result"]
-            self._note(message)
-
-    def _note(self, message: dict[str, Any]) -> None:
-        parameters = message.get("params", {})
-        kind = message.get("method")
-        if kind == "Runtime.exceptionThrown":
-            self.complaints.append(json.dumps(parameters["exceptionDetails"])[:600])
-        elif kind == "Runtime.consoleAPICalled" and parameters["type"] == "error":
-            values = [each.get("value", each.get("description")) for each in parameters["args"]]
-            self.complaints.append(" ".join(map(str, values))[:600])
-        elif kind == "Log.entryAdded" and parameters["entry"]["level"] == "error":
-            self.complaints.append(str(parameters["entry"].get("text"))[:600])
-
-    def run(self, code: str) -> Any:
-        result = self.call("Runtime.evaluate", expression=code, returnByValue=True)
-        return result["result"].get("value")
+            answer = json.loads(self._socket.recv(SECONDS))
+            if answer.get("id") == self._number:
+                assert "error" not in answer, (method, answer["error"])
+                return answer["result"]
+            self.events.append(answer)
 
     def open(self, url: str) -> None:
+        """Load a page; what was said of those before is forgotten."""
+        self.events.clear()
         self.call("Page.navigate", url=url)
+        while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
+            self.events.append(json.loads(self._socket.recv(SECONDS)))
 
-    def click(self, x: float, y: float, modifiers: int = 0) -> None:
-        place = {"x": x, "y": y, "modifiers": modifiers}
-        self.call("Input.dispatchMouseEvent", type="mouseMoved", **place)
-        for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place)
+    def evaluate(self, expression: str) -> Any:
+        """The value of an expression, awaited if it is a promise."""
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
+        )
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
 
-    def drag(
-        self, start: tuple[float, float], end: tuple[float, float], modifiers: int = 0
-    ) -> None:
-        def event(kind: str, place: tuple[float, float], **more: Any) -> None:
-            self.call(
-                "Input.dispatchMouseEvent",
-                type=kind,
-                x=place[0],
-                y=place[1],
-                modifiers=modifiers,
-                button="left",
-                **more,
-            )
+    def until(self, expression: str) -> None:
+        """Wait for an expression to become true."""
+        again = f"const again = () => ({expression}) ? done() : requestAnimationFrame(again)"
+        self.evaluate(f"new Promise((done) => {{ {again}; again(); }})")
 
-        event("mousePressed", start, clickCount=1)
-        for part in (0.5, 1.0):
-            x, y = (a + part * (b - a) for a, b in zip(start, end, strict=True))
-            event("mouseMoved", (x, y), buttons=1)
-        event("mouseReleased", end, clickCount=1)
-
-    def type(self, text: str) -> None:
-        self.call("Input.insertText", text=text)
-
-    def press(self, key: str) -> None:
-        codes = {"Enter": 13, "Home": 36, "End": 35, "ArrowLeft": 37, "ArrowRight": 39}
-        for kind in ("keyDown", "keyUp"):
-            self.call(
-                "Input.dispatchKeyEvent",
-                type=kind,
-                key=key,
-                code=key,
-                windowsVirtualKeyCode=codes[key],
-            )
-
-    def press_button(self, label: str) -> None:
-        """Click what has these words on it, as soon as it is there."""
-        place = until(lambda: self.place_of(label), f"a button {label!r}")
-        self.click(*place)
-
-    def place_of(self, label: str) -> tuple[float, float] | None:
-        found = self.run(f"""(() => {{
-            const all = [...document.querySelectorAll('button, [role=tab], [role=slider]')];
-            const fits = e => [(e.innerText || '').trim(), e.getAttribute('role')]
-                .includes({json.dumps(label)});
-            const found = all.find(e => fits(e) && e.getClientRects().length);
-            if (!found) return null;
-            found.scrollIntoView({{block: 'center'}});
-            const box = found.getBoundingClientRect();
-            return [box.x + box.width / 2, box.y + box.height / 2];
-        }})()""")
-        return tuple(found) if found else None
-
-    def text(self) -> str:
-        return self.run("document.body.innerText") or ""
+    def mouse(self, what: str, x: float, y: float, **options: Any) -> None:
+        """Move, press or release the left button, in pixels of the page."""
+        kinds = {"move": "mouseMoved", "press": "mousePressed", "release": "mouseReleased"}
+        pressed = {"button": "left", "clickCount": 1} if what != "move" else {}
+        options = {**pressed, **options}
+        self.call("Input.dispatchMouseEvent", type=kinds.get(what, what), x=x, y=y, **options)
 
     def screenshot(self) -> np.ndarray:
-        """The page, pixels as [H,W,3] bytes."""
-        data = self.call("Page.captureScreenshot", format="png")["data"]
-        return np.array(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
+        """The page as it looks, [H, W, 3] bytes."""
+        content = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        return np.array(Image.open(BytesIO(content)).convert("RGB"))
 
-
-def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> T:
-    """The first answer that is one."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        answer = ask()
-        if answer is not None and answer is not False:
-            return answer
-        time.sleep(0.05)
-    raise AssertionError(f"Waited {seconds:g} s for {what}.")
+    def complaints(self) -> list[str]:
+        """Errors and warnings of the console, and exceptions that nobody caught."""
+        self.evaluate("0")  # what was said before is here then
+        said = []
+        for event in self.events:
+            details = event.get("params", {})
+            if event.get("method") == "Runtime.exceptionThrown":
+                said.append(str(details["exceptionDetails"]))
+            entry = details.get("entry", {})
+            if event.get("method") == "Log.entryAdded" and entry["level"] in ("error", "warning"):
+                said.append(entry["text"])
+            is_call = event.get("method") == "Runtime.consoleAPICalled"
+            if is_call and details["type"] in ("error", "warning", "assert"):
+                said.append(str([each.get("value") for each in details["args"]]))
+        return said
 
 
 @contextmanager
-def browser(*, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
-    """An empty page, and where its downloads go."""
-    program = find_chromium()
-    assert program is not None
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        flags = [*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"]
-        process = subprocess.Popen(
-            [program, *flags, "about:blank"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "HOME": profile},
-        )
+def launched(width: int = 800, height: int = 600, *flags: str) -> Iterator[Page]:
+    """A browser with one empty tab of a size, and a profile of its own that goes with it."""
+    assert PROGRAM is not None
+    with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [PROGRAM, *FLAGS, *flags, f"--user-data-dir={profile}", "about:blank"]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
-            with connect(_page_socket(Path(profile)), max_size=2**28) as socket:
-                tab = Tab(socket)
-                tab.call(
+            with connect(_address(process), max_size=None) as socket:
+                page = Page(socket)
+                for domain in ("Page", "Runtime", "Log"):
+                    page.call(f"{domain}.enable")
+                page.call(
                     "Emulation.setDeviceMetricsOverride",
-                    width=size[0],
-                    height=size[1],
-                    deviceScaleFactor=1,
-                    mobile=False,
+                    **{"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False},
                 )
-                tab.call(
-                    "Browser.setDownloadBehavior", behavior="allow", downloadPath=str(downloads)
-                )
-                yield tab
+                yield page
         finally:
             process.terminate()
-            try:
-                process.wait(10)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.communicate()
 
 
-def _page_socket(profile: Path) -> str:
-    def port() -> str | None:
-        file = profile / "DevToolsActivePort"
-        return file.read_text().split()[0] if file.exists() and file.read_text() else None
+def _address(process: "subprocess.Popen[bytes]") -> str:
+    """Where the tab listens, from what the browser says when it starts."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if b"DevTools listening on" in line:
+            port = line.split(b"127.0.0.1:")[1].split(b"/")[0].decode()
+            with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=SECONDS) as answer:
+                tabs = json.load(answer)
+            return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+    raise AssertionError("Chromium did not start")
 
-    address = f"http://127.0.0.1:{until(port, 'Chromium')}/json"
 
-    def socket() -> str | None:
-        with urlopen(address, timeout=PATIENCE) as answer:
-            pages = [each for each in json.load(answer) if each["type"] == "page"]
-        return pages[0]["webSocketDebuggerUrl"] if pages else None
-
-    return until(socket, "a page")
+def as_url(path: Path) -> str:
+    """A file as a browser opens it from the disk."""
+    return path.resolve().as_uri()

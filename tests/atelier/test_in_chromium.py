@@ -10,7 +10,8 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS, enlarged
-from chromium import Tab, browser, find_chromium, until
+from chromium import needs_chromium
+from studio_tab import Tab, studio_tab, until
 from stylesplat.atelier.opening import Studio, studio
 from stylesplat.atelier.studio_state import shown
 from stylesplat.drawing.at_rest import camera_of
@@ -19,9 +20,7 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
 
-pytestmark = pytest.mark.skipif(
-    find_chromium() is None, reason="needs Chromium, such as Debian's package chromium"
-)
+pytestmark = needs_chromium
 
 SIZE = 760, 420  # pixels of the window: software draws them
 # Messages, such as that of viser that nothing but software draws, lie over the picture
@@ -53,8 +52,8 @@ def opened(tmp_path: Path) -> Iterator[Studio]:
 def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
     downloads = tmp_path / "downloads"
     downloads.mkdir()
-    with browser(size=SIZE, downloads=downloads) as tab:
-        tab.open(f"http://127.0.0.1:{opened.port}")
+    with studio_tab(size=SIZE, downloads=downloads) as tab:
+        tab.page.open(f"http://127.0.0.1:{opened.port}")
         yield tab
 
 
@@ -67,8 +66,8 @@ def at_rest(tab: Tab, opened: Studio) -> np.ndarray:
         wanted = exact(opened)  # each time: the camera may move at first
         if not opened.page.stage.rest.showing(client):
             return None
-        tab.run(HIDE)
-        pixels = tab.screenshot().astype(float)[: wanted.shape[0], : wanted.shape[1]]
+        tab.page.evaluate(HIDE)
+        pixels = tab.page.screenshot().astype(float)[: wanted.shape[0], : wanted.shape[1]]
         alike = pixels.shape == wanted.shape and np.abs(pixels - wanted).mean() < SLIGHT / 4
         return pixels if alike else None
 
@@ -113,7 +112,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
 
     tab.press_button("Compare")
     until(lambda: tab.place_of("slider"), "a slider of intensity")
-    tab.run(FOCUS)
+    tab.page.evaluate(FOCUS)
     tab.press("Home")
     until(lambda: session.state.note == "3 at 0%", "intensity 0")
     faded = np.abs(at_rest(tab, opened) - before)
@@ -125,7 +124,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     until(wait_for_note(opened, "Painted 3"), "undo")
     assert np.abs(at_rest(tab, opened) - painted).max() < 3 * SLIGHT
     saved_and_exported(opened, tab, tmp_path / "downloads" / "balls.ply")
-    complaints = [line for line in tab.complaints if not line.startswith(VISERS)]
+    complaints = [line for line in tab.page.complaints() if VISERS not in line]
     assert not complaints, json.dumps(complaints, indent=1)
 
 

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import pytest
 import torch
 
 from balls import SPLATS
-from command_line import run
+from command_line import complaint, run
 from stylesplat.io.splats.splat_ply import read_splat_ply
 
 
@@ -17,3 +18,14 @@ def test_export_keeps_every_bit(scene: Path, tmp_path: Path):
     assert run("export", scene, tmp_path / "out.ply") == 1, "never overwrites by itself"
     assert run("export", scene, tmp_path / "out.ply", "--overwrite") == 0
     assert run("export", scene, tmp_path / "out.splat") == 0
+
+
+def test_export_makes_a_page(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run("export", scene, tmp_path / "out.html") == 0
+    said = capsys.readouterr().err
+    assert "out.html: 440 Gaussians, 0.0 MB. Any browser opens it, without a network." in said
+    assert "exists" in complaint(capsys, "export", scene, tmp_path / "out.html")
+    assert run("export", scene, tmp_path / "out.html", "--overwrite", "--sh-degree", 0) == 0
+    with pytest.raises(SystemExit):
+        run("export", "--help")
+    assert ".html" in capsys.readouterr().out

@@ -149,7 +149,8 @@ def test_label_maps_whose_picture_cannot_be_drawn(
 
     mask = ("mask", photos, "--box", BOX, "--scene", scene, "--device", "cpu", "--overwrite")
     assert run(*mask) == 0
-    assert "preview.jpg" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "preview.jpg" in said and "--not-stroke" in said, "the picture, and what mends masks"
     monkeypatch.setattr("stylesplat.drawing.preview.mask_preview", fail)
     assert run(*mask, "--json") == 0
     out, err = capsys.readouterr()

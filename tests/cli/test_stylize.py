@@ -14,6 +14,21 @@ SPLIT = ("sh0", "shN", "scales", "opacities")  # what a Gaussian that is split a
 pytestmark = pytest.mark.usefixtures("small_measurements")
 
 
+def test_the_scene_is_there_before_it_is_measured(
+    scene: Path, style: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stylesplat.verbs.stylize.measure_painted", interrupted)
+    out = scene.parent / "interrupted"
+    arguments = ("--style", f"3={style}", "--steps", 1, "--hard", *QUICK, "--max-growth", 1)
+    assert run("stylize", scene, "-o", out, *arguments) != 0
+    styled = ss.open(out)
+    assert styled.painted is not None
+    assert styled.metrics["steps"] == 1 and "nnfm_after" not in styled.metrics
+
+
 def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Path, capsys):
     assert run("select", scene, "--name", "red", "--id", 3, "--keep-outliers") == 0
     assert run("select", scene, "--name", "green", "--id", 7, "--keep-outliers") == 0

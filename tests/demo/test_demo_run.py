@@ -3,6 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from html import escape
 from pathlib import Path
 
 import pytest
@@ -48,11 +49,12 @@ def test_all_of_it_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     trained = (out / "scene" / "splats.ply").stat().st_mtime_ns
     made = run_demo(out)
     assert (out / "scene" / "splats.ply").stat().st_mtime_ns == trained, "it is not trained twice"
-    assert made.keys() == {"report", "splat", "video", "seconds"}
-    assert all(made[what].stat().st_size > 0 for what in ("report", "splat", "video"))
+    assert made.keys() == {"report", "splat", "page", "video", "seconds"}
+    assert all(made[what].stat().st_size > 0 for what in made.keys() - {"seconds"})
     assert not [*out.glob("*.partial")]
     page = (out / "report.html").read_text()
     assert "painted Gaussians</th>" in page and "of the way" in page
+    assert escape(made["page"].read_text()) in page, "the splat to turn"
     with Image.open(out / "after" / "000.png") as picture:
         assert picture.size == (240, 180), "twice the photos' size"
     scene, styled = ss.open(out / "scene"), ss.open(out / "styled")

@@ -66,3 +66,14 @@ def test_the_demo_faults_keep_most_pixels_and_invent_no_ids():
     assert set(torch.cat(faulty).unique().tolist()) <= {0, 1, 7, 300}
     lost = [i for m in faulty for i in (1, 7, 300) if not (m == i).any()]
     assert 0 < len(lost) < 40
+
+
+def test_shadows_count_as_parts_of_objects_on_the_background_alone():
+    exact = discs()
+    shadow = torch.zeros_like(exact)
+    shadow[20:40] = 1  # across the disc that casts it, and across another
+    config = FaultConfig(**NONE, shadows=1.0)
+    (faulty,) = corrupt_label_maps([exact], shadows=[shadow], config=config)
+    assert torch.equal(faulty, torch.where(exact == 0, shadow, exact))
+    (unshaded,) = corrupt_label_maps([exact], shadows=[shadow], config=FaultConfig(**NONE))
+    assert torch.equal(unshaded, exact)

@@ -62,9 +62,17 @@ def test_stages_use_up_the_steps_and_grow(quality: Quality, steps: int | None):
 def test_qualities_end_at_their_sizes():
     configs = [StyleConfig(quality=quality) for quality in PLANS]
     ends = [config.stages(500.0)[-1].lengths for config in configs]
-    assert ends == [(160.0,), (160.0,), (250.0, 500.0)]
+    assert ends == [(160.0,), (250.0, 500.0), (250.0, 500.0)]
     steps = [config.all_steps for config in configs]
     assert steps == sorted(steps)
+
+
+def test_drafts_split_nothing_unless_asked():
+    growths = [StyleConfig(quality=quality).growth(20_000) for quality in PLANS]
+    assert growths == [1, 4, 4]
+    assert StyleConfig(quality="draft", max_growth=2.0).growth(20_000) == 2
+    few = [StyleConfig().growth(gaussians) for gaussians in (10_000, 5_000, 1_000, 0)]
+    assert few == [4, 6, 16, 16], "small and smooth objects grow more"
 
 
 @pytest.mark.parametrize(

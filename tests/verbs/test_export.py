@@ -135,7 +135,9 @@ def test_empty_splats(tmp_path: Path, suffix: str):
 
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.ply.gz"])
 def test_unknown_suffix(tmp_path: Path, name: str):
-    with pytest.raises(StyleSplatError, match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat\."):
+    with pytest.raises(
+        StyleSplatError, match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat, or \.html"
+    ):
         export(random_splats(), tmp_path / name)
 
 

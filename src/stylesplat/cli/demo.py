@@ -36,6 +36,7 @@ class Demo:
         """What was made, and how to go on."""
         yield f"Report: {result['report']}"
         yield f"Splat: {result['splat']}, which SuperSplat, Blender and other programs open."
+        yield f"Page: {result['page']}, which shows the splat in any browser, before and after."
         yield f"Video: {result['video']}"
         yield f"It took {result['seconds']} s."
         own = [pasted("mask", "MyPhotos", "--box", "NAME=PHOTO:x0,y0,x1,y1")]

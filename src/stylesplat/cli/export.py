@@ -14,17 +14,17 @@ from stylesplat.errors import StyleSplatError
 
 @dataclass(frozen=True)
 class Export:
-    """Write a scene's splat for other programs.
+    """Write a scene's splat for other programs, or as a web page that shows it.
 
-    Example: stylesplat export garden-wave garden.spz
+    Example: stylesplat export garden-wave garden.html
     """
 
     first: ClassVar = ("output",)
     scene: Positional[Path]
     """Folder of the scene."""
     file: Positional[Path | None] = None
-    """File to make: .ply keeps every bit; .compressed.ply, .spz and .splat are smaller. Or name it
-    with -o."""
+    """File to make: .ply keeps every bit; .compressed.ply, .spz and .splat are smaller; .html is a
+    page for any browser, with before and after. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
@@ -53,6 +53,8 @@ class Export:
         count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
         plain = file.suffix == ".ply" and not file.name.endswith(".compressed.ply")
         opened_by = "SuperSplat opens it"
+        if file.suffix.lower() == ".html":
+            opened_by = "Any browser opens it, without a network"
         if plain and self.sh_degree is None:
             opened_by = "SuperSplat, Blender and other programs open it"
         yield f"{file}: {count}. {opened_by}."

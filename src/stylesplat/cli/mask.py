@@ -39,6 +39,10 @@ DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
 # Options that mean nothing with a method that is no model; the others keep what they have found
 REFUSED = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
+MEND = (
+    "If a mask is wrong there: again with --overwrite, and a second --box for it in a photo from "
+    "another side, or --not-stroke over what it took too much."
+)
 
 
 @dataclass(frozen=True)
@@ -132,6 +136,8 @@ class Mask:
         yield f"{result['masks']}: label maps of {photos}, which show {shown or 'no objects'}."
         if result["preview"]:
             yield f"Picture: {result['preview']}, what they say on some of the photos."
+            if self.box:
+                yield MEND
         scene = unused(self.capture, "-scene")
         yield from next_lines(pasted("train", self.capture, "-o", scene))
 

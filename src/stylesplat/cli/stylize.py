@@ -89,7 +89,8 @@ class Stylize:
     view_dependence: Literal["keep", "drop", "train"] | None = None
     """Whether highlights and reflections stay, are painted over (default), or are trained too."""
     max_growth: float | None = None
-    """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none."""
+    """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none, as a
+    draft does."""
     hard: FlagCreatePairsOff[bool] = False
     """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     max_memory: float = 1.5
@@ -122,11 +123,12 @@ class Stylize:
 
     def _stylize(self, recipe: "Recipe") -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, open
-        from stylesplat.verbs.stylize import stylize
+        from stylesplat.io.scene_folder import SCENE, open, revise
+        from stylesplat.progress import say
+        from stylesplat.verbs.stylize import stylize_unmeasured
 
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-        styled = stylize(
+        painted = stylize_unmeasured(
             open(self.scene),
             recipe,
             features=self.features,
@@ -134,8 +136,11 @@ class Stylize:
             max_memory=self.max_memory,
             device=self.device,
         )
-        save_or_rescue(styled, self.output, overwrite=self.overwrite)
-        picture = write_before_after(styled, self.output, device=self.device)
+        save_or_rescue(painted.scene, self.output, overwrite=self.overwrite)
+        say(f"The painted scene is in {self.output}. What is left is to measure and to draw it.")
+        picture = write_before_after(painted.scene, self.output, device=self.device)
+        styled = painted.measured()
+        revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
         return {"scene": self.output, "before_after": picture, **numbers}
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import torch
 
 from stylesplat.demo.cloud import surface_points
-from stylesplat.demo.faults import corrupt_label_maps
+from stylesplat.demo.faults import FaultConfig, corrupt_label_maps
+from stylesplat.demo.shadows import contact_shadows
 from stylesplat.demo.still_life import OBJECT_NAMES, View, dome_cameras, photograph
 from stylesplat.demo.style_pictures import burning_tide, swirling_night
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
@@ -53,6 +54,7 @@ def write_demo_capture(
     views: int = 48,
     width: int = 480,
     height: int = 360,
+    faults: FaultConfig | None = None,
 ) -> Path:
     """Render the still life and write it as a nerfstudio capture.
 
@@ -66,6 +68,7 @@ def write_demo_capture(
         views: How many photos.
         width: Of a photo, in pixels.
         height: Of a photo, in pixels.
+        faults: The label maps' mistakes; by default those of the demo.
 
     Returns:
         `path`.
@@ -81,7 +84,7 @@ def write_demo_capture(
                 seen.append(view)
                 bar.advance()
         _write_photos(folder, cameras, seen)
-        _write_labels(folder, cameras, seen, seed)
+        _write_labels(folder, cameras, seen, faults or FaultConfig(), seed)
         _write_styles(folder, seed)
         chosen = range(0, views, max(views // POINT_VIEWS, 1))
         points, colors = surface_points(
@@ -98,9 +101,13 @@ def _write_photos(folder: Path, cameras: Cameras, views: list[View]) -> None:
         write_image(view.photo, folder / "images" / name)
 
 
-def _write_labels(folder: Path, cameras: Cameras, views: list[View], seed: int) -> None:
+def _write_labels(
+    folder: Path, cameras: Cameras, views: list[View], faults: FaultConfig, seed: int
+) -> None:
     exact = [view.labels for view in views]
-    kinds = {OBJECT_MASK: corrupt_label_maps(exact, seed=seed), EXACT: exact}
+    shadows = contact_shadows(cameras, views, seed) if faults.shadows else None
+    faulty = corrupt_label_maps(exact, shadows=shadows, seed=seed, config=faults)
+    kinds = {OBJECT_MASK: faulty, EXACT: exact}
     for kind, maps in kinds.items():
         for name, labels in zip(cameras.names, maps, strict=True):
             write_label_map(labels, folder / kind / name)

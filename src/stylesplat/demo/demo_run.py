@@ -47,6 +47,7 @@ OBJECT_IDS = {"vase": 1, "teapot": 2}
 SHOWN = "016"  # the view in the report: a line between its painted objects cuts neither
 LARGER = 2  # times the photos' size: the report shows the view before and after as wide
 REPORT = "report.html"
+SPLAT, PAGE = "styled.ply", "styled.html"
 CAPTURE = "capture"
 SHEET = "objects.png"  # in the scene's folder
 
@@ -76,12 +77,14 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
     )
     save(styled, output / "styled", overwrite=True)
     _render(scene, styled, output)
-    export(styled, output / "styled.ply", overwrite=True)
+    for name in (SPLAT, PAGE):
+        export(styled, output / name, overwrite=True)
     seconds = time.monotonic() - start
     _report(output, capture, scene, styled, seconds)
     return {
         "report": output / REPORT,
-        "splat": output / "styled.ply",
+        "splat": output / SPLAT,
+        "page": output / PAGE,
         "video": output / "orbit.mp4",
         "seconds": round(seconds),
     }
@@ -139,7 +142,8 @@ def _report(
         cut=quiet_cut(scene.splats, camera, [scene.objects[each].picked for each in STYLES]),
         sections=(
             *_training_story(output, capture),
-            *_styling_story(output, capture, style_lines(styled.metrics, STYLES)),
+            *_styling_story(capture, style_lines(styled.metrics, STYLES), output / "scene" / SHEET),
+            *_results(output),
         ),
         numbers=_numbers(dict(scene.metrics), dict(styled.metrics), seconds),
     )
@@ -173,7 +177,7 @@ def _training_story(output: Path, capture: Path) -> tuple[Section, ...]:
     return photos, gaussians
 
 
-def _styling_story(output: Path, capture: Path, outcome: Sequence[str]) -> tuple[Section, ...]:
+def _styling_story(capture: Path, outcome: Sequence[str], sheet: Path) -> tuple[Section, ...]:
     paintings = tuple(
         Figure(capture / "styles" / f"{style}.png", f"for the {name}")
         for name, style in STYLES.items()
@@ -182,7 +186,7 @@ def _styling_story(output: Path, capture: Path, outcome: Sequence[str]) -> tuple
         Section(
             "3. Objects to choose from",
             "stylesplat objects draws this sheet; stylesplat select gives an object a name.",
-            (Figure(output / "scene" / SHEET, SHEET),),
+            (Figure(sheet, SHEET),),
         ),
         Section(
             "4. Two styles",
@@ -191,11 +195,18 @@ def _styling_story(output: Path, capture: Path, outcome: Sequence[str]) -> tuple
             + " ".join(f"{line[:1].upper()}{line[1:]}" for line in outcome),
             paintings,
         ),
+    )
+
+
+def _results(output: Path) -> tuple[Section, ...]:
+    return (
         Section(
-            "5. All around",
-            "The splat is in styled.ply and opens in any viewer.",
-            (Figure(output / "orbit.mp4", "orbit.mp4"),),
+            "5. The splat itself",
+            f"Drag to turn it; the handle in the middle lies between before and after. {SPLAT} "
+            f"opens in any viewer; {PAGE} holds the splat and this one, a single file to send.",
+            (Figure(output / PAGE, PAGE),),
         ),
+        Section("6. All around", "A video of it.", (Figure(output / "orbit.mp4", "orbit.mp4"),)),
     )
 
 

@@ -1,4 +1,4 @@
-"""The demo's report: one HTML file that holds its pictures and video and needs no network."""
+"""The demo's report: one HTML file that holds pictures, video and splat and needs no network."""
 
 from base64 import b64encode
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ MIME = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture or video with a caption."""
+    """A picture, a video or a page with a splat, with a caption."""
 
     path: Path
     """The file."""
@@ -77,12 +77,16 @@ def _section(section: Section) -> str:
 
 
 def _figure(figure: Figure) -> str:
-    source = _embed(figure.path)
-    if figure.path.suffix == ".mp4":
+    caption = escape(figure.caption)
+    if figure.path.suffix == ".html":
+        page = escape(figure.path.read_text(encoding="utf-8"))
+        media = f'<iframe srcdoc="{page}" title="{caption}" loading="lazy"></iframe>'
+    elif figure.path.suffix == ".mp4":
+        source = _embed(figure.path)
         media = f'<video src="{source}" autoplay loop muted playsinline controls></video>'
     else:
-        media = f'<img src="{source}" alt="{escape(figure.caption)}">'
-    return f"<figure>{media}<figcaption>{escape(figure.caption)}</figcaption></figure>"
+        media = f'<img src="{_embed(figure.path)}" alt="{caption}">'
+    return f"<figure>{media}<figcaption>{caption}</figcaption></figure>"
 
 
 def _embed(path: Path) -> str:

@@ -4,30 +4,21 @@ import math
 import time
 from typing import TYPE_CHECKING
 
-import torch
-
 from stylesplat.drawing.at_rest import AtRest
 from stylesplat.drawing.compositing import BLACK
+from stylesplat.drawing.first_view import first_view
 from stylesplat.drawing.live_splats import LiveSplats
 from stylesplat.drawing.private_server import private_server
 from stylesplat.drawing.shown import Shown
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of
-from stylesplat.scene.framing import Sight, distances, focal_at
-from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import Terminated
 from stylesplat.work import Worker
 
 if TYPE_CHECKING:
     import viser
-
-UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where nobody knows it
-WINDOW = (1600, 1200)  # pixels, or wider: what all content fits into at the start
-FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
-MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
 def serve(
@@ -73,25 +64,11 @@ def _failed(error: Exception) -> None:
 
 def place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
     """Where browsers start, and what is up."""
-    content = content_of(splats)
-    middle = content.extent.centre
-    if cameras is None:
-        outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
-        sight = Sight(middle, outward, UP, WINDOW)
-        distance = distances(content, sight, FOCAL).best
-        position, up = middle + distance * outward, UP
-        focal = focal_at(content.outline, sight, distance)
-        server.initial_camera.fov = 2 * math.atan(WINDOW[1] / (2 * focal))
-    else:
-        position, forward = cameras.positions[0].double(), cameras.viewmats[0, 2, :3].double()
-        middle = position + ((middle - position) @ forward).clamp(min=MIN_DISTANCE) * forward
-        up = up_vector(cameras)
-        server.initial_camera.fov = 2 * float(
-            torch.atan(cameras.sizes[0, 1] / (2 * cameras.Ks[0, 1, 1]))
-        )
-    server.scene.set_up_direction(up.numpy())
-    server.initial_camera.position = position.numpy()
-    server.initial_camera.look_at = middle.numpy()
+    view = first_view(splats, cameras)
+    server.scene.set_up_direction(view.up.numpy())
+    server.initial_camera.fov = 2 * math.atan(view.slopes[1] / 2)
+    server.initial_camera.position = view.position.numpy()
+    server.initial_camera.look_at = view.target.numpy()
 
 
 def _serve_until_interrupted(server: "viser.ViserServer") -> None:

@@ -26,6 +26,7 @@ from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
+GREY = 0.5  # what colours of no coefficients show
 HEADROOM = 1e3  # a constant band that keeps colours positive whatever the other bands
 
 
@@ -60,18 +61,28 @@ class Contributions:
         """The image with the colours of these splats, which gradients reach."""
         shown = self.gaussians
         if self.bands is not None:
-            return self.image((splats.sh0[shown, 0] * SH_C0 + self.bands).relu())
+            sh0 = splats.sh0[:, 0].index_select(0, shown)  # its gradient is quicker than that of []
+            return self.image((sh0 * SH_C0 + self.bands).relu())
         dirs = splats.means[shown] - self.origin
         sh = splats.sh0[shown], splats.shN[shown]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh))
 
-    def with_fixed_bands(self, splats: Splats) -> "Contributions":
-        """The same for splats that differ from these at most in `sh0`: quicker."""
-        shown = self.gaussians
-        dirs = splats.means[shown] - self.origin
-        raised = torch.full_like(splats.sh0[shown], HEADROOM)  # above the clamp at black
-        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, raised, splats.shN[shown])
-        return replace(self, bands=colors - HEADROOM * SH_C0)
+    def with_fixed_bands(
+        self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
+    ) -> "Contributions":
+        """The same for splats that differ from these at most in `sh0`: quicker.
+
+        Args:
+            splats: Which they are.
+            varied: Those whose higher bands are not all 0; None if nobody has looked.
+        """
+        shown, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
+        places = torch.arange(len(shown)) if varied is None else varied[shown].nonzero()[:, 0]
+        rows = shown[places]
+        dirs = splats.means[rows] - self.origin
+        raised = torch.full_like(splats.sh0[rows], HEADROOM)  # above the clamp at black
+        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, raised, splats.shN[rows])
+        return replace(self, bands=bands.index_copy(0, places, colors - HEADROOM * SH_C0))
 
     def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
         """What each Gaussian contributes to some pixels, or to all: column sums of the weights."""

@@ -5,6 +5,7 @@ pixels, and so how label maps vote for Gaussians; products with W how Gaussians 
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -21,6 +22,11 @@ NOBODY = -1  # no label
 COVERED = 0.5  # the opaque share from which a pixel or a feature is an object's
 TINY_COVERAGE = 1e-6  # of a pixel, below which an average over it is undefined
 PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
+
+
+def without_looks(splats: Splats) -> Splats:
+    """The same without higher bands and identities: quicker to draw where weights are all."""
+    return replace(splats, shN=splats.shN[:, :0], identities=None, confidence=None)
 
 
 def contributed(

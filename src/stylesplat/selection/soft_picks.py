@@ -5,18 +5,18 @@ contour, some are haze or float beside it. What they paint is seen in all views 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.progress import track
-from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import class_probabilities, render_labels
@@ -40,6 +40,8 @@ class Place:
     """The camera alone, at a modest size."""
     pixels: Bool[Tensor, "H W"]
     """The object's."""
+    painted: Float[Tensor, "N 2"]
+    """What each Gaussian of the pick that it was found for paints of them, and of the image."""
 
 
 @torch.no_grad()
@@ -54,16 +56,18 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
         picked: The object's Gaussians.
         cameras: Views to choose from.
     """
-    ids = _own_ids(splats, picked)
+    # contributions are known on the CPU only
+    splats, picked = splats.to("cpu"), picked.cpu()
+    ids, bare = _own_ids(splats, picked), without_looks(splats)
     places = []
     for row in track(evenly(range(len(cameras)), VIEWS), "looking for contours"):
         camera = cameras[row].at_most(LONGER_SIDE)
-        covered = coverage(splats, camera, picked)
-        pixels = covered > COVERED
-        if len(ids) and (covered > LABELLED).any():
-            own = torch.isin(render_labels(splats, camera), ids)
-            pixels |= own & (covered > LABELLED)
-        places.append(Place(camera, pixels.cpu()))
+        view = contributions(bare, camera, picked)
+        pixels = view.coverage > COVERED
+        unsure = (view.coverage > LABELLED) & ~pixels
+        if len(ids) and unsure.any():
+            pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
+        places.append(Place(camera, pixels, _painted(view, pixels, len(splats))))
     return places
 
 
@@ -78,7 +82,7 @@ def soft_shares(
     Args:
         splats: The scene.
         picked: The object's Gaussians.
-        places: Where the object is.
+        places: Where the object is, found for these Gaussians or for those that they came from.
 
     Returns:
         Shares in 0..1; 0 for all that is not picked.
@@ -101,19 +105,47 @@ def inside_parts(
     Returns:
         Parts in 0..1; 0 for all that is not picked.
     """
-    # contributions are known on the CPU only
-    device, splats, picked = splats.device, splats.to("cpu"), picked.cpu()
-    inside, everywhere = splats.means.new_zeros(2, len(splats))
-    for place in track(places, "looking at contours"):
-        view = contributions(splats, place.camera, picked)
-        everywhere.index_add_(0, view.gaussians, view.weights())
-        if place.pixels.any():
-            inside.index_add_(0, view.gaussians, view.weights(place.pixels))
+    sums = torch.stack([place.painted for place in places]).sum(dim=0)
+    inside, everywhere = sums.unbind(dim=1)
+    means, mine = splats.means.cpu(), picked.cpu()
     parts = inside / everywhere.clamp(min=UNSEEN)
-    seen = picked & (everywhere >= UNSEEN)
-    unseen = picked & ~seen
-    parts[unseen] = _of_neighbours(splats.means[unseen], splats.means[seen], parts[seen])
-    return (parts * picked).to(device)
+    seen = mine & (everywhere >= UNSEEN)
+    unseen = mine & ~seen
+    parts[unseen] = _of_neighbours(means[unseen], means[seen], parts[seen])
+    return (parts * mine).to(splats.device)
+
+
+@torch.no_grad()
+def seen_anew(splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]) -> list[Place]:
+    """The same places, and what the Gaussians of another scene paint there.
+
+    Args:
+        splats: The scene, whose Gaussians came from those that the places were found for.
+        picked: The object's.
+        places: Where the object is.
+    """
+    bare, picked = without_looks(splats.to("cpu")), picked.cpu()
+    anew = []
+    for place in track(places, "looking at contours"):
+        view = contributions(bare, place.camera, picked)
+        anew.append(replace(place, painted=_painted(view, place.pixels, len(splats))))
+    return anew
+
+
+def _painted(view: Contributions, pixels: Bool[Tensor, "H W"], count: int) -> Tensor:
+    """What each Gaussian paints of some pixels, and of all."""
+    sums = torch.stack([view.weights(pixels), view.weights()], dim=1)
+    return sums.new_zeros(count, 2).index_copy_(0, view.gaussians, sums)
+
+
+def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Tensor:
+    """The labels in a box around some pixels; background elsewhere."""
+    low = [int(pixels.any(dim=axis).nonzero().min()) for axis in (0, 1)]
+    high = [int(pixels.any(dim=axis).nonzero().max()) + 1 for axis in (0, 1)]
+    cut = crop(camera, low, [b - a for a, b in zip(low, high, strict=True)])
+    labels = torch.full(pixels.shape, BACKGROUND, dtype=torch.int32)
+    labels[low[1] : high[1], low[0] : high[0]] = render_labels(splats, cut)
+    return labels
 
 
 def _own_ids(splats: Splats, picked: Bool[Tensor, " N"]) -> Tensor:
@@ -133,6 +165,8 @@ def _of_neighbours(
     count = min(NEIGHBOURS, len(others))
     if count == 0 or len(points) == 0:
         return points.new_zeros(len(points))
+    from scipy.spatial import KDTree  # most objects need none, and it takes a while to import
+
     tree = KDTree(others.double().numpy())
     _, rows = tree.query(points.double().numpy(), k=count)
     return values[torch.from_numpy(rows).view(-1, count)].median(dim=1).values

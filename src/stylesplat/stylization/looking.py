@@ -19,7 +19,8 @@ from stylesplat.stylization.object_views import (
 from stylesplat.stylization.stages import Stage
 from stylesplat.stylization.style_job import Studio, StyleJob
 
-VISITS = 2  # of a view at least: cutting one takes as long as a step
+VISITS = 5  # of a view at least: cutting one takes as long as a step
+VISITS_OF_PARTS = 2  # of which it takes many to cover the object
 
 
 def see_object(studio: Studio, job: StyleJob, cameras: Cameras) -> list[Box]:
@@ -69,7 +70,8 @@ def stage_views(
     views = []
     for length in stage.lengths:
         zoom = length / typical_length(boxes)
-        count = math.ceil(stage.steps / len(stage.lengths) / VISITS)
+        visits = VISITS if stage.window is None else VISITS_OF_PARTS
+        count = math.ceil(stage.steps / len(stage.lengths) / visits)
         if stage.window is None:
             shown = evenly(boxes, count)
         else:

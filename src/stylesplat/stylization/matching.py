@@ -39,7 +39,9 @@ class StyleIndex:
         found = []
         for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
             candidates = _largest(query @ self.compressed, len(self.directions))
-            exact = torch.einsum("pd,pkd->pk", chunk, self.directions[candidates])
+            few = self.directions.index_select(0, candidates.flatten())
+            few = few.view(*candidates.shape, feats.shape[1])
+            exact = torch.einsum("pd,pkd->pk", chunk, few)
             found.append(candidates.gather(1, exact.argmax(dim=1, keepdim=True))[:, 0])
         return torch.cat(found)
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.metrics.lab import distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.scene.splats import SH_C0, Splats
-from stylesplat.stylization.object_views import ObjectView, weights_in
+from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
 
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
 NEAR = 6.0  # of Lab: as near is near enough
@@ -33,8 +33,9 @@ class NearPalette:
         """From colours in 0..1 to where the painting is near; has no gradients."""
         colors = colors.detach()
         levels = (colors.clamp(0, 1) * (LEVELS - 1)).round()
-        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long()
-        return (self.table[rows] - colors) * self.shares[rows][..., None]
+        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long().flatten()
+        nearest = self.table.index_select(0, rows).view(colors.shape)
+        return (nearest - colors) * self.shares.index_select(0, rows).view(*colors.shape[:-1], 1)
 
     def distance(
         self, image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]
@@ -72,7 +73,7 @@ def settle(
         near: The painting's colours.
     """
     picked = shares > 0
-    views = [view.with_fixed_bands(splats) for view in views]
+    views = with_fixed_bands(views, splats)
     weights = weights_in(views, splats, picked)
     weights = weights + FAINT * weights[weights > 0].median()
     colors = splats.sh0[picked, 0] * SH_C0 + 0.5

@@ -25,6 +25,9 @@ MEBIBYTE = 2**20
 MIN_CELLS = 16  # views that show fewer features of the object are skipped
 
 
+ViewKey = tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Box:
     """Where an object lies in one camera's image."""
@@ -57,6 +60,11 @@ class ObjectView:
     linear: Contributions | None = None
     """The image as a function of the object's colours; None if it is rasterised every time."""
 
+    @property
+    def key(self) -> ViewKey:
+        """What tells it from others, which may see parts of the same photo."""
+        return (*self.camera.viewmats.flatten().tolist(), *self.camera.Ks.flatten().tolist())
+
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """The view of splats that differ from the scene at most in the object's colours."""
         if self.linear is not None:
@@ -72,10 +80,18 @@ class ObjectView:
         everywhere = splats.means.new_ones(height, width, 1)
         return contributed(splats, self.camera, everywhere)[:, 0] * picked
 
-    def with_fixed_bands(self, splats: Splats) -> "ObjectView":
-        """The same, quicker, for splats that differ from these at most in `sh0`."""
-        linear = self.linear and self.linear.with_fixed_bands(splats)
+    def with_fixed_bands(
+        self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
+    ) -> "ObjectView":
+        """As `Contributions.with_fixed_bands`, where it has contributions."""
+        linear = self.linear and self.linear.with_fixed_bands(splats, varied)
         return replace(self, linear=linear)
+
+
+def with_fixed_bands(views: Sequence[ObjectView], splats: Splats) -> list[ObjectView]:
+    """Views for splats that differ from these at most in `sh0`: quicker."""
+    varied = splats.shN.flatten(1).any(dim=1)
+    return [view.with_fixed_bands(splats, varied) for view in views]
 
 
 def weights_in(

@@ -8,15 +8,16 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex
 from stylesplat.stylization.near_palette import NearPalette
 from stylesplat.stylization.nnfm import cosine_distance
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.object_views import ObjectView, ViewKey
 from stylesplat.stylization.style_config import StyleConfig
 
 PULL = 10.0  # weight of the squared way back to the painting's colours; more costs style
-ViewKey = tuple[float, ...]
+HOLD = 5.0  # weight of the squared change of large shapes; 50 leaves fine strokes no room
 EVEN = 0.1  # weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
 MOST_CONTENT = 0.98  # a larger weight of content keeps no more of it
 
@@ -45,6 +46,8 @@ class Objective:
     """The layers and weights."""
     near: NearPalette | None = None
     """The colours to stay near to; None leaves them free."""
+    anchor: Anchor | None = None
+    """The large shapes to keep; None leaves them free."""
     wanted: dict[ViewKey, list[Tensor]] = field(default_factory=dict)
     """The original's features in the pictures seen so far, for `content`."""
 
@@ -54,7 +57,7 @@ class Objective:
         feats = self._features(view, image)
         pairs = zip(feats, self.styles, strict=True)
         matched = [
-            cosine_distance(own, style.directions[style.nearest(own.detach())])
+            cosine_distance(own, style.directions.index_select(0, style.nearest(own.detach())))
             for own, style in pairs
         ]
         style = total = torch.stack(matched).mean()
@@ -65,6 +68,8 @@ class Objective:
             total = total + self.config.smoothness * variation
         if self.near is not None:
             total = total + PULL * self.near.distance(image, view.pixels)
+        if self.anchor is not None:
+            total = total + HOLD * self.anchor.distance(view, image)
         return Losses(style, total)
 
     def _features(self, view: ObjectView, image: Tensor) -> list[Tensor]:
@@ -73,7 +78,7 @@ class Objective:
 
     def _content(self, view: ObjectView, feats: Sequence[Tensor]) -> Tensor:
         """The mean squared change of the features, in units of their mean square."""
-        key = _key(view)
+        key = view.key
         wanted = self.wanted.get(key)
         if wanted is None:
             with torch.no_grad():
@@ -85,12 +90,6 @@ class Objective:
             for own, other in zip(feats, wanted, strict=True)
         ]
         return torch.stack(changes).mean()
-
-
-def _key(view: ObjectView) -> ViewKey:
-    """What tells a view from others, which may see parts of the same photo."""
-    camera = view.camera
-    return (*camera.viewmats.flatten().tolist(), *camera.Ks.flatten().tolist())
 
 
 def content_weight(content: float) -> float:

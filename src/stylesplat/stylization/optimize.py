@@ -12,7 +12,7 @@ from stylesplat.scene.sampling import drawn
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import mixed_colors
 from stylesplat.stylization.near_palette import DARKEST
-from stylesplat.stylization.object_views import ObjectView, weights_in
+from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
 from stylesplat.stylization.objective import Objective
 from stylesplat.training.adam import Moments, adam_step
 
@@ -59,19 +59,19 @@ def optimize_colors(
     generator = torch.Generator().manual_seed(config.seed)
     picked = shares > 0
     rows = picked.nonzero()[:, 0]
+    part = shares[rows, None, None]
     fields = ("sh0", "shN") if config.view_dependence == "train" else ("sh0",)
     leaves = {name: getattr(paint, name)[rows].requires_grad_() for name in fields}
+    own = {name: getattr(base, name)[rows] for name in fields}
     rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
     moments = Moments.zeros(leaves)
     shown = mixed_colors(base, paint, shares)
     if "shN" not in leaves:
-        views = [view.with_fixed_bands(shown) for view in views]
+        views = with_fixed_bands(views, shown)
     trust = _trust(base, picked, views)
     for number, view in enumerate(drawn(views, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(
-                view, _with_rows(shown, _mixed_rows(leaves, base, shares, rows), rows)
-            )
+            losses = objective(view, _with_rows(shown, _mixed_rows(own, leaves, part), rows))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         decayed = config.final_lr ** ((number - 1) / steps)
@@ -81,7 +81,7 @@ def optimize_colors(
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
                 leaf.grad = None
         _keep_in_range(leaves["sh0"])
-        after = _with_rows(shown, _mixed_rows(leaves, base, shares, rows), rows).detach()
+        after = _with_rows(shown, _mixed_rows(own, leaves, part), rows).detach()
         full = _with_rows(paint, leaves, rows).detach()
         yield Step(number, losses.style.item(), after, full)
 
@@ -96,11 +96,10 @@ def _trust(
 
 
 def _mixed_rows(
-    leaves: dict[str, Tensor], base: Splats, shares: Tensor, rows: Tensor
+    own: dict[str, Tensor], leaves: dict[str, Tensor], part: Tensor
 ) -> dict[str, Tensor]:
     """As `mixed_colors`, of some rows, with gradients."""
-    part = shares[rows, None, None]
-    return {n: torch.lerp(getattr(base, n)[rows], leaf, part) for n, leaf in leaves.items()}
+    return {name: torch.lerp(own[name], leaf, part) for name, leaf in leaves.items()}
 
 
 def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splats:

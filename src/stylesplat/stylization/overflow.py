@@ -4,8 +4,6 @@ Children of large Gaussians close to a camera, each of which it sees in its own 
 lie before what hid the parent's centre; or that grew when they were fitted.
 """
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -16,7 +14,7 @@ from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.rasterize import activated, beside
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
@@ -38,11 +36,11 @@ def without_overflow(
         cameras: Views in which the object may cover no pixel that it did not cover before; of
             many some are checked.
     """
-    plain = replace(split.splats, identities=None, confidence=None)  # quicker to take rows of
+    bare, plain = without_looks(splats), without_looks(split.splats)
     found = [split.parents[:0]]
     checked = evenly(range(len(cameras)), CHECKED_VIEWS)
     for index in track(checked, "looking beside the object"):
-        nothing = coverage(splats, cameras[index], picked) == 0
+        nothing = coverage(bare, cameras[index], picked) == 0
         rows = _showing(plain, cameras[index], picked[split.parents], nothing)
         found.append(split.parents[rows])
     return unsplit(splats, split, torch.cat(found).unique())

@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.soft_picks import Place, find_places, soft_shares
+from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
 from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.object_views import Box, typical_length
 from stylesplat.stylization.overflow import without_overflow
@@ -69,10 +69,14 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     Raises:
         StyleSplatError: If it is hardly visible.
     """
-    split = _split(ground.studio, ground.job, boxes, length)
+    growth = ground.job.config.growth(int(ground.job.picked.sum()))
+    if growth == 1 or ground.job.config.intensity == 0:
+        return ground  # nothing would come of it
+    split = _split(ground.studio, ground.job, boxes, length, growth)
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
-    return _with_shares(studio, job, split.parents, ground.places)
+    places = seen_anew(studio.splats, job.picked, ground.places)
+    return _with_shares(studio, job, split.parents, places)
 
 
 def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
@@ -89,11 +93,11 @@ def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequenc
     )
 
 
-def _split(studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float) -> Split:
-    """The scene with Gaussians of the object split, or not where nothing would come of it."""
-    growth, device = job.config.max_growth, studio.splats.device
-    if growth == 1 or job.config.intensity == 0:
-        return Split(studio.splats, torch.arange(len(studio.splats), device=device))
+def _split(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
+) -> Split:
+    """The scene with Gaussians of the object split."""
+    device = studio.splats.device
     # contributions are known on the CPU only
     studio = replace(studio, splats=studio.splats.to("cpu"))
     job = replace(job, picked=job.picked.cpu())

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.color import color_map, mixed_colors, object_colors, transfer_colors
 from stylesplat.stylization.looking import object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
@@ -79,37 +80,51 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     boxes = evenly(boxes, math.ceil(config.view_share * len(boxes)))
     stages = _stages(studio, job, typical_length(boxes))
     split_at = min(SPLIT_AT, len(stages) - 1)
-    aim = _aim(ground, boxes, stages[split_at])
-    plain = soften(studio.splats, ground.job.picked, aim.views, config.softened)
-    current = undercoat(plain, ground.job.picked, aim.views, aim.palette, config)
+    if split_at == 0:
+        ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
     generator = torch.Generator().manual_seed(config.seed)
-    done, views = 0, []
+    views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)
+    aim, plain, current = _begun(ground, _few_views(ground, boxes, stages[0], views))
+    done = 0
     for number, stage in enumerate(stages):
-        views.clear()  # before there are others: they take much memory
-        if number == split_at:
-            ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
-            plain, current = ground.handed_down(plain), ground.handed_down(current)
-            aim = replace(aim, views=_few_views(ground, boxes, stage))
-        views += stage_views(ground.studio, ground.job, boxes, stage, generator)
-        objective = _objective(ground, aim, stage, plain)
+        if number > 0:
+            views.clear()  # before there are others: they take much memory
+            before = ground
+            if number == split_at:
+                ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
+            views += stage_views(ground.studio, ground.job, boxes, stage, generator)
+            if ground is not before:
+                aim = replace(aim, views=_few_views(ground, boxes, stage, views))
+                plain, current = ground.handed_down(plain), ground.handed_down(current)
+        objective = _objective(ground, aim, stage, plain, current)
         for step in optimize_colors(
             current, ground.studio.splats, ground.shares, views, objective, stage.steps
         ):
             done, current, shown = done + 1, step.paint, step.splats
             if step.number == stage.steps:
                 current, shown = _ended(ground, aim, current, last=done == config.all_steps)
-            before, parents = ground.studio.splats, ground.parents
-            yield Repainted(done, config.all_steps, step.nnfm, shown, before, parents)
+            base, parents = ground.studio.splats, ground.parents
+            yield Repainted(done, config.all_steps, step.nnfm, shown, base, parents)
 
 
-def _few_views(ground: Ground, boxes: Sequence[Box], stage: Stage) -> list[ObjectView]:
-    """Views that tell the object's colours."""
+def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats, Splats]:
+    """What the object is to look like; as much of its own pattern as stays; the undercoat."""
+    aim, job = _aim(ground, views), ground.job
+    plain = soften(ground.studio.splats, job.picked, views, job.config.softened)
+    return aim, plain, undercoat(plain, job.picked, views, aim.palette, job.config)
+
+
+def _few_views(
+    ground: Ground, boxes: Sequence[Box], stage: Stage, views: Sequence[ObjectView]
+) -> list[ObjectView]:
+    """Views that tell the object's colours: the stage's own, if they show all of it."""
+    if stage.window is None and len(views) >= COLOR_VIEWS:
+        return evenly(views, COLOR_VIEWS)
     few, zoom = evenly(boxes, COLOR_VIEWS), stage.lengths[0] / typical_length(boxes)
     return object_views(ground.studio, ground.job, few, zoom, max_memory=math.inf)
 
 
-def _aim(ground: Ground, boxes: Sequence[Box], stage: Stage) -> Aim:
-    views = _few_views(ground, boxes, stage)
+def _aim(ground: Ground, views: Sequence[ObjectView]) -> Aim:
     pictures = _pictures(ground, views)
     palette = torch.cat([picture.reshape(-1, 3) for picture in pictures])
     near = None if ground.job.config.color == "free" else near_palette(palette)
@@ -171,10 +186,10 @@ def _pictures(ground: Ground, views: Sequence[ObjectView]) -> list[Tensor]:
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in job.styles]
 
 
-def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats) -> Objective:
-    studio, config = ground.studio, ground.job.config
+def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: Splats) -> Objective:
+    studio, config, fine = ground.studio, ground.job.config, stage.window is not None
     features = target_features(studio, config, aim.pictures, stage.lengths[0])
-    if stage.window is not None:
+    if fine:
         generator = torch.Generator().manual_seed(config.seed)
         features = [_some(group, generator) for group in features]
     return Objective(
@@ -183,6 +198,7 @@ def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats) -> Objecti
         original=plain,
         config=replace(config, lr=stage.rate * config.lr),
         near=aim.near,
+        anchor=Anchor(mixed_colors(ground.studio.splats, current, ground.shares)) if fine else None,
     )
 
 

@@ -37,10 +37,13 @@ class Row:
     """Factor of the learning rate."""
 
 
+GROWTH = 4.0  # times as many Gaussians by splitting
+MOST_GROWTH = 16.0  # of objects that have few
+FEW = 25_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
 PLANS: dict[Quality, tuple[Row, ...]] = {
     "draft": (Row(90, COARSE), Row(30, 1.0)),
-    "normal": (Row(225, COARSE), Row(75, 1.0)),
+    "normal": (Row(165, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
     "high": (Row(225, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
 }
 
@@ -48,6 +51,21 @@ PLANS: dict[Quality, tuple[Row, ...]] = {
 def usual_steps(quality: Quality) -> int:
     """The steps of a quality if no number is asked for."""
     return sum(row.steps for row in PLANS[quality])
+
+
+def usual_growth(quality: Quality, gaussians: int) -> float:
+    """How many times as many Gaussians an object may get by splitting, if nothing else is asked.
+
+    For a draft, splitting and fitting what was split would take longer than all else. Smooth
+    objects are made of few Gaussians, all of them too large for strokes.
+
+    Args:
+        quality: How fine the painting is to be.
+        gaussians: How many the object has.
+    """
+    if quality == "draft":
+        return 1.0
+    return min(max(GROWTH, 1 + FEW / max(gaussians, 1)), MOST_GROWTH)
 
 
 def planned(

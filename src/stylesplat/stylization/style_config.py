@@ -5,7 +5,7 @@ from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
-from stylesplat.stylization.stages import Quality, Stage, planned, usual_steps
+from stylesplat.stylization.stages import Quality, Stage, planned, usual_growth, usual_steps
 
 LAYERS = range(1, 5)  # groups that the networks share
 MOST_STEPS = 10**6  # a day on a CPU
@@ -28,8 +28,8 @@ class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
     quality: Quality = "normal"
-    """How fine, and how many steps: draft takes few, high goes on at the photos' size, which gives
-    strokes their edges."""
+    """How fine, and how many steps: draft takes few and splits nothing, normal ends at the photos'
+    size, which gives strokes their edges, and high goes on there."""
     steps: int | None = None
     """Optimiser steps per object, one view each; None leaves it to quality."""
     layers: tuple[int, ...] = (3,)
@@ -64,8 +64,12 @@ class StyleConfig:
     """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
     """What becomes of highlights and reflections: painted over, kept, or trained too."""
-    max_growth: float = 4.0
-    """Gaussians too large for strokes are split, up to this many times as many; 1 splits none."""
+    max_growth: float | None = None
+    """Gaussians too large for strokes are split, up to this many times as many; 1 splits none.
+
+    None leaves it to quality and object: 1 for draft, else 4, and up to 16 for an object of few
+    Gaussians.
+    """
     lr: float = 0.1
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
@@ -112,7 +116,7 @@ class StyleConfig:
             raise StyleSplatError(
                 f"Cannot use a share of {self.view_share} of the views: use more than 0, up to 1."
             )
-        if not self.max_growth >= 1:
+        if self.max_growth is not None and not self.max_growth >= 1:
             raise StyleSplatError(
                 f"Cannot let an object grow to {self.max_growth} times its Gaussians: use 1 (no "
                 "splitting) or more."
@@ -122,6 +126,10 @@ class StyleConfig:
     def softened(self) -> float:
         """How much of the object's own pattern to take away, 0 to 1."""
         return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
+
+    def growth(self, gaussians: int) -> float:
+        """How many times as many Gaussians an object of so many may get, whoever chose it."""
+        return usual_growth(self.quality, gaussians) if self.max_growth is None else self.max_growth
 
     @property
     def all_steps(self) -> int:

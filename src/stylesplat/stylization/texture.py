@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -146,6 +145,8 @@ def _near(
     patches: Tensor, places: Tensor, count: int, deviation: float
 ) -> tuple[Int[Tensor, "M count"], Float[Tensor, "M count"]]:
     """The patches nearest to some places, and how near."""
+    from scipy.spatial import KDTree  # few ask for a texture, and it takes a while to import
+
     tree = KDTree((patches / deviation).cpu().numpy())
     count = min(count, len(patches))
     found = tree.query((places / deviation).cpu().numpy(), k=count, workers=-1)

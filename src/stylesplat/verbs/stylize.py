@@ -1,8 +1,9 @@
 """`stylize`: repaint objects of a scene, each in the style of pictures."""
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -10,6 +11,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.paintings import Painting, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.bookkeeping import (
@@ -32,10 +34,30 @@ from stylesplat.stylization.style import (
     digest,
 )
 from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.undo import unpainted
 
 ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over runs
+
+
+@dataclass(frozen=True)
+class Unmeasured:
+    """A painted scene, of which only the times and steps are known yet."""
+
+    scene: Scene
+    """As `stylize` returns it, but for the metrics that take measuring."""
+    recipe: Recipe
+    """What was painted."""
+    measures: Sequence[Callable[[], dict[str, Any]]]
+    """Of each run, what measures it."""
+
+    def measured(self) -> Scene:
+        """The scene with all of its metrics."""
+        figures = {}
+        for measure in self.measures:
+            figures = _joined(figures, measure())
+        _forget_ways(figures, self.recipe)
+        return replace(self.scene, metrics={**self.scene.metrics, **figures})
 
 
 def stylize(
@@ -76,23 +98,42 @@ def stylize(
         >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
         ... # doctest: +SKIP
     """
+    rest = {"features": features, "weights": weights, "max_memory": max_memory, "device": device}
+    return stylize_unmeasured(scene, styles, **rest).measured()
+
+
+def stylize_unmeasured(
+    scene: Scene,
+    styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe,
+    *,
+    features: Network | None = None,
+    weights: Path | str | None = None,
+    max_memory: float = MAX_MEMORY,
+    device: str = "auto",
+) -> Unmeasured:
+    """As `stylize`, but the scene can be had, and kept, before the painting is measured.
+
+    Raises:
+        StyleSplatError: As `stylize` does.
+    """
     recipe = as_recipe(styles)
     if not recipe.objects:
         raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
     start = time.perf_counter()
-    before, measured = scene, {}
+    before, facts, measures = scene, {}, []
     runs = runs_of(recipe, scene, features, weights)
     check_runs(scene, runs)
     for run in runs:
-        scene, found = _painted(_cleared(scene, run), run, max_memory, device)
-        measured = _joined(measured, found)
-    _forget_ways(measured, recipe)
+        scene, found, measure = _painted(_cleared(scene, run), run, max_memory, device)
+        facts = _joined(facts, found)
+        measures.append(measure)
     gone = {name for name, gone in {o.name: o.gone for o in recipe.objects}.items() if gone}
     scene = unpainted(scene, gone & strengths(scene).keys())
     wanted = strengths(before) | {o.name: _final(o) for o in recipe.objects if not o.gone}
-    metrics = {"seconds": time.perf_counter() - start, **measured}
+    metrics = {"seconds": time.perf_counter() - start, **facts}
     metrics["train"] = before.metrics.get("train", before.metrics)
-    return replace(with_origin(at_intensities(scene, wanted), before), metrics=metrics)
+    scene = replace(with_origin(at_intensities(scene, wanted), before), metrics=metrics)
+    return Unmeasured(scene, recipe, measures)
 
 
 stylise = stylize
@@ -144,8 +185,8 @@ def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
 
 def _painted(
     scene: Scene, run: Run, max_memory: float, device: str
-) -> tuple[Scene, dict[str, Any]]:
-    """The scene after a run, and what was measured of it: nothing of what goes in the end."""
+) -> tuple[Scene, dict[str, Any], Callable[[], dict[str, Any]]]:
+    """The scene after a run, what is known of it and what measures it: not what goes in the end."""
     lost = sorted(run.upon.keys() - strengths(scene).keys() - run.names)
     if lost:
         say(f"{run.objects[0].name} was painted upon {', '.join(lost)}, which is not there now.")
@@ -167,15 +208,22 @@ def _painted(
     scene = with_paintings(ground, styled, records(run, jobs, strengths(ground)))
     staying = [job for job in jobs if job.name not in run.passing]
     if not staying:
-        return scene, {}
-    shown = unpainted(scene, run.passing).splats.to(studio.splats.device)
-    measured = measure_painted(studio, staying, shown, held_out=held_out)
-    return scene, {
+        return scene, {}, dict
+    facts = {
         "steps": sum(job.config.all_steps for job in staying),
         "precision": str(studio.precision).removeprefix("torch."),
-        **flat_metrics(measured),
         "seconds_by_object": {job.name: seconds[job.name] for job in staying},
     }
+    shown = unpainted(scene, run.passing)
+    return scene, facts, partial(_measured, studio, staying, shown, held_out)
+
+
+def _measured(
+    studio: Studio, jobs: Sequence[StyleJob], scene: Scene, held_out: Cameras | None
+) -> dict[str, Any]:
+    """What painting some objects did, with one entry per number."""
+    shown = scene.splats.to(studio.splats.device)
+    return flat_metrics(measure_painted(studio, jobs, shown, held_out=held_out))
 
 
 def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:

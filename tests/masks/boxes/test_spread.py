@@ -1,8 +1,9 @@
 """The balls at 96x72 pixels. Their rims are soft, and `render_labels` draws them about a pixel
 narrower than colours do, so that masks of them cannot agree by more than 0.9 or so."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
@@ -12,6 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks.boxes import spread as module
 from stylesplat.masks.boxes.grabcut import Box, cut_box
 from stylesplat.masks.boxes.spread import Seen, spread
+from stylesplat.progress import Silence, Task, observed
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -69,17 +71,28 @@ def test_the_same_box_gives_the_same_masks(seen: Seen, monkeypatch: pytest.Monke
         assert all(torch.equal(*each) for each in zip(first, again, strict=True))
 
 
-def test_who_watches_is_told_whose_mask_it_is(seen: Seen, monkeypatch: pytest.MonkeyPatch):
-    told = []
-    task = module.task
+class Watcher(Silence):
+    def __init__(self) -> None:
+        self.told, self.left = [], 0.0
 
-    def start(what: str, *arguments: Any, **options: Any) -> Any:
-        told.append(what)
-        return task(what, *arguments, **options)
+    @contextmanager
+    def task(self, what: str, total: float | None, unit: str, done: float) -> Iterator[Task]:
+        self.told.append(what)
+        self.left = total or 0
+        yield self
 
-    monkeypatch.setattr(module, "task", start)
-    spread(SPLATS, LARGE, seen, [(1, box(LABELS[1] == 3))], name="red ball")
-    assert told == ["spreading the mask of 'red ball'"]
+    def advance(self, amount: float = 1) -> None:
+        self.left -= amount
+
+
+def test_who_watches_is_told_whose_mask_it_is_and_sees_it_end(
+    seen: Seen, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(module, "SETTLED", 0.5)  # after the first of several rounds
+    watcher = Watcher()
+    with observed(watcher):
+        spread(SPLATS, LARGE, seen, [(1, box(LABELS[1] == 3))], name="red ball")
+    assert watcher.told == ["spreading the mask of 'red ball'"] and watcher.left == 0
 
 
 def test_boxes_in_two_photos(seen: Seen):

@@ -98,7 +98,7 @@ def _refuse_unwritable(path: Path, sh_degree: int | None) -> None:
     if suffix not in (".ply", *SMALLER):
         raise StyleSplatError(
             f"Cannot export to {path}: unknown suffix {path.suffix!r}. "
-            f"Use .ply, {', '.join(SMALLER)}."
+            f"Use .ply, {', '.join(SMALLER)}, or .html for a page."
         )
     if sh_degree is None:
         return

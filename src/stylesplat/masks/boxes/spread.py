@@ -114,11 +114,12 @@ def spread(
             known |= found
             lifted = lifted.joined(_lifted(splats, cameras, found))
             start += len(batch)
-        for _ in range(SETTLING):
+        for left in reversed(range(SETTLING)):
             again = _refined(splats, cameras, seen, lifted, others, look, bar=bar)
             overlap = [mask_iou(known[row], mask) for row, mask in again.items()]
             known |= again
             if sum(overlap) >= SETTLED * len(overlap):
+                bar.advance(left * len(others))  # there is nothing more to do
                 break
             lifted = _lifted(splats, cameras, known)
     return [known[row] for row in range(len(cameras))]

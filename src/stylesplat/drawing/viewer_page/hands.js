@@ -1,0 +1,76 @@
+// What mouse, fingers and keys do to the camera; `changed` is called after that
+
+function listen(canvas, camera, changed) {
+  const fingers = new Map();
+  const size = () => [canvas.clientWidth, canvas.clientHeight];
+  const middle = () => {
+    const all = [...fingers.values()];
+    const mean = [0, 1].map((axis) => all.reduce((sum, at) => sum + at[axis], 0) / all.length);
+    return [mean, all.length > 1 ? Math.hypot(...plus(all[0], all[1], -1)) : 0];
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    canvas.focus();
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (!fingers.has(event.pointerId)) return;
+    const [from, apart] = middle();
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    const [to, apartNow] = middle();
+    const [x, y] = scaled(plus(to, from, -1), 1 / canvas.clientHeight);
+    if (fingers.size > 1 || event.buttons & 6 || event.shiftKey) camera.shift(-x, -y, size());
+    else camera.turn(-x * Math.PI, y * Math.PI);
+    if (apart && apartNow) camera.zoom(apart / apartNow);
+    changed();
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(name, (event) => fingers.delete(event.pointerId));
+  }
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("wheel", (event) => {
+    const ours = document.hasFocus() && document.activeElement === canvas;
+    if (window.parent !== window && !ours && !event.ctrlKey) return; // it scrolls the page around
+    event.preventDefault();
+    const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 33 : 1;
+    camera.zoom(Math.exp(0.0012 * lines * event.deltaY));
+    changed();
+  }, { passive: false });
+  canvas.addEventListener("keydown", (event) => {
+    const does = {
+      arrowleft: () => camera.turn(0.1, 0),
+      arrowright: () => camera.turn(-0.1, 0),
+      arrowup: () => camera.turn(0, 0.1),
+      arrowdown: () => camera.turn(0, -0.1),
+      "+": () => camera.zoom(0.9),
+      "-": () => camera.zoom(1 / 0.9),
+      home: () => camera.reset(),
+      r: () => camera.reset(),
+    }[event.key.toLowerCase()];
+    if (!does || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    does();
+    changed();
+  });
+}
+
+// A handle that is dragged from left to right, or moved by arrow keys: a share of the width
+function slide(handle, canvas, share, changed) {
+  const move = (value) => {
+    share = Math.max(0, Math.min(1, value));
+    handle.style.left = `${100 * share}%`;
+    handle.setAttribute("aria-valuenow", Math.round(100 * share));
+    changed(share);
+  };
+  handle.addEventListener("pointerdown", (event) => handle.setPointerCapture(event.pointerId));
+  handle.addEventListener("pointermove", (event) => {
+    if (!handle.hasPointerCapture(event.pointerId)) return;
+    const box = canvas.getBoundingClientRect();
+    move((event.clientX - box.left) / box.width);
+  });
+  handle.addEventListener("keydown", (event) => {
+    const steps = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 };
+    if (event.key in steps) move(share + steps[event.key]);
+  });
+  move(share);
+}

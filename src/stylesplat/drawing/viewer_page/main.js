@@ -1,0 +1,70 @@
+// The page: what is in it comes from elements that Python has filled
+
+const element = (name) => document.getElementById(name);
+const text = (name) => element(name).textContent.trim();
+
+function say(message) {
+  element("message").textContent = message;
+  document.body.classList.toggle("quiet", !message);
+}
+
+function legend(objects, camera, changed) {
+  for (const { name, centre, radius, painted } of objects) {
+    const button = document.createElement("button");
+    button.textContent = name;
+    button.className = painted ? "painted" : "";
+    button.title = painted ? "painted; look at it" : "look at it";
+    button.addEventListener("click", () => {
+      camera.approach(centre, radius);
+      changed();
+    });
+    element("legend").append(button);
+  }
+}
+
+async function start() {
+  const canvas = element("canvas");
+  if (!window.DecompressionStream) throw new Error("This browser is too old for this page. Open it in one from 2023 or later.");
+  const about = JSON.parse(text("about"));
+  const bytes = await inflated(text("splats"));
+  const sources = { vertex: text("vertex"), fragment: text("fragment") };
+  const draw = drawer(canvas, unpack(bytes, about), about, sources);
+  const camera = new Orbit(about.start);
+  let cut = about.painted ? 0.5 : 0, waiting = false, own = null;
+
+  const now = () => {
+    waiting = false;
+    draw(own ?? camera.view([canvas.width, canvas.height]), cut);
+  };
+  const changed = () => {
+    own = null;
+    if (!waiting) requestAnimationFrame(now);
+    waiting = true;
+  };
+  const fit = () => {
+    const scale = Math.min(window.devicePixelRatio || 1, 2);
+    canvas.width = Math.max(1, Math.round(scale * canvas.clientWidth));
+    canvas.height = Math.max(1, Math.round(scale * canvas.clientHeight));
+    changed();
+  };
+  new ResizeObserver(fit).observe(canvas);
+  canvas.addEventListener("webglcontextlost", () => say("The graphics driver has stopped. Load this page again."));
+  listen(canvas, camera, changed);
+  legend(about.objects, camera, changed);
+  if (about.painted) slide(element("cut"), canvas, cut, (share) => ((cut = share), changed()));
+  document.body.classList.toggle("compared", about.painted > 0);
+  fit();
+  say("");
+  if (window.parent === window) canvas.focus();
+  // For other scripts: a view of their own, as viewmat (16 numbers, line by line), focal and centre
+  window.viewer = {
+    camera,
+    draw(view, share = cut) {
+      own = view;
+      cut = share;
+      now();
+    },
+  };
+}
+
+start().catch((error) => say(error.message));

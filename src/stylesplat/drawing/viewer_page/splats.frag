@@ -1,0 +1,14 @@
+#version 300 es
+precision highp float;
+
+uniform float cut; // pixels from the left, where before ends and after begins
+in vec2 offset;
+flat in vec4 after;
+flat in vec3 before;
+out vec4 color;
+
+void main() {
+  float alpha = min(after.a * exp(-0.5 * dot(offset, offset)), 0.999);
+  if (alpha < 1.0 / 255.0) discard;
+  color = alpha * vec4(gl_FragCoord.x < cut ? before : after.rgb, 1);
+}

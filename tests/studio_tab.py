@@ -1,0 +1,72 @@
+"""The studio's page in a real browser: its buttons, sliders and downloads."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from chromium import Page, launched
+
+T = TypeVar("T")
+
+PATIENCE = 30.0  # seconds: of a machine that does much else
+KEYS = {"Home": 36}  # with the numbers that the protocol knows them by
+
+
+class Tab:
+    """The studio as who sits before it has it."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+
+    def click(self, x: float, y: float) -> None:
+        for what in ("move", "press", "release"):
+            self.page.mouse(what, x, y)
+
+    def press(self, key: str) -> None:
+        for kind in ("keyDown", "keyUp"):
+            self.page.call(
+                "Input.dispatchKeyEvent",
+                **{"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": KEYS[key]},
+            )
+
+    def press_button(self, label: str) -> None:
+        """Click what has these words on it, as soon as it is there."""
+        self.click(*until(lambda: self.place_of(label), f"a button {label!r}"))
+
+    def place_of(self, label: str) -> tuple[float, float] | None:
+        found = self.page.evaluate(f"""(() => {{
+            const all = [...document.querySelectorAll('button, [role=tab], [role=slider]')];
+            const fits = e => [(e.innerText || '').trim(), e.getAttribute('role')]
+                .includes({json.dumps(label)});
+            const found = all.find(e => fits(e) && e.getClientRects().length);
+            if (!found) return null;
+            found.scrollIntoView({{block: 'center'}});
+            const box = found.getBoundingClientRect();
+            return [box.x + box.width / 2, box.y + box.height / 2];
+        }})()""")
+        return tuple(found) if found else None
+
+    def text(self) -> str:
+        return self.page.evaluate("document.body.innerText") or ""
+
+
+def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> T:
+    """The first answer that is one."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        answer = ask()
+        if answer is not None and answer is not False:
+            return answer
+        time.sleep(0.05)
+    raise AssertionError(f"Waited {seconds:g} s for {what}.")
+
+
+@contextmanager
+def studio_tab(*, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
+    """An empty page, and where its downloads go."""
+    with launched(*size) as page:
+        page.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(downloads))
+        yield Tab(page)
