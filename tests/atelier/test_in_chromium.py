@@ -25,11 +25,15 @@ pytestmark = needs_chromium
 SIZE = 760, 420  # pixels of the window: software draws them
 # Messages, such as that of viser that nothing but software draws, lie over the picture
 HIDE = "document.querySelectorAll('.mantine-Notifications-root').forEach(e => e.remove())"
-# Its splats' corners are told without a z, by which three.js measures them at a click
-VISERS = "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN."
+VISERS = (
+    # Its splats' corners are told without a z, by which three.js measures them at a click
+    "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN.",
+    "THREE.Clock: This module has been deprecated.",
+)
 SLIDERS = "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent)"
 FOCUS = f"{SLIDERS}.at(-1).focus()"
 FAR = 8  # pixels around an object to which its strokes may reach
+TILE = 10  # pixels
 SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels by less
 
 
@@ -68,10 +72,17 @@ def at_rest(tab: Tab, opened: Studio) -> np.ndarray:
             return None
         tab.page.evaluate(HIDE)
         pixels = tab.page.screenshot().astype(float)[: wanted.shape[0], : wanted.shape[1]]
-        alike = pixels.shape == wanted.shape and np.abs(pixels - wanted).mean() < SLIGHT / 4
-        return pixels if alike else None
+        return pixels if pixels.shape == wanted.shape and alike(pixels, wanted) else None
 
     return until(picture, "the exact picture on the page")
+
+
+def alike(pixels: np.ndarray, wanted: np.ndarray) -> bool:
+    """Whether no tile of two pictures differs by more than JPEG makes it."""
+    (height, width), change = wanted.shape[:2], np.abs(pixels - wanted).mean(axis=2)
+    tiles = change[: height // TILE * TILE, : width // TILE * TILE]
+    tiles = tiles.reshape(height // TILE, TILE, width // TILE, TILE).mean(axis=(1, 3))
+    return bool(tiles.max() < SLIGHT)
 
 
 def exact(opened: Studio) -> np.ndarray:
@@ -104,6 +115,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     until(lambda: session.state.picked == ("3",), "a pick")
     assert_changed(at_rest(tab, opened) - before, opened)
 
+    opened.page.paint.controls["quality"].value = "draft"
     tab.press_button("Paint")
     tab.press_button("stripes")
     until(wait_for_note(opened, "Painted 3"), "strokes")
@@ -124,7 +136,8 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     until(wait_for_note(opened, "Painted 3"), "undo")
     assert np.abs(at_rest(tab, opened) - painted).max() < 3 * SLIGHT
     saved_and_exported(opened, tab, tmp_path / "downloads" / "balls.ply")
-    complaints = [line for line in tab.page.complaints() if VISERS not in line]
+    told = tab.page.complaints()
+    complaints = [line for line in told if not any(known in line for known in VISERS)]
     assert not complaints, json.dumps(complaints, indent=1)
 
 

@@ -84,7 +84,7 @@ class PaintPanel:
 
     def _settings(self) -> None:
         gui = self._gui
-        self._words = {
+        self.controls: dict[str, Any] = {
             "quality": gui.add_dropdown(
                 "Quality", ("draft", "normal", "high"), initial_value=USUAL.quality
             ),
@@ -105,7 +105,7 @@ class PaintPanel:
 
     def _chosen(self, size: tuple[int, int]) -> dict[str, Any]:
         """The settings that differ from the usual ones."""
-        found: dict[str, Any] = {name: each.value for name, each in self._words.items()}
+        found: dict[str, Any] = {name: each.value for name, each in self.controls.items()}
         usual = {**vars(USUAL), "texture": USUAL.softened}
         found = {name: value for name, value in found.items() if value != usual[name]}
         across, down = tuple(self._across.value), tuple(self._down.value)
