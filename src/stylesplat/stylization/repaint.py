@@ -78,10 +78,11 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     ground, config = own_ground(studio, job), job.config
     boxes = see_object(studio, ground.job, studio.cameras)
     boxes = evenly(boxes, math.ceil(config.view_share * len(boxes)))
-    stages = _stages(studio, job, typical_length(boxes))
+    photo_length = typical_length(boxes)
+    stages, finest = _stages(studio, job, photo_length), config.finest(photo_length)
     split_at = min(SPLIT_AT, len(stages) - 1)
     if split_at == 0:
-        ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
+        ground = finer_ground(ground, boxes, finest)
     generator = torch.Generator().manual_seed(config.seed)
     views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)
     aim, plain, current = _begun(ground, _few_views(ground, boxes, stages[0], views))
@@ -91,7 +92,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             views.clear()  # before there are others: they take much memory
             before = ground
             if number == split_at:
-                ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
+                ground = finer_ground(ground, boxes, finest)
             views += stage_views(ground.studio, ground.job, boxes, stage, generator)
             if ground is not before:
                 aim = replace(aim, views=_few_views(ground, boxes, stage, views))
@@ -187,7 +188,7 @@ def _pictures(ground: Ground, views: Sequence[ObjectView]) -> list[Tensor]:
 
 
 def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: Splats) -> Objective:
-    studio, config, fine = ground.studio, ground.job.config, stage.window is not None
+    studio, config, fine = ground.studio, ground.job.config, stage.anchored
     features = target_features(studio, config, aim.pictures, stage.lengths[0])
     if fine:
         generator = torch.Generator().manual_seed(config.seed)

@@ -1,11 +1,18 @@
 """Settings of the stylisation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
-from stylesplat.stylization.stages import Quality, Stage, planned, usual_growth, usual_steps
+from stylesplat.stylization.stages import (
+    SCALE,
+    Quality,
+    Stage,
+    planned,
+    usual_growth,
+    usual_steps,
+)
 
 LAYERS = range(1, 5)  # groups that the networks share
 MOST_STEPS = 10**6  # a day on a CPU
@@ -38,7 +45,7 @@ class StyleConfig:
     """Size of strokes and shapes: features are matched on renders of the object in which its
     longer side has 224, 160 or 112 pixels, fewer at first; or, photo, on renders as large as
     the photos."""
-    scale: float = 2.0
+    scale: float = SCALE
     """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
     rotate: float = 0.0
     """Degrees to turn the style image by, counter-clockwise."""
@@ -150,7 +157,18 @@ class StyleConfig:
             pattern_length=float(size),
             photo_length=float(self.object_size or photo_length),
             steps=self.all_steps,
+            scale=self.scale,
         )
+
+    def finest(self, photo_length: float) -> float:
+        """The object's longer side in pixels for which Gaussians are split; large strokes have
+        edges as sharp as others.
+
+        Args:
+            photo_length: The same in the photos.
+        """
+        scales = {self.scale, SCALE}
+        return max(replace(self, scale=s).stages(photo_length)[-1].lengths[-1] for s in scales)
 
 
 PRESETS = {
