@@ -100,7 +100,8 @@ def main(options: Options) -> None:
     views = cut_views(splats, few, picked, cells, zoom=zoom, max_memory=math.inf)
     whole = Split(splats, torch.arange(len(splats)))
     every = training + held_out
-    split, a = timed(lambda: split_large(splats, picked, views, max_growth=config.growth))
+    growth = config.growth(int(picked.sum()))
+    split, a = timed(lambda: split_large(splats, picked, views, max_growth=growth))
     alone, b = timed(lambda: without_overflow(splats, split, picked, every))
     fitted, c = timed(lambda: refit(splats, split, picked, boxes))
     tidy, d = timed(lambda: without_overflow(splats, fitted, picked, every))

@@ -68,9 +68,11 @@ def test_qualities_end_at_their_sizes():
 
 
 def test_drafts_split_nothing_unless_asked():
-    growths = [StyleConfig(quality=quality).growth for quality in PLANS]
+    growths = [StyleConfig(quality=quality).growth(20_000) for quality in PLANS]
     assert growths == [1, 4, 4]
-    assert StyleConfig(quality="draft", max_growth=2.0).growth == 2
+    assert StyleConfig(quality="draft", max_growth=2.0).growth(20_000) == 2
+    few = [StyleConfig().growth(gaussians) for gaussians in (10_000, 5_000, 1_000, 0)]
+    assert few == [4, 6, 16, 16], "small and smooth objects grow more"
 
 
 @pytest.mark.parametrize(

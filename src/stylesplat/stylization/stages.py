@@ -43,7 +43,7 @@ class Row:
 
 GROWTH = 4.0  # times as many Gaussians by splitting
 MOST_GROWTH = 16.0  # of objects that have few
-FEW = 40_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
+FEW = 25_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
 PLANS: dict[Quality, tuple[Row, ...]] = {
     "draft": (Row(90, COARSE), Row(30, 1.0)),
