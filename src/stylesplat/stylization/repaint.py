@@ -12,6 +12,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.color import color_map, mixed_colors, object_colors, transfer_colors
+from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.looking import object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import NearPalette, near_palette, settle
@@ -111,7 +112,8 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
 def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats, Splats]:
     """What the object is to look like; as much of its own pattern as stays; the undercoat."""
     aim, job = _aim(ground, views), ground.job
-    plain = soften(ground.studio.splats, job.picked, views, job.config.softened)
+    softened = 1 - (1 - job.config.softened) * (1 - job.config.levelled)
+    plain = soften(ground.studio.splats, job.picked, views, softened)
     return aim, plain, undercoat(plain, job.picked, views, aim.palette, job.config)
 
 
@@ -134,7 +136,8 @@ def _aim(ground: Ground, views: Sequence[ObjectView]) -> Aim:
 
 def _ended(ground: Ground, aim: Aim, paint: Splats, *, last: bool) -> tuple[Splats, Splats]:
     """The paint and what shows of it, in the colours of the style, after a stage."""
-    base, shares = ground.studio.splats, ground.shares
+    base, shares, config = ground.studio.splats, ground.shares, ground.job.config
+    paint = levelled(paint, ground.job.picked, aim.views, config.levelled)
     if aim.near is None:
         return paint, mixed_colors(base, paint, shares)
     paint = transfer_colors(paint, ground.job.picked, aim.palette, aim.views)

@@ -10,6 +10,7 @@ WINDOW = 160  # pixels along the parts that fine stages look at: a step costs wh
 FINEST = 640.0  # pixels of an object's longer side: for more, parts would be too few to cover it
 LEAST = 48.0  # pixels of it: smaller renders have too few features, however large strokes are to be
 SCALE = 2.0  # of the style, for which the tables are made
+SMALLEST = 2.0  # times the pattern's size: for small strokes, and more than photos may show
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,13 @@ def usual_growth(quality: Quality, gaussians: int) -> float:
 
 
 def planned(
-    quality: Quality, *, pattern_length: float, photo_length: float, steps: int, scale: float
+    quality: Quality,
+    *,
+    pattern_length: float,
+    photo_length: float,
+    most: float,
+    steps: int,
+    scale: float,
 ) -> list[Stage]:
     """The stages of a quality.
 
@@ -85,6 +92,7 @@ def planned(
         pattern_length: The object's longer side where patterns are matched, in pixels, for a
             style of the usual scale.
         photo_length: The same in the photos.
+        most: It never exceeds this, be strokes as small as they may.
         steps: Of all stages together; those without any are left out.
         scale: Of the style.
     """
@@ -95,11 +103,11 @@ def planned(
     for row, (start, end) in zip(rows, pairwise(ends), strict=True):
         if row.of_pattern is None:
             full = _scaled(finest, scale, most=finest)
-            half = max(_scaled(pattern_length, scale, most=finest), full / 2)
+            half = max(_scaled(pattern_length, scale, most=most), full / 2)
             stages.append(Stage((half, max(half, full)), end - start, WINDOW, row.rate, True))
         else:
             usual = row.of_pattern * pattern_length
-            length = _scaled(usual, scale, most=finest)
+            length = _scaled(usual, scale, most=most)
             window = WINDOW if length > max(usual, WINDOW) else None
             stages.append(Stage((length,), end - start, window, row.rate))
     return [stage for stage in stages if stage.steps > 0]

@@ -6,7 +6,9 @@ from typing import Literal
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
 from stylesplat.stylization.stages import (
+    FINEST,
     SCALE,
+    SMALLEST,
     Quality,
     Stage,
     planned,
@@ -134,6 +136,12 @@ class StyleConfig:
         """How much of the object's own pattern to take away, 0 to 1."""
         return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
 
+    @property
+    def levelled(self) -> float:
+        """How much to take away of what is finer than strokes larger than usual, 0 to 1."""
+        follows = self.object_size or SIZES[self.pattern]  # else no render shows less
+        return max(0.0, 1 - SCALE / self.scale) if follows else 0.0
+
     def growth(self, gaussians: int) -> float:
         """How many times as many Gaussians an object of so many may get, whoever chose it."""
         return usual_growth(self.quality, gaussians) if self.max_growth is None else self.max_growth
@@ -152,10 +160,12 @@ class StyleConfig:
         size = self.object_size or SIZES[self.pattern]
         if size is None:
             return [Stage((photo_length,), self.all_steps)]
+        photos = float(self.object_size or photo_length)
         return planned(
             self.quality,
             pattern_length=float(size),
-            photo_length=float(self.object_size or photo_length),
+            photo_length=photos,
+            most=float(self.object_size or max(SMALLEST * size, min(photos, FINEST))),
             steps=self.all_steps,
             scale=self.scale,
         )
