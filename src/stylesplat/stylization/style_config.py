@@ -45,10 +45,14 @@ class StyleConfig:
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
     """Size of strokes and shapes: features are matched on renders of the object in which its
-    longer side has 224, 160 or 112 pixels, fewer at first; or, photo, on renders as large as
-    the photos."""
+    longer side has 224, 160 or 112 pixels at a scale of 2, fewer at first; or, photo, on renders
+    as large as the photos."""
     scale: float = SCALE
-    """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
+    """Longer side of the style image, in longer sides of the object: more makes larger strokes.
+
+    These renders become smaller then, and larger for less; for more than 2, what is finer than
+    the strokes is taken away in step.
+    """
     rotate: float = 0.0
     """Degrees to turn the style image by, counter-clockwise."""
     region: tuple[int, int, int, int] | None = None
