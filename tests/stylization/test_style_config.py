@@ -111,3 +111,9 @@ def test_sizes_stay_within_bounds_at_any_scale(scale: float):
     assert config.finest(500.0) == 500, "large strokes have edges as sharp as others"
     tiny = StyleConfig(scale=scale, object_size=20).stages(500.0)
     assert max(length for stage in tiny for length in stage.lengths) == 20
+
+
+def test_only_strokes_larger_than_usual_level_what_is_finer():
+    shares = [StyleConfig(scale=scale).levelled for scale in (0.5, 2.0, 4.0, 8.0)]
+    assert shares == [0, 0, 0.5, 0.75]
+    assert StyleConfig(scale=4.0, pattern="photo").levelled == 0, "as published"
