@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.stages import FINEST, PLANS, Quality, Stage
+from stylesplat.stylization.stages import FINEST, LEAST, PLANS, WINDOW, Quality, Stage
 from stylesplat.stylization.style_config import PRESETS, StyleConfig
 
 
@@ -88,3 +88,32 @@ def test_fine_stages_follow_the_photos_within_bounds(
 def test_an_object_size_is_the_largest():
     stages = StyleConfig(object_size=100).stages(500.0)
     assert max(length for stage in stages for length in stage.lengths) == 100
+
+
+def test_sizes_follow_the_scale():
+    """Beside a style image of the same size: an object half as long shows strokes twice as large.
+    Fine stages too, else they would add small strokes; sizes stay within the photos'."""
+    usual, large, small = (StyleConfig(scale=scale).stages(500.0) for scale in (2.0, 4.0, 1.0))
+    assert [stage.lengths for stage in usual] == [(96.0,), (160.0,), (250.0, 500.0)]
+    assert [stage.lengths for stage in large] == [(48.0,), (80.0,), (125.0, 250.0)]
+    assert [stage.lengths for stage in small] == [(192.0,), (320.0,), (320.0, 500.0)]
+    assert [stage.window for stage in usual] == [None, None, WINDOW]
+    assert [stage.window for stage in small] == [WINDOW] * 3, "no step costs more than usual"
+    assert [stage.anchored for stage in small] == [False, False, True]
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_sizes_stay_within_bounds_at_any_scale(scale: float):
+    config = StyleConfig(scale=scale)
+    lengths = [length for stage in config.stages(500.0) for length in stage.lengths]
+    assert lengths == sorted(lengths)
+    assert min(lengths) >= LEAST and max(lengths) <= 500
+    assert config.finest(500.0) == 500, "large strokes have edges as sharp as others"
+    tiny = StyleConfig(scale=scale, object_size=20).stages(500.0)
+    assert max(length for stage in tiny for length in stage.lengths) == 20
+
+
+def test_only_strokes_larger_than_usual_level_what_is_finer():
+    shares = [StyleConfig(scale=scale).levelled for scale in (0.5, 2.0, 4.0, 8.0)]
+    assert shares == [0, 0, 0.5, 0.75]
+    assert StyleConfig(scale=4.0, pattern="photo").levelled == 0, "as published"

@@ -11,6 +11,7 @@ from painted_balls import assert_same_splats
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
 from stylesplat.stylization.texture import soften
 
@@ -87,3 +88,17 @@ def test_few_gaussians_at_one_place(views: list[ObjectView]):
     splats = ball(LIGHT + NOISE)
     splats = replace(splats, means=torch.where(PICKED[:, None], splats.means[-1], splats.means))
     assert soften(splats, PICKED, views, 1.0).sh0.isfinite().all()
+
+
+def test_levelling_leaves_what_small_renders_show(views: list[ObjectView]):
+    """Gaussians smaller than their pixels lose their noise; light stays, and so does the rest."""
+    splats = ball(LIGHT + NOISE)
+    shown = WAYS[:, 2] > 0
+    none, half, full = (levelled(splats, PICKED, views, share) for share in (0.0, 0.5, 1.0))
+    assert none is splats
+    assert (rgb(full) - LIGHT)[shown].std() < 0.4 * PATTERN
+    slope = torch.linalg.lstsq(LIGHT[shown, :1] - 0.5, rgb(full)[shown, :1] - 0.5).solution
+    assert float(slope) == pytest.approx(1, abs=0.2)
+    torch.testing.assert_close(half.sh0, (splats.sh0 + full.sh0) / 2)
+    assert_same_splats(replace(full, sh0=splats.sh0), splats)
+    assert torch.equal(full.sh0[~PICKED], splats.sh0[~PICKED])

@@ -12,6 +12,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.color import color_map, mixed_colors, object_colors, transfer_colors
+from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.looking import object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import NearPalette, near_palette, settle
@@ -78,10 +79,11 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     ground, config = own_ground(studio, job), job.config
     boxes = see_object(studio, ground.job, studio.cameras)
     boxes = evenly(boxes, math.ceil(config.view_share * len(boxes)))
-    stages = _stages(studio, job, typical_length(boxes))
+    photo_length = typical_length(boxes)
+    stages, finest = _stages(studio, job, photo_length), config.finest(photo_length)
     split_at = min(SPLIT_AT, len(stages) - 1)
     if split_at == 0:
-        ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
+        ground = finer_ground(ground, boxes, finest)
     generator = torch.Generator().manual_seed(config.seed)
     views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)
     aim, plain, current = _begun(ground, _few_views(ground, boxes, stages[0], views))
@@ -91,7 +93,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             views.clear()  # before there are others: they take much memory
             before = ground
             if number == split_at:
-                ground = finer_ground(ground, boxes, stages[-1].lengths[-1])
+                ground = finer_ground(ground, boxes, finest)
             views += stage_views(ground.studio, ground.job, boxes, stage, generator)
             if ground is not before:
                 aim = replace(aim, views=_few_views(ground, boxes, stage, views))
@@ -110,7 +112,8 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
 def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats, Splats]:
     """What the object is to look like; as much of its own pattern as stays; the undercoat."""
     aim, job = _aim(ground, views), ground.job
-    plain = soften(ground.studio.splats, job.picked, views, job.config.softened)
+    softened = 1 - (1 - job.config.softened) * (1 - job.config.levelled)
+    plain = soften(ground.studio.splats, job.picked, views, softened)
     return aim, plain, undercoat(plain, job.picked, views, aim.palette, job.config)
 
 
@@ -133,7 +136,8 @@ def _aim(ground: Ground, views: Sequence[ObjectView]) -> Aim:
 
 def _ended(ground: Ground, aim: Aim, paint: Splats, *, last: bool) -> tuple[Splats, Splats]:
     """The paint and what shows of it, in the colours of the style, after a stage."""
-    base, shares = ground.studio.splats, ground.shares
+    base, shares, config = ground.studio.splats, ground.shares, ground.job.config
+    paint = levelled(paint, ground.job.picked, aim.views, config.levelled)
     if aim.near is None:
         return paint, mixed_colors(base, paint, shares)
     paint = transfer_colors(paint, ground.job.picked, aim.palette, aim.views)
@@ -187,7 +191,7 @@ def _pictures(ground: Ground, views: Sequence[ObjectView]) -> list[Tensor]:
 
 
 def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: Splats) -> Objective:
-    studio, config, fine = ground.studio, ground.job.config, stage.window is not None
+    studio, config, fine = ground.studio, ground.job.config, stage.anchored
     features = target_features(studio, config, aim.pictures, stage.lengths[0])
     if fine:
         generator = torch.Generator().manual_seed(config.seed)

@@ -8,6 +8,9 @@ Quality = Literal["draft", "normal", "high"]
 
 WINDOW = 160  # pixels along the parts that fine stages look at: a step costs what a coarse one does
 FINEST = 640.0  # pixels of an object's longer side: for more, parts would be too few to cover it
+LEAST = 48.0  # pixels of it: smaller renders have too few features, however large strokes are to be
+SCALE = 2.0  # of the style, for which the tables are made
+SMALLEST = 2.0  # times the pattern's size: for small strokes, and more than photos may show
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,8 @@ class Stage:
     """Side of the square parts that are looked at, in pixels; None looks at the whole object."""
     rate: float = 1.0
     """Factor of the learning rate."""
+    anchored: bool = False
+    """Whether the large shapes found before stay."""
 
 
 @dataclass(frozen=True)
@@ -69,24 +74,45 @@ def usual_growth(quality: Quality, gaussians: int) -> float:
 
 
 def planned(
-    quality: Quality, *, pattern_length: float, photo_length: float, steps: int
+    quality: Quality,
+    *,
+    pattern_length: float,
+    photo_length: float,
+    most: float,
+    steps: int,
+    scale: float,
 ) -> list[Stage]:
     """The stages of a quality.
 
+    The style image has the same size in pixels whatever its scale, or its strokes would blur or
+    lose their place among features: it is the object that becomes smaller beside it, or larger.
+
     Args:
         quality: Which table.
-        pattern_length: The object's longer side where patterns are matched, in pixels.
+        pattern_length: The object's longer side where patterns are matched, in pixels, for a
+            style of the usual scale.
         photo_length: The same in the photos.
+        most: It never exceeds this, be strokes as small as they may.
         steps: Of all stages together; those without any are left out.
+        scale: Of the style.
     """
     finest = max(pattern_length, min(photo_length, FINEST))
-    parts = max(pattern_length, finest / 2), finest
     rows, total = PLANS[quality], usual_steps(quality)
     ends = [round(steps * done / total) for done in accumulate((r.steps for r in rows), initial=0)]
-    stages = [
-        Stage(parts, end - start, WINDOW, row.rate)
-        if row.of_pattern is None
-        else Stage((row.of_pattern * pattern_length,), end - start, rate=row.rate)
-        for row, (start, end) in zip(rows, pairwise(ends), strict=True)
-    ]
+    stages = []
+    for row, (start, end) in zip(rows, pairwise(ends), strict=True):
+        if row.of_pattern is None:
+            full = _scaled(finest, scale, most=finest)
+            half = max(_scaled(pattern_length, scale, most=most), full / 2)
+            stages.append(Stage((half, max(half, full)), end - start, WINDOW, row.rate, True))
+        else:
+            usual = row.of_pattern * pattern_length
+            length = _scaled(usual, scale, most=most)
+            window = WINDOW if length > max(usual, WINDOW) else None
+            stages.append(Stage((length,), end - start, window, row.rate))
     return [stage for stage in stages if stage.steps > 0]
+
+
+def _scaled(length: float, scale: float, *, most: float) -> float:
+    """The object's longer side beside a style of some scale, of that beside the usual one."""
+    return min(max(length * SCALE / scale, min(length, LEAST)), most)

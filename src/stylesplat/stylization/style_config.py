@@ -1,11 +1,20 @@
 """Settings of the stylisation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
-from stylesplat.stylization.stages import Quality, Stage, planned, usual_growth, usual_steps
+from stylesplat.stylization.stages import (
+    FINEST,
+    SCALE,
+    SMALLEST,
+    Quality,
+    Stage,
+    planned,
+    usual_growth,
+    usual_steps,
+)
 
 LAYERS = range(1, 5)  # groups that the networks share
 MOST_STEPS = 10**6  # a day on a CPU
@@ -36,10 +45,14 @@ class StyleConfig:
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
     """Size of strokes and shapes: features are matched on renders of the object in which its
-    longer side has 224, 160 or 112 pixels, fewer at first; or, photo, on renders as large as
-    the photos."""
-    scale: float = 2.0
-    """Longer side of the style image, in longer sides of the object; 2 doubles the strokes."""
+    longer side has 224, 160 or 112 pixels at a scale of 2, fewer at first; or, photo, on renders
+    as large as the photos."""
+    scale: float = SCALE
+    """Longer side of the style image, in longer sides of the object: more makes larger strokes.
+
+    These renders become smaller then, and larger for less; for more than 2, what is finer than
+    the strokes is taken away in step.
+    """
     rotate: float = 0.0
     """Degrees to turn the style image by, counter-clockwise."""
     region: tuple[int, int, int, int] | None = None
@@ -127,6 +140,12 @@ class StyleConfig:
         """How much of the object's own pattern to take away, 0 to 1."""
         return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
 
+    @property
+    def levelled(self) -> float:
+        """How much to take away of what is finer than strokes larger than usual, 0 to 1."""
+        follows = self.object_size or SIZES[self.pattern]  # else no render shows less
+        return max(0.0, 1 - SCALE / self.scale) if follows else 0.0
+
     def growth(self, gaussians: int) -> float:
         """How many times as many Gaussians an object of so many may get, whoever chose it."""
         return usual_growth(self.quality, gaussians) if self.max_growth is None else self.max_growth
@@ -145,12 +164,25 @@ class StyleConfig:
         size = self.object_size or SIZES[self.pattern]
         if size is None:
             return [Stage((photo_length,), self.all_steps)]
+        photos = float(self.object_size or photo_length)
         return planned(
             self.quality,
             pattern_length=float(size),
-            photo_length=float(self.object_size or photo_length),
+            photo_length=photos,
+            most=float(self.object_size or max(SMALLEST * size, min(photos, FINEST))),
             steps=self.all_steps,
+            scale=self.scale,
         )
+
+    def finest(self, photo_length: float) -> float:
+        """The object's longer side in pixels for which Gaussians are split; large strokes have
+        edges as sharp as others.
+
+        Args:
+            photo_length: The same in the photos.
+        """
+        scales = {self.scale, SCALE}
+        return max(replace(self, scale=s).stages(photo_length)[-1].lengths[-1] for s in scales)
 
 
 PRESETS = {
