@@ -9,6 +9,7 @@ from torch import Tensor
 from stylesplat.io.files import atomic_path
 
 QUALITY = 95  # of JPEG, with colours at full size: losses are hardly visible
+LEVEL = 4  # of PNGs, up to 9: half the time of the usual 6, and files larger by a twentieth
 
 ColorPicture = UInt8[Tensor, "H W 3"] | UInt8[Tensor, "H W 4"]
 """Colours, and alpha if there are four channels, by which colours are not multiplied."""
@@ -23,7 +24,8 @@ def write_image(image: ColorPicture, path: Path | str) -> None:
         StyleSplatError: If the disk is full or the place cannot be written to.
     """
     with atomic_path(path) as temporary:
-        Image.fromarray(image.cpu().numpy()).save(temporary, quality=QUALITY, subsampling=0)
+        picture = Image.fromarray(image.cpu().numpy())
+        picture.save(temporary, quality=QUALITY, subsampling=0, compress_level=LEVEL)
 
 
 def write_numbers(numbers: UInt16[Tensor, "H W"] | Float[Tensor, "H W"], path: Path | str) -> None:
