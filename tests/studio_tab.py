@@ -11,7 +11,7 @@ from chromium import Page, launched
 
 T = TypeVar("T")
 
-PATIENCE = 30.0  # seconds: of a machine that does much else
+PATIENCE = 120.0  # seconds: of a machine that does much else
 KEYS = {"Home": 36}  # with the numbers that the protocol knows them by
 
 
