@@ -89,8 +89,8 @@ class Stylize:
     view_dependence: Literal["keep", "drop", "train"] | None = None
     """Whether highlights and reflections stay, are painted over (default), or are trained too."""
     max_growth: float | None = None
-    """Split Gaussians too large for strokes, up to 4 times as many by default; 1 splits none, as a
-    draft does."""
+    """Split Gaussians too large for strokes, by default up to 4 times as many, 16 for an object of
+    few; 1 splits none, as a draft does."""
     hard: FlagCreatePairsOff[bool] = False
     """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     max_memory: float = 1.5
