@@ -133,3 +133,20 @@ def test_verbose_numbers_name_a_picture_that_is_there(scene: Path, capsys):
     assert run("select", scene, "--name", "red", "--id", 3, "--verbose") == 0
     assert f"picture: {picture_of(scene, 'red')}" in capsys.readouterr().err
     assert picture_of(scene, "red").is_file()
+
+
+def test_a_picture_in_a_new_scene(scene: Path, tmp_path: Path, capsys):
+    """And what is called so in the other one keeps its own."""
+    first, new = selected(scene, "it", 7), tmp_path / "new"
+    old = first["picture"].read_bytes()
+    found = result(capsys, "select", scene, "--name", "it", "--id", 3, "-o", new)
+    assert found["scene"] == str(new) and found["picture"] == str(picture_of(new, "it"))
+    assert picture_of(new, "it").read_bytes() != old == first["picture"].read_bytes()
+    assert scene_folder.open(scene).objects["it"].how["ids"] == [7]
+    assert scene_folder.open(new).objects["it"].how["ids"] == [3]
+    late = ("--overwrite", "-o", new)
+    assert run("select", scene, "--name", "it", "--id", 300, *late, "--no-picture") == 0
+    assert f"stylize {new} --style it" in capsys.readouterr().err
+    assert not picture_of(new, "it").exists(), "that of an earlier scene would be wrong"
+    assert run("select", scene, "--name", "it", "--id", 300, *late) == 0
+    assert picture_of(new, "it").is_file(), "it is drawn after the answer"

@@ -9,6 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
+from stylesplat.cli.rewriting import rewritten
 from stylesplat.cli.scene_pictures import write_before_after
 from stylesplat.errors import StyleSplatError
 
@@ -38,9 +39,7 @@ class Adjust:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.recovery import changing
-        from stylesplat.io.scene_folder import SCENE, open, revise, save
         from stylesplat.verbs.adjust import adjust
 
         if self.undo and self.output is None:
@@ -49,14 +48,12 @@ class Adjust:
             )
         folder = self.output or self.scene
         with changing(folder):
-            if self.output is not None:
-                refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-            before = open(self.scene)
-            after = adjust(before, self.intensity, objects=self.object, undo=self.undo)
-            if self.output is None:
-                revise(before, after, self.scene)
-            else:
-                save(after, self.output, overwrite=self.overwrite)
+            after = rewritten(
+                self.scene,
+                self.output,
+                lambda scene: adjust(scene, self.intensity, objects=self.object, undo=self.undo),
+                overwrite=self.overwrite,
+            )
             picture = write_before_after(after, folder) if after.painted else None
         painted = after.painted.paintings if after.painted else ()
         shown = {"intensity": {each.name: each.intensity for each in painted}} if painted else {}

@@ -3,11 +3,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json, Verbose
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
+from stylesplat.cli.rewriting import rewritten
 
 
 @dataclass(frozen=True)
@@ -17,10 +18,14 @@ class Delete:
     Example: stylesplat delete garden-scene lid
     """
 
+    first: ClassVar = ("output",)
     scene: Positional[Path]
     """Folder of the scene."""
     name: Positional[str]
     """What the object is called."""
+    output: OptionalOutput = None
+    """Folder of a scene to make; without it the scene itself is changed."""
+    overwrite: Overwrite = False
     verbose: Verbose = False
     json: Json = False
 
@@ -28,18 +33,21 @@ class Delete:
         """Do it."""
         from stylesplat.cli.select import picture_of
         from stylesplat.io.recovery import changing
-        from stylesplat.io.scene_folder import open, revise
         from stylesplat.verbs.delete import delete
 
-        picture = picture_of(self.scene, self.name)
-        with changing(self.scene):
-            before = open(self.scene)
-            after = delete(before, self.name)
-            revise(before, after, self.scene)
+        folder = self.output or self.scene
+        picture = picture_of(folder, self.name)
+        with changing(folder):
+            after = rewritten(
+                self.scene,
+                self.output,
+                lambda scene: delete(scene, self.name),
+                overwrite=self.overwrite,
+            )
             picture.unlink(missing_ok=True)
-        return {"deleted": self.name, "names": [*after.objects]}
+        return {"scene": folder, "deleted": self.name, "names": [*after.objects]}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was done, and what is left."""
         left = ", ".join(result["names"]) or "none"
-        yield f"{self.scene}: nothing is called {result['deleted']} now. Names: {left}."
+        yield f"{result['scene']}: nothing is called {result['deleted']} now. Names: {left}."

@@ -11,9 +11,10 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, stylize_command
 from stylesplat.cli.optional_pictures import told_if_missing
-from stylesplat.cli.options import Json, Verbose
+from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.cli.results import Answer
+from stylesplat.cli.rewriting import rewritten
 from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
@@ -83,26 +84,26 @@ class Select:
     """Keep Gaussians that lie apart from the rest of the object."""
     picture: FlagCreatePairsOff[bool] = True
     """Draw no picture of it. Else it is drawn into the scene."""
+    output: OptionalOutput = None
+    """Folder of a scene to make; without it the scene itself is changed."""
+    overwrite: Overwrite = False
     verbose: Verbose = False
     json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.places import refuse_unwritable
         from stylesplat.io.recovery import changing
-        from stylesplat.io.scene_folder import open, revise
 
         if self.model is not None and not self.text:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-        target = picture_of(self.scene, self.name)
-        with changing(self.scene):  # from reading on, so that no other's selection is lost
-            before = open(self.scene)
-            refuse_unwritable(self.scene)
-            after = self._selected(before)
-            revise(before, after, self.scene)
+        folder = self.output or self.scene
+        target = picture_of(folder, self.name)
+        with changing(folder):
+            after = rewritten(self.scene, self.output, self._selected, overwrite=self.overwrite)
             with suppress(OSError):
                 target.unlink()  # it shows what was called so before
-        result = {"name": self.name, **after.objects[self.name].how, "picture": None}
+        how = after.objects[self.name].how
+        result = {"name": self.name, **how, "scene": folder, "picture": None}
         if self.picture and (self.json or self.verbose):  # these name the picture: it is there
             result["picture"] = self._draw(after, target)
         elif self.picture:
@@ -114,7 +115,7 @@ class Select:
         yield f"{self.name}: {result['gaussians']:,} Gaussians."
         if result["picture"]:
             yield self._pictured(result["picture"])
-        yield from next_lines(stylize_command(self.scene, self.name))
+        yield from next_lines(stylize_command(result["scene"], self.name))
 
     def _selected(self, scene: "Scene") -> "Scene":
         from stylesplat.verbs.select import select
@@ -165,7 +166,7 @@ class Select:
             if picture is None:
                 say(f"{self.name} shows in none of the views, so there is no picture of it.")
                 return None
-            with changing(self.scene), changing(target):
+            with changing(self.output or self.scene), changing(target):
                 write_image(picture, target)
             return target
         return None
