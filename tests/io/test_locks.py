@@ -15,6 +15,7 @@ import stylesplat
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import locks
 from stylesplat.io.locks import locked
+from stylesplat.io.places import refuse_unwritable
 
 HOLDER = """
 import sys, time
@@ -110,6 +111,7 @@ COUNTER = """
 import sys
 from pathlib import Path
 from stylesplat.io.locks import locked
+from stylesplat.io.places import refuse_unwritable
 folder = Path(sys.argv[1])
 total = folder / "total"
 for _ in range(40):
@@ -156,3 +158,11 @@ def test_without_locks_it_goes_on_and_says_so(
         with locked(tmp_path / "scene"):
             pass
     assert len(said) == 1 and said[0].startswith(f"Cannot lock anything in {tmp_path} (")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs Linux's /proc")
+def test_nobody_is_blamed_for_a_place_that_takes_no_file(said: list[str]):
+    """Where root may write, and yet nothing can be made."""
+    with locked("/proc/x"), pytest.raises(StyleSplatError, match=r"^Cannot write /proc/x: "):
+        refuse_unwritable("/proc/x")
+    assert not said

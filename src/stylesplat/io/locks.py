@@ -5,7 +5,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from errno import ENAMETOOLONG
+from errno import ENAMETOOLONG, ENOENT
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from stylesplat.io.files import reason
 from stylesplat.progress import say
 
 PATIENCE = 10.0  # seconds to wait for another process: `select` takes as long, `train` longer
+NO_PLACE = (ENAMETOOLONG, ENOENT)  # whoever writes there says what is wrong with it
 ANYBODY = 0o666  # another user may have to take over what a killed process left
 
 
@@ -64,6 +65,7 @@ def _acquired(lock: FileLock, path: Path) -> bool:
         try:
             lock.acquire(blocking=False)
         except Timeout:
+            _try_place(Path(lock.lock_file))
             say(f"Waiting for another stylesplat{_holder(lock)} that changes {path}.")
             lock.acquire(timeout=PATIENCE)
     except Timeout as error:
@@ -72,12 +74,19 @@ def _acquired(lock: FileLock, path: Path) -> bool:
             "Wait until it is done, or end it."
         ) from error
     except (OSError, NotImplementedError) as error:
-        if getattr(error, "errno", None) != ENAMETOOLONG:  # whoever writes there says that
+        if getattr(error, "errno", None) not in NO_PLACE:
             _say_unlocked(path.parent, reason(error))
         return False
     with suppress(OSError):  # it is for the messages above only
         Path(lock.lock_file).write_text(str(os.getpid()))
     return True
+
+
+def _try_place(file: Path) -> None:
+    """Raise an OSError where no file can be made, which filelock takes for another's lock."""
+    if not file.exists():
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
 
 
 def _release(lock: FileLock) -> None:
