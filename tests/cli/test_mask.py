@@ -135,7 +135,7 @@ def test_masks_that_are_there_are_kept(
     capture: Path, no_training: None, capsys: pytest.CaptureFixture[str]
 ):
     assert run("mask", capture, "--box", BOX) == 1
-    kept = f"{capture}/object_mask holds label maps already. `--overwrite` replaces them."
+    kept = f"{capture}/object_mask holds label maps already. Replace them with `--overwrite`"
     assert kept in capsys.readouterr().err
     assert run("mask", capture, "--box", BOX, "--stroke", "vase=lost.jpg:1,2") == 1
     assert "No view is called 'lost.jpg'" in capsys.readouterr().err, "what is typed wrong is first"

@@ -53,7 +53,7 @@ def test_what_is_of_the_other_kind(tmp_path: Path):
         refuse_occupied(tmp_path / "file", marker="", overwrite=True)
     with pytest.raises(StyleSplatError, match=r"folder is a folder. Choose another name"):
         refuse_file(tmp_path / "folder", overwrite=True)
-    with pytest.raises(StyleSplatError, match=r"file exists.*--overwrite"):
+    with pytest.raises(StyleSplatError, match=r"file exists.*--overwrite.*overwrite=True"):
         refuse_file(tmp_path / "file")
     refuse_file(tmp_path / "file", overwrite=True)
 

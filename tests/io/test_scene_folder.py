@@ -69,7 +69,9 @@ def test_the_folder_that_it_was_opened_from(tmp_path: Path):
 
 def test_a_scene_is_not_overwritten_by_accident(tmp_path: Path):
     scene_folder.save(full_scene(), tmp_path / "scene")
-    with pytest.raises(StyleSplatError, match=r"holds an earlier result.*`--overwrite`"):
+    with pytest.raises(
+        StyleSplatError, match=r"holds an earlier result.*`--overwrite`.*overwrite=True"
+    ):
         scene_folder.save(plain_scene(), tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), full_scene())
     scene_folder.save(plain_scene(), tmp_path / "scene", overwrite=True)

@@ -84,7 +84,9 @@ def test_a_folder_that_is_no_scene(capture: Path, no_work: None):
 
 def test_label_maps_are_kept_unless_told_otherwise(capture: Path, scene: Path, no_work: None):
     write_label_map(torch.full((36, 48), 5), capture / "object_mask" / "0000.png")
-    with pytest.raises(StyleSplatError, match=r"holds label maps already.*--overwrite"):
+    with pytest.raises(
+        StyleSplatError, match=r"holds label maps already.*--overwrite.*overwrite=True"
+    ):
         run_mask(capture, {"vase": VASE}, scene)
     shutil.rmtree(capture / "object_mask")
     (capture / "object_mask").touch()

@@ -13,6 +13,7 @@ from stylesplat.errors import StyleSplatError, brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 ELSEWHERE = " Choose another place."
+REPLACING = "`--overwrite` (in Python overwrite=True)"  # how one says that it may be replaced
 REMEDIES = {  # other errors of writing
     errno.ENAMETOOLONG: " Choose a shorter name.",
     errno.EACCES: " Choose a place that this user may write to.",

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import cannot_write, is_file, real_path, sync_folder
+from stylesplat.io.files import REPLACING, cannot_write, is_file, real_path, sync_folder
 from stylesplat.io.journal import JOURNAL, draft_in, files_in, replace_files, sync_tree
 from stylesplat.io.places import refuse_unwritable
 from stylesplat.io.recovery import NEW, OLD, changing, hidden
@@ -116,8 +116,7 @@ def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -
     if path.exists() and not overwrite and any(_entries(path)):
         found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
         raise StyleSplatError(
-            f"The folder {path} holds {found}. "
-            "Choose another one, or replace it with `--overwrite`."
+            f"The folder {path} holds {found}. Choose another one, or replace it with {REPLACING}."
         )
 
 

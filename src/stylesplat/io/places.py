@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import beside, cannot_write, is_folder, is_there, real_place
+from stylesplat.io.files import REPLACING, beside, cannot_write, is_folder, is_there, real_place
 from stylesplat.io.journal import draft_in
 from stylesplat.io.recovery import NEW, hidden
 
@@ -44,7 +44,9 @@ def refuse_file(path: Path | str, *, overwrite: bool = False) -> None:
     if is_folder(path):
         raise StyleSplatError(f"{path} is a folder. Choose another name for the file.")
     if is_there(path) and not overwrite:
-        raise StyleSplatError(f"{path} exists. Choose another name, or pass --overwrite.")
+        raise StyleSplatError(
+            f"{path} exists. Choose another name, or replace it with {REPLACING}."
+        )
     path = real_place(path)
     _try(path, beside(path))
 

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import inside, is_file
+from stylesplat.io.files import REPLACING, inside, is_file
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label_map, write_names
 from stylesplat.progress import track
@@ -59,7 +59,7 @@ def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> Non
         )
     paths = [_map_path(folder, name) for name in names]
     if not overwrite and any(map(is_file, paths)):
-        raise StyleSplatError(f"{folder} holds label maps already. `--overwrite` replaces them.")
+        raise StyleSplatError(f"{folder} holds label maps already. Replace them with {REPLACING}.")
     refuse_occupied(folder, marker="", overwrite=overwrite)
 
 

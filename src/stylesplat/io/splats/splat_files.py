@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.files import is_there, read_bytes
+from stylesplat.io.files import REPLACING, is_there, read_bytes
 from stylesplat.io.kinds import no_splat
 from stylesplat.io.splats.compressed_ply import (
     MAX_HEADER,
@@ -80,7 +80,7 @@ def write_splats(
     path = Path(path)
     _refuse_unwritable(path, sh_degree)
     if path.exists() and not overwrite:
-        raise StyleSplatError(f"{path} exists already. Replace it with `--overwrite`.")
+        raise StyleSplatError(f"{path} exists already. Replace it with {REPLACING}.")
     splats = splats.detach().to("cpu")
     suffix = _suffix(path)
     if sh_degree is None:
