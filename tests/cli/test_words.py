@@ -57,6 +57,21 @@ def test_objects_are_a_line_each(scene: Path, said):
     assert said("delete", scene, "ball")[-1].endswith("nothing is called ball now. Names: none.")
 
 
+def test_objects_names_nothing_twice(scene: Path, said):
+    said("select", scene, "--name", "red", "--id", 3)
+    said("select", scene, "--name", "both", "--id", 3, 7, "--keep-outliers")
+    said("select", scene, "--name", "all red", "--id", 3, "--keep-outliers")
+    lines = said("objects", scene)
+    assert [line.partition(", --box3d")[0] for line in lines[:-2]] == [
+        "id 3, red: 79 Gaussians",
+        "id 7: 80 Gaussians",
+        "id 300: 80 Gaussians",
+        "both: 160 Gaussians",
+        "all red (id 3): 80 Gaussians",
+        "all content",
+    ]
+
+
 def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, small_measurements, said):
     out = scene.with_name("painted")
     options = ("--steps", 2, "--pattern", "large", "--max-growth", 1, "--device", "cpu")

@@ -60,12 +60,21 @@ class Objects:
         """What there is, a line each, and how to go on."""
         from stylesplat.scene.one_line import counted
 
+        named, ids = result["named"], dict[str, int]()
         for each in result["objects"]:
-            called = f"id {each['id']}" + "".join(f", {name}" for name in each["names"])
+            ids |= dict.fromkeys(each["names"], each["id"])
+            same = [
+                name
+                for name in each["names"]
+                if named.get(name, each)["gaussians"] == each["gaussians"]
+            ]
+            named = {name: place for name, place in named.items() if name not in same}
+            called = ", ".join([f"id {each['id']}", *same])
             sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
             yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{sure}{_where(each)}"
-        for name, place in result["named"].items():
-            yield f"{name}{_where(place)}"
+        for name, place in named.items():  # unions, parts, and what a style has changed
+            called = f"{name} (id {ids[name]})" if name in ids else name
+            yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_where(place)}"
         yield f"all content{_where(result['content'])}"
         if result["sheet"]:
             yield f"Picture: {result['sheet']}"

@@ -39,11 +39,12 @@ def extents(scene: Scene) -> dict[str, Any]:
     """Where a scene's content and all that has a name are, in world units.
 
     Returns:
-        `content`, without what floats around it or lies far behind it, and by name `named`: `box`
-        along the world's axes, as `select` takes a `box3d`, its `centre` and its `size`.
+        `content`, without what floats around it or lies far behind it, and by name `named`, with
+        the number of `gaussians`: `box` along the world's axes, as `select` takes a `box3d`, its
+        `centre` and its `size`.
     """
     named = {
-        name: _place(extent_of(scene.splats, each.picked))
+        name: {"gaussians": int(each.picked.sum()), **_place(extent_of(scene.splats, each.picked))}
         for name, each in scene.objects.items()
         if each.picked.any()
     }
