@@ -103,7 +103,7 @@ def test_unknown_id_names_the_known(id: int):
 
 
 def test_background_cannot_be_selected():
-    with pytest.raises(StyleSplatError, match="Object 0 is background"):
+    with pytest.raises(StyleSplatError, match=r"0 is no object.* SCENE --name NAME --background"):
         pick(SPLATS, object_id=[3, 0])
 
 

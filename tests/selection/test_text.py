@@ -124,6 +124,8 @@ def test_a_box_in_one_view_may_be_chance():
 def test_nothing_fits():
     with pytest.raises(StyleSplatError, match=r"No object of the scene fits 'owl'\. .*--id"):
         clear_winner({}, "owl")
+    with pytest.raises(StyleSplatError, match="`stylesplat objects 'my garden'`"):
+        clear_winner({}, "owl", folder=Path("my garden"))
 
 
 def ring(angles: Sequence[float]) -> Cameras:

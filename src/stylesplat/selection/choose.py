@@ -144,7 +144,8 @@ def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
         if painting.name == name:
             return painting.picked
     if is_id(name) and scene.splats.classifier is not None:
-        return pick(scene.splats, object_id=int(name))
+        ids = resolve_ids(scene.splats, object_id=int(name), folder=scene.path)
+        return pick(scene.splats, object_id=ids)
     ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
     way = pasted("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
@@ -175,14 +176,15 @@ def _taken_away(
 
 def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:
     called = {id: name for name, each in scene.objects.items() for id in each.how.get("ids", [])}
-    return clear_winner(scores, text, called)
+    return clear_winner(scores, text, called, folder=scene.path)
 
 
 def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
     """The label ids that are named or pointed at."""
-    found = list(resolve_ids(scene.splats, object_id=choice.ids)) if choice.ids else []
+    splats, folder = scene.splats, scene.path
+    found = [*resolve_ids(splats, object_id=choice.ids, folder=folder)] if choice.ids else []
     for view, box in choice.boxes:
-        found += resolve_ids(scene.splats, box=box, camera=_camera(scene, view))
+        found += resolve_ids(splats, box=box, camera=_camera(scene, view), folder=folder)
     return (*found, *_ids_at(scene, choice.points))
 
 
@@ -190,7 +192,9 @@ def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
     return [
         id
         for view, point in points
-        for id in resolve_ids(scene.splats, point=point, camera=_camera(scene, view))
+        for id in resolve_ids(
+            scene.splats, point=point, camera=_camera(scene, view), folder=scene.path
+        )
     ]
 
 

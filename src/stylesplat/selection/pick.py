@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from jaxtyping import Bool
@@ -10,6 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.pasted import pasted
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import (
     class_probabilities,
@@ -20,6 +22,7 @@ from stylesplat.selection.identities import (
 from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
+SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
@@ -75,8 +78,9 @@ def resolve_ids(
     box: Box | None = None,
     point: Point | None = None,
     camera: Cameras | None = None,
+    folder: Path | None = None,
 ) -> tuple[int, ...]:
-    """The label ids that the arguments of `pick` mean.
+    """The label ids that the arguments of `pick` mean; `folder` is the scene's, for messages.
 
     Raises:
         StyleSplatError: As `pick` does.
@@ -85,15 +89,15 @@ def resolve_ids(
     if sum(way is not None for way in (object_id, box, point)) != 1:
         raise StyleSplatError("Select by exactly one way: an id, a box or a point.")
     if object_id is not None:
-        return _known_ids(splats, object_id)
+        return _known_ids(splats, object_id, folder or SCENE)
     if camera is None or len(camera) != 1:
         raise StyleSplatError(
             "A box or point needs the one view it refers to. Pass camera=cameras[row]."
         )
     if point is not None:
-        return (_id_at_point(splats, point, camera),)
+        return (_id_at_point(splats, point, camera, folder or SCENE),)
     assert box is not None
-    return (_id_in_box(splats, box, camera),)
+    return (_id_in_box(splats, box, camera, folder or SCENE),)
 
 
 def pick_objects(
@@ -115,20 +119,26 @@ def pick_objects(
     return picked
 
 
-def _known_ids(splats: Splats, object_id: int | Sequence[int]) -> tuple[int, ...]:
+def _known_ids(
+    splats: Splats, object_id: int | Sequence[int], folder: Path | str
+) -> tuple[int, ...]:
     ids = (object_id,) if isinstance(object_id, int) else tuple(object_id)
     known = object_ids(splats)
     if not ids:
         raise StyleSplatError("Select at least one object id; the list is empty.")
+    names = ", ".join(map(str, known)) or "none"
     for id in ids:
+        if id == BACKGROUND:
+            way = pasted("select", folder, "--name", "NAME", "--background")
+            raise StyleSplatError(
+                f"{id} is no object but the background. Name that with `{way}`. Objects: {names}."
+            )
         if id not in known:
-            names = ", ".join(map(str, known)) or "none"
-            reason = "is background" if id == BACKGROUND else "does not exist"
-            raise StyleSplatError(f"Object {id} {reason}. Objects that do exist: {names}.")
+            raise StyleSplatError(f"Object {id} does not exist. Objects that do exist: {names}.")
     return ids
 
 
-def _id_at_point(splats: Splats, point: Point, camera: Cameras) -> int:
+def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | str) -> int:
     (x, y), (width, height) = point, camera.size
     if not (0 <= x < width and 0 <= y < height):
         raise StyleSplatError(
@@ -139,12 +149,12 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras) -> int:
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
-            "Choose another point, or run `stylesplat objects SCENE` and select by id."
+            f"Choose another point, or run `{pasted('objects', folder)}` and select by id."
         )
     return label
 
 
-def _id_in_box(splats: Splats, box: Box, camera: Cameras) -> int:
+def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) -> int:
     (x0, y0, x1, y1), (width, height) = box, camera.size
     text = f"{x0:g},{y0:g},{x1:g},{y1:g}"
     if not (x0 < x1 and y0 < y1):
@@ -160,6 +170,6 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras) -> int:
     if not len(ids):
         raise StyleSplatError(
             f"There is no object inside {text} in {camera.names[0]}. "
-            "Choose another box, or run `stylesplat objects SCENE` and select by id."
+            f"Choose another box, or run `{pasted('objects', folder)}` and select by id."
         )
     return int(ids[counts.argmax()])

@@ -56,7 +56,9 @@ def surface_point(
     depths, alphas = expected_depth(splats, camera)
     row, column = int(y), int(x)
     if alphas[row, column] < COVERED:
-        raise StyleSplatError(f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}.")
+        raise StyleSplatError(
+            f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}. Choose another pixel."
+        )
     depth = depths[row, column]
     return unproject(depth.new_tensor([[column + 0.5, row + 0.5]]), depth[None], camera)[0]
 

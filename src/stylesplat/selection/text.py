@@ -1,6 +1,7 @@
 """What a phrase means in a scene: boxes that a detector draws in some views vote for objects."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
 import torch
 from jaxtyping import Float, Int, UInt8
@@ -11,10 +12,12 @@ from stylesplat.progress import track
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.pasted import pasted
 from stylesplat.scene.sampling import far_apart
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.detector import MIN_SCORE, Detections, Detector
 from stylesplat.selection.identities import render_labels
+from stylesplat.selection.pick import SCENE
 
 VIEWS = 8  # that are looked at: a view in which the detector errs is outvoted
 LONGER_SIDE = 1024  # pixels of a view; detectors shrink larger ones
@@ -94,7 +97,11 @@ def tally(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[int, f
 
 
 def clear_winner(
-    scores: Mapping[int, float], phrase: str, names: Mapping[int, str] | None = None
+    scores: Mapping[int, float],
+    phrase: str,
+    names: Mapping[int, str] | None = None,
+    *,
+    folder: Path | None = None,
 ) -> int:
     """The object that a phrase means.
 
@@ -102,6 +109,7 @@ def clear_winner(
         scores: Votes by id.
         phrase: What was looked for.
         names: What objects are called, by id.
+        folder: The scene's, for messages.
 
     Raises:
         StyleSplatError: If none fits, or only by chance, or the second best nearly as well as the
@@ -110,7 +118,7 @@ def clear_winner(
     if not scores:
         raise StyleSplatError(
             f"No object of the scene fits {phrase!r}. Try another phrase, or run "
-            "`stylesplat objects SCENE` and select with --id."
+            f"`{pasted('objects', folder or SCENE)}` and select with --id."
         )
     best, *rest = sorted(scores, key=lambda id: -scores[id])
     called = {id: f" {name!r}" for id, name in (names or {}).items()}
