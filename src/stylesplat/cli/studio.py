@@ -1,15 +1,14 @@
 """`stylesplat studio`."""
 
-import sys
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
 from tyro.conf import Positional
 
 from stylesplat.cli.options import Device, Json
+from stylesplat.cli.serving import serve
 
 
 @dataclass(frozen=True)
@@ -37,21 +36,15 @@ class Studio:
     def run(self) -> NoReturn:
         """Do it."""
         from stylesplat.atelier.opening import studio
-        from stylesplat.progress import say
 
-        sys.stdout = sys.stderr  # viser says where it serves
-        opened = studio(
-            self.scene,
-            styles=self.styles,
-            port=self.port,
-            host=self.host,
-            device=self.device,
-            block=False,
-        )
-        sys.stdout = StringIO()  # and its thread, after our last line, that it no longer does
-        say("Ctrl-C closes the studio; what is not saved is kept.")
-        try:
-            while True:
-                time.sleep(1)
-        finally:
-            opened.close()
+        def start() -> Callable[[], None]:
+            return studio(
+                self.scene,
+                styles=self.styles,
+                port=self.port,
+                host=self.host,
+                device=self.device,
+                block=False,
+            ).close
+
+        serve(start, "Ctrl-C closes the studio; what is not saved is kept.")

@@ -28,7 +28,6 @@ SETTINGS = (
     "region",
     "intensity",
     "color",
-    "texture",
     "content",
     "smoothness",
     "view_dependence",

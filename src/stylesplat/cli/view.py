@@ -1,15 +1,14 @@
 """`stylesplat view`."""
 
-import sys
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
 from tyro.conf import Positional
 
 from stylesplat.cli.options import Json
+from stylesplat.cli.serving import serve
 
 
 @dataclass(frozen=True)
@@ -31,15 +30,9 @@ class View:
     def run(self) -> NoReturn:
         """Do it."""
         from stylesplat.io.scene_folder import open
-        from stylesplat.progress import say
         from stylesplat.verbs.view import view
 
-        sys.stdout = sys.stderr  # viser says where it serves
-        server = view(open(self.scene), port=self.port, block=False)
-        sys.stdout = StringIO()  # and its thread, after our last line, that it no longer does
-        say("Ctrl-C closes the viewer.")
-        try:
-            while True:
-                time.sleep(1)
-        finally:
-            server.stop()
+        def start() -> Callable[[], None]:
+            return view(open(self.scene), port=self.port, block=False).stop
+
+        serve(start, "Ctrl-C closes the viewer.")

@@ -2,7 +2,8 @@
 
 import math
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NoReturn
 
 from stylesplat.drawing.at_rest import AtRest
 from stylesplat.drawing.compositing import BLACK
@@ -48,8 +49,22 @@ def serve(
     LiveSplats(server, shown)
     AtRest(server, Worker(_failed), lambda camera: shown.render(camera, BLACK).numpy())
     if block:
-        _serve_until_interrupted(server)
+        try:
+            until_interrupted(server.stop)
+        except Terminated:
+            raise
+        except KeyboardInterrupt:  # how a viewer is closed
+            pass
     return server
+
+
+def until_interrupted(stop: Callable[[], object]) -> NoReturn:
+    """Wait until Ctrl-C or SIGTERM raises something, and stop what is served."""
+    try:
+        while True:
+            time.sleep(1)
+    finally:
+        stop()
 
 
 def refuse_empty(splats: Splats) -> None:
@@ -69,15 +84,3 @@ def place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras |
     server.initial_camera.fov = 2 * math.atan(view.slopes[1] / 2)
     server.initial_camera.position = view.position.numpy()
     server.initial_camera.look_at = view.target.numpy()
-
-
-def _serve_until_interrupted(server: "viser.ViserServer") -> None:
-    try:
-        while True:
-            time.sleep(1)
-    except Terminated:
-        raise
-    except KeyboardInterrupt:  # how a viewer is closed
-        pass
-    finally:
-        server.stop()
