@@ -36,7 +36,8 @@ CAPTURES = {
 RING = {"ring": "and has no photos. Objects are cut out of its views by `stylesplat mask {at}/ring"}
 POSED = CAPTURES | {
     "photos": "photos is a folder of photos, not a capture: no camera poses are known. Find",
-    "video.mp4": "a video, not a capture: no camera poses are known. Find the cameras first",
+    "video.mp4": "a video, not a capture: no camera poses are known. Find the cameras first: "
+    "`stylesplat sfm {at}/video.mp4 -o CAPTURE`; or give the capture that was made of it.",
     "capture/images": "holds the photos of the capture {at}/capture, whose poses are known. Give",
     "scenes": "neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos. Check",
     "captures": "captures is not a capture, but holds some: {at}/captures/a. Give one of them",

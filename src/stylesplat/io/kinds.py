@@ -88,7 +88,9 @@ def no_capture(path: Path) -> StyleSplatError:
     if kind in ("photos", "video"):
         fault = f"{path} is {_called(kind)}, not a capture: no camera poses are known"
         way = f"stylesplat sfm {shlex.quote(str(path))} -o CAPTURE"
-        return _told(fault, f"Find the cameras first: `{way}`")
+        return _told(
+            fault, f"Find the cameras first: `{way}`; or give the capture that was made of it"
+        )
     if kind == "picture":
         return _told(f"{path} is one picture, not a capture", "Give the folder of all photos")
     if kind == "empty folder":
