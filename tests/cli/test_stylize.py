@@ -23,9 +23,11 @@ def test_the_scene_is_there_before_it_is_measured(
     monkeypatch.setattr("stylesplat.verbs.stylize.measure_painted", interrupted)
     out = scene.parent / "interrupted"
     arguments = ("--style", f"3={style}", "--steps", 1, "--hard", *QUICK, "--max-growth", 1)
-    assert run("stylize", scene, "-o", out, *arguments) != 0
+    assert run("stylize", scene, "-o", out, *arguments, "--texture", 0.3) != 0
     styled = ss.open(out)
     assert styled.painted is not None
+    recipe = json.loads((out / "recipe.json").read_text())
+    assert recipe["settings"]["texture"] == 0.3, "a number"
     assert styled.metrics["steps"] == 1 and "nnfm_after" not in styled.metrics
 
 
