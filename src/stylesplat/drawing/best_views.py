@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
@@ -51,9 +52,13 @@ def find_views(
         count: How many to find; fewer if it shows in fewer.
     """
     surface = splats.means[solid(splats, picked)]
-    masks = {}
-    for row in track(_likely_rows(cameras, surface), "looking for the object"):
-        masks[row] = coverage(splats, small(cameras[row]), picked) > MIN_COVERAGE
+
+    def mask(row: int) -> Tensor:
+        return coverage(splats, small(cameras[row]), picked) > MIN_COVERAGE
+
+    rows = _likely_rows(cameras, surface)
+    found = track(at_once(mask, rows, splats.device), "looking for the object", total=len(rows))
+    masks = dict(zip(rows, found, strict=True))
     scores = {row: visibility(mask) for row, mask in masks.items()}
     return [Shown(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
 

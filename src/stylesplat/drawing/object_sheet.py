@@ -20,6 +20,7 @@ from stylesplat.drawing.best_views import (
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
@@ -119,8 +120,10 @@ def _best_views(
     """For each object the cameras that show it best and from sides that differ, best first."""
     scores: dict[int, dict[int, float]] = {id: {} for id in picked}
     rows = evenly(range(len(cameras)), SURVEY_VIEWS)
-    for row in track(rows, "looking for objects"):
-        labels = render_labels(splats, small(cameras[row]))
+    labelled = at_once(lambda row: render_labels(splats, small(cameras[row])), rows, splats.device)
+    for row, labels in zip(
+        rows, track(labelled, "looking for objects", total=len(rows)), strict=True
+    ):
         for id in picked:
             scores[id][row] = visibility(labels == id)
     return {

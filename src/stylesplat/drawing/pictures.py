@@ -17,6 +17,7 @@ from stylesplat.drawing.compositing import (
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import ColorPicture, ViewPicture
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
@@ -69,7 +70,7 @@ def render_pictures(
             there.
     """
     paint = _painter(splats.detach(), cameras, what, picked, _behind(what, background))
-    return (paint(cameras[row]).cpu() for row in range(len(cameras)))
+    return at_once(lambda row: paint(cameras[row]).cpu(), range(len(cameras)), splats.device)
 
 
 def depth_step(splats: Splats, cameras: Cameras) -> float:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.scene.cameras import Cameras
@@ -59,16 +60,18 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
     # contributions are known on the CPU only
     splats, picked = splats.to("cpu"), picked.cpu()
     ids, bare = _own_ids(splats, picked), without_looks(splats)
-    places = []
-    for row in track(evenly(range(len(cameras)), VIEWS), "looking for contours"):
+
+    def find(row: int) -> Place:
         camera = cameras[row].at_most(LONGER_SIDE)
         view = contributions(bare, camera, picked)
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if len(ids) and unsure.any():
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
-        places.append(Place(camera, pixels, _painted(view, pixels, len(splats))))
-    return places
+        return Place(camera, pixels, _painted(view, pixels, len(splats)))
+
+    rows = evenly(range(len(cameras)), VIEWS)
+    return [*track(at_once(find, rows), "looking for contours", total=len(rows))]
 
 
 def soft_shares(
@@ -125,11 +128,12 @@ def seen_anew(splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place
         places: Where the object is.
     """
     bare, picked = without_looks(splats.to("cpu")), picked.cpu()
-    anew = []
-    for place in track(places, "looking at contours"):
+
+    def see(place: Place) -> Place:
         view = contributions(bare, place.camera, picked)
-        anew.append(replace(place, painted=_painted(view, place.pixels, len(splats))))
-    return anew
+        return replace(place, painted=_painted(view, place.pixels, len(splats)))
+
+    return [*track(at_once(see, places), "looking at contours", total=len(places))]
 
 
 def _painted(view: Contributions, pixels: Bool[Tensor, "H W"], count: int) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.progress import say, track
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import COVERED, contributed, coverage
@@ -106,17 +107,21 @@ def weights_in(
 
 def find_boxes(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> list[Box]:
     """Find in which views an object shows, and where; what hides it is taken into account."""
-    boxes = []
-    for index in track(range(len(cameras)), "looking for the object"):
+
+    def find(index: int) -> Box | None:
         camera = cameras[index]
         small = camera.at_most(SURVEY_SIZE)
         covered = coverage(splats, small, picked) > COVERED
-        if covered.any():
-            ratio = camera.sizes[0] / small.sizes[0]
-            low, high = _extent(covered)
-            places = covered.nonzero().flip(1).cpu() + 0.5
-            boxes.append(Box(camera, low * ratio, high * ratio, places * ratio))
-    return boxes
+        if not covered.any():
+            return None
+        ratio = camera.sizes[0] / small.sizes[0]
+        low, high = _extent(covered)
+        places = covered.nonzero().flip(1).cpu() + 0.5
+        return Box(camera, low * ratio, high * ratio, places * ratio)
+
+    found = at_once(find, range(len(cameras)), splats.device)
+    found = track(found, "looking for the object", total=len(cameras))
+    return [box for box in found if box is not None]
 
 
 def _extent(covered: Bool[Tensor, "H W"]) -> tuple[Tensor, Tensor]:
@@ -174,9 +179,14 @@ def cut_views(
     before, after = max(c.before for c in cells), max(c.size - c.before for c in cells)
     margins = min(MARGIN, before), min(MARGIN, after)
     keeps = max_memory > 0 and splats.device.type == "cpu"
-    for box in track(boxes, "cutting the views"):
+
+    def cut(box: Box) -> tuple[Cameras, Tensor, Contributions | None]:
         camera, inside = around(box, zoom, margins)
-        linear = contributions(splats, camera, picked) if keeps and not full else None
+        return camera, inside, contributions(splats, camera, picked) if keeps and not full else None
+
+    cuts = at_once(cut, boxes, splats.device)
+    for camera, inside, linear in track(cuts, "cutting the views", total=len(boxes)):
+        linear = None if full else linear  # of one that was cut before it was known
         seen = linear.coverage if linear else coverage(splats, camera, picked)
         own = seen * inside.to(seen.device)
         masks = tuple(F.avg_pool2d(own[None], c.stride)[0] > COVERED for c in cells)

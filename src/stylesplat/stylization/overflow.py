@@ -11,6 +11,7 @@ from torch.nn.functional import pad
 
 from stylesplat.progress import track
 from stylesplat.rendering import cpu
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.rasterize import activated, beside
@@ -21,6 +22,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.split import Split, unsplit
 
 CHECKED_VIEWS = 16
+NONE = torch.zeros(0, dtype=torch.long)
 
 
 @torch.no_grad()
@@ -37,13 +39,14 @@ def without_overflow(
             many some are checked.
     """
     bare, plain = without_looks(splats), without_looks(split.splats)
-    found = [split.parents[:0]]
-    checked = evenly(range(len(cameras)), CHECKED_VIEWS)
-    for index in track(checked, "looking beside the object"):
+
+    def overflowing(index: int) -> Tensor:
         nothing = coverage(bare, cameras[index], picked) == 0
-        rows = _showing(plain, cameras[index], picked[split.parents], nothing)
-        found.append(split.parents[rows])
-    return unsplit(splats, split, torch.cat(found).unique())
+        return _showing(plain, cameras[index], picked[split.parents], nothing)
+
+    rows = evenly(range(len(cameras)), CHECKED_VIEWS)
+    found = track(at_once(overflowing, rows), "looking beside the object", total=len(rows))
+    return unsplit(splats, split, split.parents[torch.cat([NONE, *found])].unique())
 
 
 def _showing(

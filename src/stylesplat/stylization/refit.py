@@ -7,6 +7,7 @@ tell what their opacities and scales have to be; no photos are needed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering import cpu
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
@@ -80,10 +82,8 @@ def refit(
     if not divided.any():
         return split
     zoom = min(1.0, LENGTH / typical_length(boxes))
-    views = [
-        _look(splats, split, picked, around(box, zoom, (MARGIN, MARGIN))[0])
-        for box in evenly(boxes, VIEWS)
-    ]
+    cuts = [around(box, zoom, (MARGIN, MARGIN))[0] for box in evenly(boxes, VIEWS)]
+    views = [*at_once(partial(_look, splats, split, picked), cuts)]
     leaves = {name: split.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments = Moments.zeros(leaves)
     generator = torch.Generator().manual_seed(seed)

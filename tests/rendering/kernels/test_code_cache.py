@@ -144,3 +144,12 @@ def test_a_user_who_can_write_nowhere_else(temporary: Path):
     assert (done.returncode, done.stdout) == (0, "[0 1 2]\n"), done.stderr
     place = temporary / f"stylesplat-{NOBODY}"
     assert done.stderr.splitlines() == [TEMPORARY.format(place), ONCE]
+
+
+def test_other_options_are_other_code(homeless: None):
+    hits = []
+    for options in ({}, {"nogil": True}, {"nogil": True}):
+        kernel = cached(**options)(plus_one)
+        assert kernel(1) == 2
+        hits.append(sum(kernel.stats.cache_hits.values()))
+    assert hits == [0, 0, 1]

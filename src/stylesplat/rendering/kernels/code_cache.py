@@ -8,7 +8,7 @@ that somebody else could have filled is never taken.
 import os
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ def say_once(line: str) -> None:
 def keep(dispatcher: Any, function: Callable[..., Any]) -> None:
     """Let a kernel find its machine code in a cache; `numba.njit(cache=True)` that never fails."""
     try:
-        cache = KernelCache(function)
+        cache = KernelCache(function, dispatcher.targetoptions)
     except RuntimeError:  # numba has tried all places
         say_once(NOWHERE)
         return
@@ -105,6 +105,14 @@ class KernelCache(FunctionCache):
     """A kernel's, which is done without if it fails."""
 
     _impl_class = _Places
+
+    def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
+        super().__init__(function)
+        self._options = repr(sorted(options.items()))
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        """As numba's, which takes a function compiled with other options for the same."""
+        return (*super()._index_key(sig, codegen), self._options)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for some types; None if there is none that can be read."""

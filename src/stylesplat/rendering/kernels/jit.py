@@ -12,7 +12,10 @@ return an array or a NamedTuple numba unpickles its type, and an interruption at
 Ctrl-C that came while the kernel ran) is a segmentation fault.
 """
 
+import os
 from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
 from typing import Any
 
 import numba
@@ -41,9 +44,20 @@ def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-kernel = cached(parallel=ONLY_PRANGE)
+def _threads_may_share() -> bool:
+    """numba's own layer of threads ends the process if two threads call it; OpenMP's does not."""
+    if any(name.startswith("NUMBA_THREADING_LAYER") for name in os.environ):
+        return False  # it may be the one that was asked for
+    with suppress(ImportError):  # as numba will do it
+        return import_module("numba.np.ufunc.omppool") is not None
+    return False
+
+
+SHARED = _threads_may_share()
+"""Whether several threads may call kernels at the same time: then these hold no lock."""
+kernel = cached(parallel=ONLY_PRANGE, nogil=SHARED)
 """Decorator of functions that Python calls and that use `prange`."""
-serial_kernel = cached()
+serial_kernel = cached(nogil=SHARED)
 """Decorator of functions that Python calls and that use one thread."""
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 inner = cached(**INNER)

@@ -1,0 +1,92 @@
+"""Several views at a time."""
+
+from threading import Barrier
+
+import pytest
+import torch
+from numba import get_num_threads
+
+from scenes import random_splats, two_cameras
+from stylesplat.progress import Silence, observed, say
+from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.kernels.jit import SHARED
+from stylesplat.rendering.rasterize import rasterize
+
+
+class Listener(Silence):
+    """Remembers what it is told."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def render(seed: int) -> torch.Tensor:
+    return rasterize(random_splats(seed=seed), two_cameras())[0]
+
+
+@pytest.fixture(autouse=True)
+def loaded_kernels() -> None:
+    render(0)
+
+
+def test_order():
+    pictures = [*at_once(render, range(7))]
+    assert len(pictures) == 7
+    assert all(torch.equal(a, render(b)) for a, b in zip(pictures, range(7), strict=True))
+
+
+def test_nothing():
+    assert [*at_once(render, [])] == []
+
+
+def test_at_a_time():
+    if get_num_threads() < 2 or not SHARED:
+        pytest.skip("one view at a time: there is one core, or numba has no OpenMP")
+    both = Barrier(2, timeout=60)
+
+    def meet(item: int) -> int:
+        if item > 0:
+            both.wait()
+        return item
+
+    assert [*at_once(meet, range(3))] == [0, 1, 2]
+
+
+def test_gradients_as_outside():
+    def enabled(item: int) -> bool:
+        return torch.is_grad_enabled()
+
+    with torch.no_grad():
+        assert not any(at_once(enabled, range(5)))
+    with torch.enable_grad():
+        assert all(at_once(enabled, range(5)))
+
+
+def test_told():
+    with observed(listener := Listener()):
+        assert [*at_once(lambda item: say(f"{item}"), range(5))] == [None] * 5
+    assert sorted(listener.lines) == [*"01234"]
+
+
+def test_failure():
+    def fail(item: int) -> int:
+        if item == 3:
+            raise ValueError("three")
+        return item
+
+    found = at_once(fail, range(9))
+    assert [next(found) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="three"):
+        next(found)
+
+
+def test_nobody_asks_any_more():
+    done = []
+    found = at_once(done.append, range(1000))
+    next(found)
+    next(found)
+    found.close()
+    assert len(done) < 1000
