@@ -26,7 +26,9 @@ def test_as_it_is_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert agreement(scene_folder.open(other).objects["red"].picked, 3) > 0.8
     listed = result(capsys, "objects", other)
     (red,) = listed["objects"]
-    assert listed["named"]["red"] == {key: red[key] for key in ("box", "centre", "size")}
+    assert listed["named"]["red"] == {
+        key: red[key] for key in ("gaussians", "box", "centre", "size")
+    }
     assert red["centre"] == pytest.approx(BALLS[3][0], abs=0.1)
     corners = ",".join(map(str, red["box"]))
     again = result(capsys, "select", other, "--name", "again", f"--box3d={corners}")
