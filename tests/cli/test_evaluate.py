@@ -11,7 +11,7 @@ from PIL import Image
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from command_line import result, run
+from command_line import complaint, result, run
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.io.scene_folder import revise
 from stylesplat.stylization.features import weights
@@ -153,3 +153,14 @@ def test_nothing_is_downloaded(
     numbers, said = evaluate(styled)
     assert len(said) == 2 and all((file or "vgg16") in line for line in said)
     assert set(numbers) >= NEEDS_NONE and not NEEDS_STYLE & set(numbers)
+
+
+def test_numbers_in_a_file_of_their_own(
+    styled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    before = (styled / "metrics.json").read_bytes()
+    numbers = tmp_path / "numbers.json"
+    found = result(capsys, "evaluate", styled, "-o", numbers, "--device", "cpu")
+    assert read_json(numbers) == found and NEEDS_NONE <= found.keys()
+    assert (styled / "metrics.json").read_bytes() == before
+    assert "--overwrite" in complaint(capsys, "evaluate", styled, "-o", numbers)

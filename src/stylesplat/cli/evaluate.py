@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from tyro.conf import Positional
 
 from stylesplat.cli.next_steps import next_lines, pasted, unused
-from stylesplat.cli.options import Device, Json, Verbose
+from stylesplat.cli.options import Device, Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.errors import StyleSplatError
 
 
@@ -22,7 +22,7 @@ class Evaluate:
     Example: stylesplat evaluate garden-scene --masks exact-masks
     """
 
-    first: ClassVar = ("capture", "masks")
+    first: ClassVar = ("capture", "masks", "output")
     scene: Positional[Path]
     """Folder of the scene."""
     capture: Path | None = None
@@ -31,6 +31,9 @@ class Evaluate:
     masks: Path | None = None
     """Folder of label maps to compare with; by default the capture's object_mask_exact/ if it has
     one, else its object_mask/."""
+    output: OptionalOutput = None
+    """JSON file to make of the numbers; without it the scene keeps them, in its metrics.json."""
+    overwrite: Overwrite = False
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     verbose: Verbose = False
@@ -39,15 +42,17 @@ class Evaluate:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.captures.capture_folder import exact_masks
-        from stylesplat.io.places import refuse_unwritable
-        from stylesplat.io.recovery import changing
-        from stylesplat.io.scene_folder import open, revise
+        from stylesplat.io.places import refuse_file, refuse_unwritable
+        from stylesplat.io.scene_folder import open
         from stylesplat.progress import say
         from stylesplat.verbs.evaluate import evaluate
         from stylesplat.verbs.load import load
 
         scene = open(self.scene)
-        refuse_unwritable(self.scene)
+        if self.output is None:
+            refuse_unwritable(self.scene)
+        else:
+            refuse_file(self.output, overwrite=self.overwrite)
         source, capture = self.capture or scene.capture, None
         if source is None and scene.painted is None:
             raise StyleSplatError(
@@ -68,10 +73,7 @@ class Evaluate:
             masks = self.masks or exact_masks(source)
             capture = load(source, downscale=scene.downscale, masks=masks)
         metrics = evaluate(scene, capture, device=self.device)
-        with changing(self.scene):
-            latest = open(self.scene)  # measuring takes long
-            measured = {**latest.metrics, "evaluate": metrics}
-            revise(latest, replace(latest, metrics=measured), self.scene)
+        self._keep(metrics)
         return metrics
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
@@ -84,3 +86,16 @@ class Evaluate:
             yield from style_lines(result, {**measured[0], **measured[1]})
         video = unused(self.scene, ".mp4")
         yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))
+
+    def _keep(self, metrics: dict[str, Any]) -> None:
+        from stylesplat.io.json_files import write_json
+        from stylesplat.io.recovery import changing
+        from stylesplat.io.scene_folder import open, revise
+
+        with changing(self.output or self.scene):
+            if self.output is not None:
+                write_json(metrics, self.output)
+                return
+            latest = open(self.scene)  # measuring takes long
+            measured = {**latest.metrics, "evaluate": metrics}
+            revise(latest, replace(latest, metrics=measured), self.scene)
