@@ -148,7 +148,7 @@ def test_box_empty(box):
 
 
 @pytest.mark.parametrize(
-    "box", [(-1.0, 0.0, 9.0, 9.0), (0.0, 0.0, 49.0, 9.0), (0.0, 0.0, 9.0, 37.0)]
+    "box", [(-9.0, 0.0, 9.0, 9.0), (0.0, 0.0, 57.0, 9.0), (0.0, 0.0, 9.0, 45.0)]
 )
 def test_box_outside(box):
     with pytest.raises(StyleSplatError, match="reaches outside"):

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.splats import Splats
@@ -159,11 +160,13 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) ->
     text = f"{x0:g},{y0:g},{x1:g},{y1:g}"
     if not (x0 < x1 and y0 < y1):
         raise StyleSplatError(f"Box {text} is empty. Give x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
-    if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
+    inside = cut_to_picture(box, camera.size)
+    if inside is None:
         raise StyleSplatError(
             f"Box {text} reaches outside {camera.names[0]}, which is {width}x{height} pixels. "
             "Coordinates are those of the photo at full size."
         )
+    x0, y0, x1, y1 = inside
     rows, columns = slice(int(y0), math.ceil(y1)), slice(int(x0), math.ceil(x1))
     labels = render_labels(splats, camera)[rows, columns]
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)

@@ -133,8 +133,8 @@ NAN, INF = float("nan"), float("inf")
 @pytest.mark.parametrize(
     ("place", "expected"),
     [
-        ((-1.0, 0.0, 9.0, 9.0), r"Box -1,0,9,9 is empty or reaches outside 0001\.jpg.*192x144"),
-        ((0.0, 0.0, 193.0, 9.0), "outside"),
+        ((-20.0, 0.0, 9.0, 9.0), r"Box -20,0,9,9 is empty or reaches outside 0001\.jpg.*192x144"),
+        ((0.0, 0.0, 210.0, 9.0), "outside"),
         ((10.0, 10.0, 10.0, 20.0), "empty"),
         ((20.0, 10.0, 10.0, 20.0), "empty"),
         ((NAN, 10.0, 10.0, 20.0), "Box nan,10,10,20 is empty"),

@@ -12,6 +12,7 @@ from stylesplat.masks.foreign import overlaid
 from stylesplat.masks.quick_splat import with_maps, with_splat
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene, check_name
 
@@ -131,12 +132,13 @@ def _scaled_stroke(stroke: Stroke, camera: Cameras, small: Cameras) -> Stroke:
 def _scaled(box: Box, camera: Cameras, small: Cameras) -> Box:
     """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
     (width, height), (name,) = camera.size, camera.names
-    x0, y0, x1, y1 = box
-    if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+    inside = cut_to_picture(box, camera.size)
+    if inside is None:
         raise StyleSplatError(
-            f"Box {x0:g},{y0:g},{x1:g},{y1:g} is empty or reaches outside {name}, which is "
-            f"{width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo."
+            f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
+            f"which is {width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo."
         )
+    x0, y0, x1, y1 = inside
     across, down = _shrinkage(camera, small)
     scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
     refuse_box(scaled, small.size, name)
