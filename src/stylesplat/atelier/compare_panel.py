@@ -2,7 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from stylesplat.atelier.comparing import Variant, at_intensity, taken_back, variant_of
+from stylesplat.atelier.comparing import (
+    Variant,
+    at_intensity,
+    described,
+    taken_back,
+    variant_of,
+)
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.thumbnails import grid
@@ -40,6 +46,7 @@ class ComparePanel:
         self._strip: viser.GuiImageHandle | None = None
         with gui.add_folder("Variants") as self._shelf:
             self._titles = gui.add_button_group("Back to", (NONE,), order=2.0)
+            self._settings = gui.add_markdown("", order=3.0)
         self._titles.on_click(lambda _: self._back(self._titles.value))
         with gui.add_folder("Take back"):
             back = gui.add_button("Take the picked object's paint back", icon=icon("eraser"))
@@ -89,6 +96,7 @@ class ComparePanel:
         pictures = [variant.thumbnail for variant in self._variants]
         sheet = grid(pictures, captions(len(pictures), [v.title for v in self._variants]))
         self._titles.options = tuple(str(n + 1) for n in range(len(pictures)))
+        self._settings.content = described(self._variants)
         if self._strip is None:
             with self._shelf:
                 self._strip = self._gui.add_image(sheet, format="png", order=1.0)
