@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import viser
 
 BRAND = (232, 138, 30)
-SECONDS = 6.0  # that a word is shown; failures stay longer
+SECONDS = 6.0  # that a word is shown
 UNDO, REDO = "undo", "redo"
 
 
@@ -64,6 +64,7 @@ class Page:
         session.on_change(self.refresh)
         session.on_progress(self.progress)
         session.on_word(self._say)
+        server.on_client_connect(self._greet)
         self.refresh()
 
     def refresh(self) -> None:
@@ -94,9 +95,18 @@ class Page:
 
     def _say(self, line: str, failure: bool) -> None:
         for client in self.server.get_clients().values():
-            client.add_notification(
-                "That did not work" if failure else "StyleSplat",
-                line,
-                color="red" if failure else None,
-                auto_close_seconds=(3 if failure else 1) * SECONDS,
-            )
+            notify(client, line, failure=failure)
+
+    def _greet(self, client: "viser.ClientHandle") -> None:
+        for line in self.session.greetings:
+            notify(client, line)
+
+
+def notify(client: "viser.ClientHandle", line: str, *, failure: bool = False) -> None:
+    """Show a line in one browser; failures stay longer."""
+    client.add_notification(
+        "That did not work" if failure else "StyleSplat",
+        line,
+        color="red" if failure else None,
+        auto_close_seconds=(3 if failure else 1) * SECONDS,
+    )

@@ -59,6 +59,8 @@ class Session:
         """Whether something is being painted, or filmed: the scene stays as it is meanwhile."""
         self.interrupt: Callable[[], bool] = lambda: False
         """Ends at once what is being painted, keeping what there is of it; whether it could."""
+        self.greetings = list[str]()
+        """What everybody is told who comes to see."""
         self.stopping = False
         """Whether long work is to end at once."""
         self._changed, self._progressed = list[Callable[[], None]](), list[Callable[[], None]]()

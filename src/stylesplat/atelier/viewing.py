@@ -48,10 +48,10 @@ class Stage:
         self._drawn_over = set[str]()
         self._frames = list["viser.CameraFrustumHandle"]()
         session.on_change(self.refresh)
-        if len(scene.splats) > MOST:
-            session.tell(
-                f"The browser moves {MOST:,} of {len(scene.splats):,} Gaussians; at rest the "
-                "picture is of all."
+        count = len(scene.splats)
+        if count > MOST:
+            session.greetings.append(
+                f"The browser moves {MOST:,} of {count:,} Gaussians; at rest the picture is of all."
             )
 
     def shown(self) -> Shown:
