@@ -2,7 +2,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 from studio_balls import quick_style, session_in
 from stylesplat.atelier.comparing import Variant, described, variant_of

@@ -31,7 +31,9 @@ def held_by(state: State) -> Held:
     return Held(state.commands, _paintings(state))
 
 
-def commands(state: State, folder: Path, output: Path, held: Held | None = None) -> list[str] | None:
+def commands(
+    state: State, folder: Path, output: Path, held: Held | None = None
+) -> list[str] | None:
     """The commands that give this very scene, a line each.
 
     Args:

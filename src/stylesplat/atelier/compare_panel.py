@@ -31,11 +31,13 @@ class ComparePanel:
         """Add it to the container that is open."""
         self.session, self._stage, self._gui = session, stage, server.gui
         gui = server.gui
-        self._show = gui.add_button_group("Show", tuple(VIEWS), hint="B shows what was before")
+        self._show = gui.add_button_group(
+            "Show", tuple(VIEWS), hint="Hold B to see what was before"
+        )
         self._show.on_click(lambda _: stage.compare(VIEWS[self._show.value]))
         self.border = border = gui.add_slider("Split at %", 0, 100, 1, 50)
         border.on_update(lambda _: stage.compare("split", border.value / 100))
-        before = gui.add_command("Before or after", hotkey="B", icon=icon("switch-horizontal"))
+        before = gui.add_command("Before or after", icon=icon("switch-horizontal"))
         before.on_trigger(lambda _: self._toggle())
         self._folder = gui.add_folder("Intensity")
         with self._folder:

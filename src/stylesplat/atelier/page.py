@@ -13,6 +13,7 @@ from stylesplat.atelier.see_panel import add_see_panel
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.viewing import Stage
 from stylesplat.atelier.widgets import icon
+from stylesplat.atelier.wire import Said, add_wire
 
 if TYPE_CHECKING:
     import viser
@@ -50,6 +51,7 @@ class Page:
         self._history = gui.add_button_group("History", (UNDO, REDO))
         self._history.on_click(lambda _: session.step(-1 if self._history.value == UNDO else 1))
         self._keys(gui)
+        add_wire(server, self._told)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Pick", icon("pointer")):
             self.pick = PickPanel(server, session, self.stage)
@@ -92,6 +94,12 @@ class Page:
         back.on_trigger(lambda _: self.session.step(-1))
         forth = gui.add_command("Redo", hotkey="Y", modifier="cmd/ctrl")
         forth.on_trigger(lambda _: self.session.step(1))
+
+    def _told(self, client: "viser.ClientHandle", said: Said) -> None:
+        self.stage.hold(client.client_id, said.before)
+        self.pick.hover.point(client, said.at)
+        if said.part is not None:
+            self.paint.part.draw(said.part)
 
     def _say(self, line: str, failure: bool) -> None:
         for client in self.server.get_clients().values():

@@ -1,5 +1,6 @@
 """What the panel See does: the picture of all browsers, and where their cameras are."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -39,6 +40,7 @@ class Stage:
         """Whether paintings are seen, or what was before, or one beside the other."""
         self.split = 0.5
         """Where a split view has its border, of the picture's width."""
+        self._holding = set[int]()
         scene = session.state.scene
         place_camera(server, scene.splats, scene.cameras)
         self._last = self.shown()
@@ -48,6 +50,7 @@ class Stage:
         self._drawn_over = set[str]()
         self._frames = list["viser.CameraFrustumHandle"]()
         session.on_change(self.refresh)
+        server.on_client_disconnect(lambda client: self.hold(client.client_id, False))
         count = len(scene.splats)
         if count > MOST:
             session.greetings.append(
@@ -57,7 +60,8 @@ class Stage:
     def shown(self) -> Shown:
         """What is to be seen now."""
         seen = self.session.shown
-        if self.compared == "before" and self.session.preview is None:
+        before = self.compared == "before" or self._holding
+        if before and self.session.preview is None:
             return Shown(self.session.state.scene.unpainted, hidden=seen.hidden)
         return seen
 
@@ -68,10 +72,12 @@ class Stage:
         self.rest.active = not self.session.painting and not self._drawn_over
         self.rest.changed()
 
-    def look(self, camera: Cameras) -> UInt8[np.ndarray, "H W 3"]:
-        """What a camera sees exactly."""
-        image = self._last.render(camera, self.behind).numpy()
-        if self.compared == "split" and self.session.preview is None:
+    def look(
+        self, camera: Cameras, pointed: Bool[Tensor, " N"] | None = None
+    ) -> UInt8[np.ndarray, "H W 3"]:
+        """What a camera sees exactly, some Gaussians tinted as those below the pointer."""
+        image = replace(self._last, pointed=pointed).render(camera, self.behind).numpy()
+        if self.compared == "split" and not self._holding and self.session.preview is None:
             scene, hidden = self.session.state.scene, self._last.hidden
             before = Shown(scene.unpainted, hidden=hidden).render(camera, self.behind).numpy()
             middle = round(self.split * image.shape[1])
@@ -84,6 +90,19 @@ class Stage:
         self.compared = compared
         self.split = self.split if split is None else split
         self.session.ask(self.refresh, kind="compare")
+
+    def hold(self, client_id: int, before: bool) -> None:
+        """Show what was before for as long as somebody holds a key."""
+        if before == (client_id in self._holding):
+            return
+        (self._holding.add if before else self._holding.discard)(client_id)
+        self.session.ask(self._exchange, kind="compare")
+
+    def _exchange(self) -> None:
+        """In the worker's thread: something else is to be seen, at once and without a gap."""
+        self._last = self.shown()
+        self.rest.again()
+        self._splats.show(self._last)
 
     def paper(self, behind: tuple[float, float, float]) -> None:
         """Another colour behind everything."""
