@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from stylesplat.atelier.compare_panel import ComparePanel
 from stylesplat.atelier.easel import Easel
-from stylesplat.atelier.gallery import Gallery
+from stylesplat.atelier.gallery import Gallery, too_large
 from stylesplat.atelier.keep_panel import KeepPanel
 from stylesplat.atelier.keeping import Place
 from stylesplat.atelier.paint_panel import PaintPanel
@@ -100,6 +100,8 @@ class Page:
         self.pick.hover.point(client, said.at)
         if said.part is not None:
             self.paint.part.draw(said.part)
+        if said.large:
+            notify(client, too_large(said.large), failure=True)
 
     def _say(self, line: str, failure: bool) -> None:
         for client in self.server.get_clients().values():

@@ -30,16 +30,16 @@ class StylePart:
 
     def __init__(self, gui: "viser.GuiApi", session: Session, gallery: Gallery) -> None:
         """Add it to the container that is open."""
-        self._gui, self._session, self._gallery = gui, session, gallery
+        self._session, self._gallery = session, gallery
         self._of: tuple[Exhibit, UInt8[np.ndarray, "H W 3"]] | None = None
-        self._sheet: viser.GuiImageHandle | None = None
-        self._folder = gui.add_folder("Part of a picture", order=20.0)
-        with self._folder:
+        with gui.add_folder("Part of a picture", order=20.0):
             self._add(gui)
         self.hung()
 
     def _add(self, gui: "viser.GuiApi") -> None:
         self._titles = gui.add_dropdown("Picture", (NONE,), order=20.0)
+        blank = np.zeros((1, 1, 3), np.uint8)
+        self._sheet = gui.add_image(blank, label=TITLE, format="jpeg", order=21.0, visible=False)
         self._across = gui.add_multi_slider("Across %", 0.0, 100.0, 1.0, WHOLE, order=22.0)
         self._down = gui.add_multi_slider("Down %", 0.0, 100.0, 1.0, WHOLE, order=23.0)
         for control in (self._titles, self._across, self._down):
@@ -48,7 +48,7 @@ class StylePart:
     @property
     def percent(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """From left to right and from top to bottom."""
-        return tuple(self._across.value), tuple(self._down.value)
+        return tuple(map(float, self._across.value)), tuple(map(float, self._down.value))
 
     def region(self, size: tuple[int, int]) -> Region | None:
         """The part in pixels of a picture so large: x0, y0, x1, y1; None for all of it."""
@@ -69,7 +69,7 @@ class StylePart:
             self._across.value, self._down.value = (left, right), (top, bottom)
             self.show()
 
-        self._session.ask(job, kind="part")
+        self._session.ask(job, kind="drawn part")
 
     def show(self) -> None:
         """Draw the picture, and the part: in the worker's thread."""
@@ -79,9 +79,7 @@ class StylePart:
         if self._of is None or self._of[0] is not exhibit:
             self._of = exhibit, reduced(exhibit)
         image = framed(self._of[1], *self.percent)
-        if self._sheet is None:
-            with self._folder:
-                self._sheet = self._gui.add_image(image, label=TITLE, format="jpeg", order=21.0)
+        self._sheet.visible = True
         self._sheet.image = image
 
 

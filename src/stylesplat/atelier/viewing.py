@@ -8,14 +8,16 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from stylesplat.atelier.flights import Flights, Stand, stand_of
 from stylesplat.atelier.session import Session
 from stylesplat.drawing.at_rest import AtRest
 from stylesplat.drawing.browser import place_camera
+from stylesplat.drawing.first_view import first_view
 from stylesplat.drawing.live_splats import MOST, LiveSplats
 from stylesplat.drawing.shown import Shown
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import extent_of
-from stylesplat.scene.poses import up_vector
+from stylesplat.scene.content import content_of, extent_of
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ Compared = Literal["after", "before", "split"]
 
 BEHIND = (0.086, 0.086, 0.094)  # what is behind everything at first: that of the dark page
 MOST_FRAMES = 60  # cameras that are drawn
+NEAREST = 0.1  # world units to what a photo's camera turns about, at least
 CLOSE = 1.6  # extents of an object from which it is looked at
 
 
@@ -40,9 +43,14 @@ class Stage:
         """Whether paintings are seen, or what was before, or one beside the other."""
         self.split = 0.5
         """Where a split view has its border, of the picture's width."""
-        self._holding = set[int]()
+        self._holding, self.flights = set[int](), Flights()
         scene = session.state.scene
         place_camera(server, scene.splats, scene.cameras)
+        view = first_view(scene.splats, scene.cameras)
+        self._first = Stand(
+            *(each.double().numpy() for each in (view.position, view.target, view.up)),
+            fov=server.initial_camera.fov,
+        )
         self._last = self.shown()
         self._splats = LiveSplats(server, self._last)
         self.rest = AtRest(server, session.worker, self.look)
@@ -141,20 +149,22 @@ class Stage:
 
         @frame.on_click
         def _(event: "viser.SceneNodePointerEvent[viser.CameraFrustumHandle]") -> None:
-            fly(event.client, camera)
+            self.flights.fly(event.client, stand_at(self.session.state.scene, camera))
 
         return frame
 
     def home(self, client: "viser.ClientHandle") -> None:
         """Where it began, or if something is picked, close to that."""
+        self.flights.fly(client, self.at_home(stand_of(client)))
+
+    def at_home(self, now: Stand) -> Stand:
+        """Where Home leads to."""
         state = self.session.state
         picked = self.session.masks.together(state.scene, state.picked)
-        start = self.server.initial_camera
         if picked is None:
-            client.camera.position, client.camera.look_at = start.position, start.look_at
-            return
-        position, centre = close_to(state.scene.splats, picked, client.camera.position)
-        client.camera.position, client.camera.look_at = position, centre
+            return self._first
+        position, centre = close_to(state.scene.splats, picked, now.position)
+        return replace(now, position=position, target=centre)
 
 
 def close_to(
@@ -168,13 +178,15 @@ def close_to(
     return centre + away / max(float(np.linalg.norm(away)), 1e-9) * distance, centre
 
 
-def fly(client: "viser.ClientHandle", camera: Cameras) -> None:
-    """Take a browser's camera to that of a photo."""
-    wxyz, position, fov = pose_of(camera)
-    with client.atomic():
-        client.camera.up_direction = up_vector(camera).numpy()
-        client.camera.wxyz, client.camera.position = wxyz, position
-        client.camera.fov = fov
+def stand_at(scene: Scene, camera: Cameras) -> Stand:
+    """Where a photo was taken, turning about what is in its middle as far away as the content."""
+    _, position, fov = pose_of(camera)
+    forward = camera.viewmats[0, 2, :3].double().numpy()
+    content = content_of(scene.splats).extent.centre.double().numpy()
+    distance = max(float((content - position) @ forward), NEAREST)
+    return Stand(
+        position, position + distance * forward, -camera.viewmats[0, 1, :3].double().numpy(), fov
+    )
 
 
 def pose_of(camera: Cameras) -> tuple[np.ndarray, np.ndarray, float]:

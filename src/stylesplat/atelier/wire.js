@@ -5,7 +5,7 @@
   window.stylesplatWire = true;
   const REST = 80; // milliseconds
   const LEAST = 0.02; // of a picture's side: less is a click
-  const said = { number: 0, before: false, at: null, part: null };
+  const said = { number: 0, before: false, at: null, part: null, large: 0 };
   const setter = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
   let timer = 0;
   let drag = null;
@@ -69,6 +69,15 @@
       `position: absolute; left: ${left}%; top: ${top}%; width: ${right - left}%;` +
       `height: ${bottom - top}%; outline: 2px solid #ffa014; pointer-events: none`;
   }
+
+  window.addEventListener("change", (event) => {
+    const file = event.target.files && event.target.files[0];
+    if (!file || file.size <= $MOST) return;
+    event.stopImmediatePropagation(); // viser would send it
+    said.large = file.size;
+    tell();
+    said.large = 0;
+  }, true);
 
   window.addEventListener("dragstart", (event) => picture(event) && event.preventDefault());
   window.addEventListener("pointerdown", (event) => {

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from stylesplat.atelier.gallery import MOST_BYTES
+
 if TYPE_CHECKING:
     import viser
 
@@ -34,6 +36,8 @@ class Said(msgspec.Struct, frozen=True):
     """Where the pointer rests over the scene, in shares of the picture."""
     part: tuple[Share, Share, Share, Share] | None = None
     """What was dragged on a picture just now: left, top, right, bottom."""
+    large: int = 0
+    """Bytes of a file that was to be sent just now and has too many."""
 
 
 def read(text: str) -> Said | None:
@@ -53,7 +57,7 @@ def add_wire(
         server: Whose page.
         told: Is called with what a browser tells, in the order of that; must not wait.
     """
-    names = {"MARK": MARK, "TITLE": TITLE}
+    names = {"MARK": MARK, "TITLE": TITLE, "MOST": str(MOST_BYTES)}
     script = html.escape(Template(SCRIPT.read_text(encoding="utf-8")).safe_substitute(names))
     server.gui.add_html(Template(PAGE).substitute(names, SCRIPT=script))
     field = server.gui.add_text("page", f"{MARK}{{}}")
