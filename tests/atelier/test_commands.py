@@ -45,10 +45,13 @@ def test_after_save_as_the_commands_start_from_what_is_saved(session: Session, t
     painted(session, "7", picture)
     assert "red" not in recounted(session.state, place.folder, held), "that is saved"
     out = tmp_path / "out"
-    (line,) = commands(session.state, place.folder, out, held[place.folder]) or ()
+    lines = commands(session.state, place.folder, out, held[place.folder])
+    assert lines is not None and len(lines) == 1
+    (line,) = lines
     words = ["stylesplat", "stylize", str(place.folder), "--style", f"7={picture}"]
     assert shlex.split(line)[:5] == words and str(out) in line
-    assert open(place.folder).painted.names == ("red",), "on this the line goes on"
+    saved = open(place.folder).painted
+    assert saved is not None and saved.names == ("red",), "on this the line goes on"
 
 
 def test_a_folder_that_holds_what_was_taken_back_leads_nowhere(session: Session, tmp_path: Path):

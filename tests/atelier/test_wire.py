@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_a_rectangle_that_was_drawn_is_the_part_that_is_painted_with(opened: Stu
 def test_what_is_too_large_is_not_kept_while_it_arrives(opened: Studio):
     said = list[str]()
     opened.session.on_word(lambda line, failure: said.append(line))
-    transfers = opened.server.gui._current_file_upload_states
+    transfers: Any = opened.server.gui._current_file_upload_states
     for name, size, parts in (("a", 30, 60), ("b", 20, 40), ("c", 1, 10**6), ("d", 1, 2)):
         transfers[name] = {"total_bytes": size * 2**20, "part_count": parts, "parts": {}}
     assert [*transfers] == ["a", "d"]

@@ -37,6 +37,11 @@ class Hover:
         self._stage, self._whole = stage, whole
         self._lit = dict[int, tuple[int, str]]()
 
+    @property
+    def lit(self) -> dict[int, str]:
+        """The names of what is lit, by browser."""
+        return {client: name for client, (_, name) in self._lit.items()}
+
     def point(self, client: "viser.ClientHandle", at: Place | None) -> None:
         """A browser's pointer rests somewhere, in shares of its picture; or does no longer."""
         self._stage.session.ask(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stylesplat.atelier.commands import Held, commands, held_by
-from stylesplat.atelier.keeping import FORMATS, Place, exported, still, turntable
+from stylesplat.atelier.keeping import FORMATS, FRAMES, Place, exported, still, turntable
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.viewing import Stage
@@ -94,7 +94,7 @@ class KeepPanel:
         def steps() -> Iterator[None]:
             done = list[bytes]()
             try:
-                yield from turntable(session, self._stage.behind, done)
+                yield from turntable(session, self._stage.behind, done, FRAMES)
             finally:
                 session.painting, session.progress = False, None
                 session.tell_change()

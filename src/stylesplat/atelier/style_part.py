@@ -32,12 +32,13 @@ class StylePart:
         """Add it to the container that is open."""
         self._session, self._gallery = session, gallery
         self._of: tuple[Exhibit, UInt8[np.ndarray, "H W 3"]] | None = None
-        with gui.add_folder("Part of a picture", order=20.0):
+        with gui.add_folder("Part of a picture", expand_by_default=False):
             self._add(gui)
         self.hung()
 
     def _add(self, gui: "viser.GuiApi") -> None:
-        self._titles = gui.add_dropdown("Picture", (NONE,), order=20.0)
+        titles: tuple[str, ...] = (NONE,)
+        self._titles = gui.add_dropdown("Picture", titles, order=20.0)
         blank = np.zeros((1, 1, 3), np.uint8)
         self._sheet = gui.add_image(blank, label=TITLE, format="jpeg", order=21.0, visible=False)
         self._across = gui.add_multi_slider("Across %", 0.0, 100.0, 1.0, WHOLE, order=22.0)

@@ -99,6 +99,11 @@ class Stage:
         self.split = self.split if split is None else split
         self.session.ask(self.refresh, kind="compare")
 
+    @property
+    def held(self) -> bool:
+        """Whether somebody holds the key that shows what was before."""
+        return bool(self._holding)
+
     def hold(self, client_id: int, before: bool) -> None:
         """Show what was before for as long as somebody holds a key."""
         if before == (client_id in self._holding):
