@@ -37,8 +37,7 @@ class StylePart:
         self.hung()
 
     def _add(self, gui: "viser.GuiApi") -> None:
-        titles: tuple[str, ...] = (NONE,)
-        self._titles = gui.add_dropdown("Picture", titles, order=20.0)
+        self._titles: viser.GuiDropdownHandle[str] = gui.add_dropdown("Picture", [NONE], order=20.0)
         blank = np.zeros((1, 1, 3), np.uint8)
         self._sheet = gui.add_image(blank, label=TITLE, format="jpeg", order=21.0, visible=False)
         self._across = gui.add_multi_slider("Across %", 0.0, 100.0, 1.0, WHOLE, order=22.0)
