@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import viser
 
 SECONDS = 0.5
-PAUSE = 1 / 40  # seconds between two places on the way
+PAUSE = 1 / 20  # seconds between two places: browsers without a GPU draw each of them
 
 Vector = Float[np.ndarray, "3"]
 
