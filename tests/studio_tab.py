@@ -12,7 +12,7 @@ from chromium import Page, launched
 T = TypeVar("T")
 
 PATIENCE = 120.0  # seconds: of a machine that does much else
-KEYS = {"Home": 36}  # with the numbers that the protocol knows them by
+KEYS = {"Home": 36, "B": 66}  # with the numbers that the protocol knows them by
 
 
 class Tab:
@@ -26,11 +26,14 @@ class Tab:
             self.page.mouse(what, x, y)
 
     def press(self, key: str) -> None:
-        for kind in ("keyDown", "keyUp"):
-            self.page.call(
-                "Input.dispatchKeyEvent",
-                **{"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": KEYS[key]},
-            )
+        self.hold(key, True)
+        self.hold(key, False)
+
+    def hold(self, key: str, down: bool) -> None:
+        code = f"Key{key}" if len(key) == 1 else key
+        words = {"type": "keyDown" if down else "keyUp", "key": key.lower(), "code": code}
+        words = words if len(key) == 1 else {**words, "key": key}
+        self.page.call("Input.dispatchKeyEvent", **words, windowsVirtualKeyCode=KEYS[key])
 
     def press_button(self, label: str) -> None:
         """Click what has these words on it, as soon as it is there."""

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from stylesplat.atelier.gallery import Gallery
-from stylesplat.atelier.paint_panel import region_of
+from stylesplat.atelier.style_part import framed, region_of
 from stylesplat.atelier.thumbnails import COLUMNS, SIDE, grid, shortened
 from stylesplat.errors import StyleSplatError
 
@@ -50,6 +50,13 @@ def test_a_missing_folder_is_told(tmp_path: Path):
 
 def test_parts_of_a_picture_are_pixels():
     assert region_of((25.0, 100.0), (0.0, 50.0), (200, 80)) == (50, 0, 200, 40)
+
+
+def test_all_but_the_part_is_dark():
+    image = np.full((80, 200, 3), 200, np.uint8)
+    found = framed(image, (25.0, 100.0), (0.0, 50.0))
+    assert (found[:40, 50:] == 200).all() and (found[45:] == 60).all()
+    assert framed(image, (0.0, 100.0), (0.0, 100.0)) is image
 
 
 def test_grids_hold_all_pictures_and_mark_the_picked_ones():

@@ -38,7 +38,7 @@ SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels 
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Iterator[Studio]:
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Studio]:
     """The balls, and a picture of stripes."""
     folder, styles = tmp_path / "balls", tmp_path / "styles"
     save(Scene(SPLATS, enlarged(CAMERAS, 4)), folder)
@@ -47,7 +47,9 @@ def opened(tmp_path: Path) -> Iterator[Studio]:
     pixels = torch.stack([200 * rows, 90 + 0 * rows, 255 - 200 * rows], dim=-1).to(torch.uint8)
     image = Image.fromarray(pixels[:, None].expand(96, 96, 3).numpy())
     image.save(styles / "stripes.png")
+    monkeypatch.setattr("stylesplat.atelier.keep_panel.FRAMES", 6)
     found = studio(folder, styles=styles, port=0, block=False, device="cpu")
+    found.session.greetings.append("The studio of all browsers.")
     yield found
     found.close()
 
@@ -109,8 +111,10 @@ def wait_for_note(opened: Studio, begins: str) -> Callable[[], bool]:
 def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path: Path):
     session = opened.session
     until(lambda: "Picked: nothing" in tab.text(), "the page")
+    until(lambda: "of all browsers" in tab.text(), "a greeting")
     before = at_rest(tab, opened)
 
+    hovers(opened, tab)
     tab.click(*center_of(opened, 3))
     until(lambda: session.state.picked == ("3",), "a pick")
     assert_changed(at_rest(tab, opened) - before, opened)
@@ -121,6 +125,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     until(wait_for_note(opened, "Painted 3"), "strokes")
     painted = at_rest(tab, opened)
     assert_changed(painted - before, opened)
+    holds(opened, tab, painted)
 
     tab.press_button("Compare")
     until(lambda: tab.place_of("slider"), "a slider of intensity")
@@ -141,6 +146,27 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     assert not complaints, json.dumps(complaints, indent=1)
 
 
+def hovers(opened: Studio, tab: Tab) -> None:
+    """The object below the pointer is lit, until the pointer is elsewhere."""
+    hover = opened.page.pick.hover
+    tab.page.mouse("move", *center_of(opened, 7))
+    until(lambda: [*hover.lit.values()] == ["7"], "an object that is lit")
+    tab.page.mouse("move", 2, 2)
+    until(lambda: not hover.lit, "nothing to be lit")
+
+
+def holds(opened: Studio, tab: Tab, painted: np.ndarray) -> None:
+    """B shows what was before, once for as long as it is held."""
+    stage = opened.page.stage
+    tab.hold("B", True)
+    until(lambda: stage.held, "what was before")
+    assert opened.session.worker.settle()
+    tab.hold("B", True)  # as a key that is held repeats
+    tab.hold("B", False)
+    until(lambda: not stage.held, "the painting again")
+    assert np.abs(at_rest(tab, opened) - painted).max() < 3 * SLIGHT
+
+
 def assert_changed(change: np.ndarray, opened: Studio) -> None:
     """The ball is another, and nothing else is."""
     near = near_object(opened, 3)
@@ -158,6 +184,13 @@ def saved_and_exported(opened: Studio, tab: Tab, file: Path) -> None:
     tab.press_button("Download")
     until(file.exists, "a download")
     assert len(read_splats(file)) == len(saved.splats)
+    tab.press_button("This view as PNG")
+    until((file.parent / "view.png").exists, "a picture")
+    with Image.open(file.parent / "view.png") as picture:
+        assert picture.width == 1920
+    tab.press_button("Turntable as MP4")
+    until((file.parent / "turntable.mp4").exists, "a video")
+    assert b"ftyp" in (file.parent / "turntable.mp4").read_bytes()[:16]
 
 
 def near_object(opened: Studio, id: int) -> np.ndarray:

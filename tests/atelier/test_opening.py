@@ -36,6 +36,14 @@ def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Pat
         again.close()
 
 
+def test_of_what_is_thinned_every_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("stylesplat.atelier.viewing.MOST", 100)
+    opened = studio(folder, port=0, block=False)
+    opened.close()
+    (line,) = opened.session.greetings
+    assert "moves 100 of 440 Gaussians" in line
+
+
 def test_the_network_needs_a_token_and_is_warned_of(folder: Path, said: list[str]):
     opened = studio(folder, port=0, host="0.0.0.0", block=False)
     opened.close()

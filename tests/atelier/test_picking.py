@@ -123,7 +123,7 @@ def test_commands_name_the_same_gaussians(tmp_path: Path, capsys: pytest.Capture
     state = pick_ball(state, CAMERA, pixel("3"), 0.3)
     state = pick_ball(state, CAMERA, pixel("300"), 0.3, "add")
     state = pick_ball(state, CAMERA, pixel("3"), 0.2, "away")
-    for line in commands(state, tmp_path / "balls", tmp_path / "out"):
+    for line in commands(state, tmp_path / "balls", tmp_path / "out") or ():
         assert run(*shlex.split(line)[1:]) == 0, line
     found = open(tmp_path / "balls").objects
     assert found.keys() == {"pick 1"}

@@ -2,7 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from stylesplat.atelier.comparing import Variant, at_intensity, taken_back, variant_of
+from stylesplat.atelier.comparing import (
+    Variant,
+    at_intensity,
+    described,
+    taken_back,
+    variant_of,
+)
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.thumbnails import grid
@@ -25,11 +31,13 @@ class ComparePanel:
         """Add it to the container that is open."""
         self.session, self._stage, self._gui = session, stage, server.gui
         gui = server.gui
-        self._show = gui.add_button_group("Show", tuple(VIEWS), hint="B shows what was before")
+        self._show = gui.add_button_group(
+            "Show", tuple(VIEWS), hint="Hold B to see what was before"
+        )
         self._show.on_click(lambda _: stage.compare(VIEWS[self._show.value]))
         self.border = border = gui.add_slider("Split at %", 0, 100, 1, 50)
         border.on_update(lambda _: stage.compare("split", border.value / 100))
-        before = gui.add_command("Before or after", hotkey="B", icon=icon("switch-horizontal"))
+        before = gui.add_command("Before or after", icon=icon("switch-horizontal"))
         before.on_trigger(lambda _: self._toggle())
         self._folder = gui.add_folder("Intensity")
         with self._folder:
@@ -40,6 +48,7 @@ class ComparePanel:
         self._strip: viser.GuiImageHandle | None = None
         with gui.add_folder("Variants") as self._shelf:
             self._titles = gui.add_button_group("Back to", (NONE,), order=2.0)
+            self._settings = gui.add_markdown("", order=3.0)
         self._titles.on_click(lambda _: self._back(self._titles.value))
         with gui.add_folder("Take back"):
             back = gui.add_button("Take the picked object's paint back", icon=icon("eraser"))
@@ -89,6 +98,7 @@ class ComparePanel:
         pictures = [variant.thumbnail for variant in self._variants]
         sheet = grid(pictures, captions(len(pictures), [v.title for v in self._variants]))
         self._titles.options = tuple(str(n + 1) for n in range(len(pictures)))
+        self._settings.content = described(self._variants)
         if self._strip is None:
             with self._shelf:
                 self._strip = self._gui.add_image(sheet, format="png", order=1.0)

@@ -1,18 +1,20 @@
 """What the panel Compare does: how strong paintings are, and which others there were."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.thumbnails import Thumbnail, object_thumbnail, portrait_camera
 from stylesplat.stylization.bookkeeping import strengths
+from stylesplat.stylization.plain_settings import plain
+from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.adjust import adjust
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A painting that was finished."""
+    """A painting that was finished, or stopped."""
 
     title: str
     """The object and the picture."""
@@ -60,3 +62,20 @@ def variant_of(session: Session, name: str, title: str) -> Variant:
         thumbnail=object_thumbnail(splats, camera, picked),
         settings=settings,
     )
+
+
+def described(variants: Sequence[Variant]) -> str:
+    """A line for each variant: its number, its title, and what of its settings is unusual."""
+    usual = plain(StyleConfig())
+    lines = list[str]()
+    for number, variant in enumerate(variants, 1):
+        other = {key: value for key, value in variant.settings.items() if value != usual.get(key)}
+        words = ", ".join(f"{key.replace('_', ' ')} {_word(other[key])}" for key in other)
+        lines.append(f"{number}. {variant.title}: {words or 'usual settings'}")
+    return "\n".join(lines)
+
+
+def _word(value: object) -> str:
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -55,6 +55,7 @@ class Easel:
         self._lives: Iterator[Live] = iter(())
         self._left: tuple[State, Order, Iterator[Live]] | None = None
         self._began, self._shown_at, self._first = 0.0, 0.0, 0
+        session.interrupt = self._stop
 
     @property
     def waiting(self) -> int:
@@ -82,22 +83,7 @@ class Easel:
     def stop(self) -> None:
         """Keep what is painted so far, soon; what waits is not painted."""
 
-        def job() -> None:
-            self._waiting.clear()
-            current, latest, steps = self._current, self._latest, self.session.worker.lengthy
-            if current is None or steps is None:
-                return
-            self.session.worker.go_on_with(None)
-            if latest is None:
-                self.session.stopping = True  # within the first step: it ends that
-                self._end()
-                return
-            lives = self._lives
-            self._kept(current, latest, f"Stopped at step {latest.state.step} of {current.name}")
-            self._left = (self.session.state, current, lives)
-            self.session.tell_change()
-
-        self.session.ask(job)
+        self.session.ask(self._stop)
 
     def go_on(self) -> None:
         """Go on with what was stopped, soon."""
@@ -110,6 +96,24 @@ class Easel:
             self._begin(order, lives)
 
         self.session.ask(job)
+
+    def _stop(self) -> bool:
+        """In the worker's thread: stop; whether something was being painted."""
+        self._waiting.clear()
+        current, latest, steps = self._current, self._latest, self.session.worker.lengthy
+        if current is None or steps is None:
+            return False
+        self.session.worker.go_on_with(None)
+        if latest is None:
+            self.session.stopping = True  # within the first step: it ends that
+            self._end()
+            return True
+        lives, step = self._lives, latest.state.step
+        self._kept(current, latest, f"Stopped at step {step} of {current.name}")
+        self._left = (self.session.state, current, lives)
+        self.session.tell_painted(current.name, f"{current.title} to step {step}")
+        self.session.tell_change()
+        return True
 
     def _start(self) -> None:
         """Begin with what has waited longest; its colours are there at once."""

@@ -89,9 +89,7 @@ class Gallery:
             StyleSplatError: If it is too large, or no picture to take a style from.
         """
         if len(content) > MOST_BYTES:
-            raise StyleSplatError(
-                f"The file has {len(content) / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."
-            )
+            raise StyleSplatError(too_large(len(content)))
         if len(self) >= MOST_PICTURES:
             raise StyleSplatError(f"The gallery holds {MOST_PICTURES} pictures and is full.")
         if self._uploads is None:
@@ -105,3 +103,8 @@ class Gallery:
         """Remove what was uploaded."""
         if self._uploads is not None:
             self._uploads.cleanup()
+
+
+def too_large(size: int) -> str:
+    """What is said of a file of so many bytes."""
+    return f"The file has {size / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."

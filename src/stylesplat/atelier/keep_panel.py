@@ -1,11 +1,13 @@
 """The panel Keep: saving, exporting, pictures, and the command that does the same."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stylesplat.atelier.commands import commands
-from stylesplat.atelier.keeping import FORMATS, Place, exported, still, turntable
+from stylesplat.atelier.commands import Held, commands, held_by
+from stylesplat.atelier.keeping import FORMATS, FRAMES, Place, exported, still, turntable
 from stylesplat.atelier.session import Session
+from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.viewing import Stage
 from stylesplat.atelier.widgets import icon
 from stylesplat.drawing.at_rest import camera_of
@@ -25,7 +27,7 @@ class KeepPanel:
     ) -> None:
         """Add it to the container that is open."""
         self.session, self._stage, self._place, gui = session, stage, place, server.gui
-        self._opened = place.folder
+        self._held = {place.folder: held_by(session.saved)}
         self._told = gui.add_markdown("")
         save = gui.add_button("Save", icon=icon("device-floppy"), hint="Into the scene's folder")
         save.on_click(lambda _: session.ask(lambda: place.save(session)))
@@ -45,10 +47,8 @@ class KeepPanel:
         folder = self._place.folder
         word = "Not saved yet" if self.session.unsaved else "All is saved"
         self._told.content = f"{word}. Folder: `{folder}`"
-        output = folder.resolve().with_name(f"{folder.resolve().name}-painted")
-        lines = commands(self.session.state, self._opened, output)
-        text = "\n".join(map(broken, lines)) or "# nothing is painted or picked by a shape"
-        self._command.content = f"```\n{text}\n```"
+        self._held[folder] = held_by(self.session.saved)
+        self._command.content = f"```\n{recounted(self.session.state, folder, self._held)}\n```"
 
     def _files(self, gui: "viser.GuiApi") -> None:
         ending = gui.add_dropdown("Format", FORMATS)
@@ -94,7 +94,7 @@ class KeepPanel:
         def steps() -> Iterator[None]:
             done = list[bytes]()
             try:
-                yield from turntable(session, self._stage.behind, done)
+                yield from turntable(session, self._stage.behind, done, FRAMES)
             finally:
                 session.painting, session.progress = False, None
                 session.tell_change()
@@ -108,6 +108,26 @@ class KeepPanel:
         if client is not None:
             client.send_file_download(name, content, save_immediately=True)
             self.session.tell(f"{name}: {len(content) / 1e6:.1f} MB.")
+
+
+def recounted(state: State, folder: Path, held: Mapping[Path, Held]) -> str:
+    """The commands that give a state, from a folder that they can be run from.
+
+    Args:
+        state: Of the studio.
+        folder: Where Save writes: they start there if they can.
+        held: What the folders hold that there are, in the order in which they came about.
+    """
+    said = list[str]()
+    for start in (folder, *(other for other in held if other != folder)):
+        output = start.resolve().with_name(f"{start.resolve().name}-painted")
+        lines = commands(state, start, output, held[start])
+        if lines:
+            return "\n".join([*said, *map(broken, lines)])
+        if start == folder:
+            fact = "holds all of this" if lines is not None else "holds more than this"
+            said.append(f"# {folder} {fact}")
+    return "\n".join(said)
 
 
 def broken(command: str) -> str:

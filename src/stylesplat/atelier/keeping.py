@@ -142,7 +142,7 @@ def png(pixels: "object") -> bytes:
 
 
 def turntable(
-    session: Session, behind: tuple[float, float, float], done: "list[bytes]", count: int = FRAMES
+    session: Session, behind: tuple[float, float, float], done: "list[bytes]", count: int
 ) -> Iterator[None]:
     """Make a video of a round trip, frame by frame.
 

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stylesplat.atelier.easel import Easel
-from stylesplat.atelier.gallery import Gallery
+from stylesplat.atelier.gallery import MOST_BYTES, Gallery, too_large
 from stylesplat.atelier.keeping import Place
 from stylesplat.atelier.page import Page
 from stylesplat.atelier.session import Session
+from stylesplat.atelier.uploads import bound_uploads
+from stylesplat.atelier.warming import warm_up_for_the_first
 from stylesplat.drawing.browser import refuse_empty
 from stylesplat.drawing.private_server import ADDRESS, private_server
 from stylesplat.errors import StyleSplatError
@@ -124,6 +126,8 @@ def studio(
             session.history.add(kept)
             say("Recovered what was not saved the last time. Undo goes back to what was saved.")
     page = Page(server, session, Easel(session, **options), gallery, place)
+    bound_uploads(server, MOST_BYTES, lambda size: session.tell(too_large(size), failure=True))
+    warm_up_for_the_first(server, session.worker, **options)
     opened = Studio(server, page, place, gallery)
     opened.token = token
     if token is not None:

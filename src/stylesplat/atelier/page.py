@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from stylesplat.atelier.compare_panel import ComparePanel
 from stylesplat.atelier.easel import Easel
-from stylesplat.atelier.gallery import Gallery
+from stylesplat.atelier.gallery import Gallery, too_large
 from stylesplat.atelier.keep_panel import KeepPanel
 from stylesplat.atelier.keeping import Place
 from stylesplat.atelier.paint_panel import PaintPanel
@@ -13,12 +13,13 @@ from stylesplat.atelier.see_panel import add_see_panel
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.viewing import Stage
 from stylesplat.atelier.widgets import icon
+from stylesplat.atelier.wire import Said, add_wire
 
 if TYPE_CHECKING:
     import viser
 
 BRAND = (232, 138, 30)
-SECONDS = 6.0  # that a word is shown; failures stay longer
+SECONDS = 6.0  # that a word is shown
 UNDO, REDO = "undo", "redo"
 
 
@@ -50,6 +51,7 @@ class Page:
         self._history = gui.add_button_group("History", (UNDO, REDO))
         self._history.on_click(lambda _: session.step(-1 if self._history.value == UNDO else 1))
         self._keys(gui)
+        add_wire(server, self._told)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Pick", icon("pointer")):
             self.pick = PickPanel(server, session, self.stage)
@@ -64,6 +66,7 @@ class Page:
         session.on_change(self.refresh)
         session.on_progress(self.progress)
         session.on_word(self._say)
+        server.on_client_connect(self._greet)
         self.refresh()
 
     def refresh(self) -> None:
@@ -92,11 +95,28 @@ class Page:
         forth = gui.add_command("Redo", hotkey="Y", modifier="cmd/ctrl")
         forth.on_trigger(lambda _: self.session.step(1))
 
+    def _told(self, client: "viser.ClientHandle", said: Said) -> None:
+        self.stage.hold(client.client_id, said.before)
+        self.pick.hover.point(client, said.at)
+        if said.part is not None:
+            self.paint.part.draw(said.part)
+        if said.large:
+            notify(client, too_large(said.large), failure=True)
+
     def _say(self, line: str, failure: bool) -> None:
         for client in self.server.get_clients().values():
-            client.add_notification(
-                "That did not work" if failure else "StyleSplat",
-                line,
-                color="red" if failure else None,
-                auto_close_seconds=(3 if failure else 1) * SECONDS,
-            )
+            notify(client, line, failure=failure)
+
+    def _greet(self, client: "viser.ClientHandle") -> None:
+        for line in self.session.greetings:
+            notify(client, line)
+
+
+def notify(client: "viser.ClientHandle", line: str, *, failure: bool = False) -> None:
+    """Show a line in one browser; failures stay longer."""
+    client.add_notification(
+        "That did not work" if failure else "StyleSplat",
+        line,
+        color="red" if failure else None,
+        auto_close_seconds=(3 if failure else 1) * SECONDS,
+    )

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 from stylesplat.atelier.easel import Easel, styled
 from stylesplat.atelier.gallery import Gallery
 from stylesplat.atelier.session import Session
+from stylesplat.atelier.style_part import StylePart
 from stylesplat.atelier.thumbnails import grid
 from stylesplat.atelier.widgets import icon
 from stylesplat.stylization.style_config import StyleConfig
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
 
 NONE = "none"
 USUAL = StyleConfig()
-WHOLE = (0.0, 100.0)
 HELP = "Pick an object, then click a picture's name: it is painted."
 
 
@@ -64,6 +64,7 @@ class PaintPanel:
     def _hung(self) -> None:
         """The gallery is another."""
         exhibits = self.gallery.exhibits
+        self.part.hung()
         self._titles.options = tuple(each.title for each in exhibits) or (NONE,)
         if exhibits:
             sheet = grid([e.thumbnail for e in exhibits], [e.title for e in exhibits])
@@ -100,26 +101,12 @@ class PaintPanel:
             "smoothness": gui.add_slider("Smoothness", 0.0, 5.0, 0.1, USUAL.smoothness),
             "rotate": gui.add_slider("Rotate", 0.0, 345.0, 15.0, USUAL.rotate),
         }
-        self._across = gui.add_multi_slider("Part, left to right %", 0.0, 100.0, 1.0, WHOLE)
-        self._down = gui.add_multi_slider("Part, top to bottom %", 0.0, 100.0, 1.0, WHOLE)
+        self.part = StylePart(gui, self.session, self.gallery)
 
     def _chosen(self, size: tuple[int, int]) -> dict[str, Any]:
         """The settings that differ from the usual ones."""
         found: dict[str, Any] = {name: each.value for name, each in self.controls.items()}
         usual = {**vars(USUAL), "texture": USUAL.softened}
         found = {name: value for name, value in found.items() if value != usual[name]}
-        across, down = tuple(self._across.value), tuple(self._down.value)
-        if (across, down) != (WHOLE, WHOLE):
-            found["region"] = region_of(across, down, size)
-        return found
-
-
-def region_of(
-    across: tuple[float, ...], down: tuple[float, ...], size: tuple[int, int]
-) -> tuple[int, int, int, int]:
-    """Shares of a picture in percent as its pixels: x0, y0, x1, y1."""
-    (x0, x1), (y0, y1) = (
-        [round(share * length / 100) for share in shares]
-        for shares, length in ((across, size[0]), (down, size[1]))
-    )
-    return x0, y0, x1, y1
+        region = self.part.region(size)
+        return found if region is None else {**found, "region": region}

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from stylesplat.atelier.box_handles import BoxHandles
+from stylesplat.atelier.hovering import Hover
 from stylesplat.atelier.picking import (
     How,
     alone,
@@ -15,6 +16,7 @@ from stylesplat.atelier.picking import (
     pick_box,
     pick_names,
     pick_words,
+    pixel_of,
     renamed,
     resized,
     united,
@@ -26,7 +28,6 @@ from stylesplat.atelier.thumbnails import grid
 from stylesplat.atelier.viewing import Stage
 from stylesplat.atelier.widgets import icon
 from stylesplat.drawing.at_rest import camera_of
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ class PickPanel:
         self._folder = gui.add_folder("Objects")
         self._server = server
         self._names = list[str]()
+        self.hover = Hover(stage, lambda: self._what.value == OBJECT)
         with self._folder:
             self._group = gui.add_button_group("Pick", (NOBODY,))
         self._group.on_click(self._named)
@@ -148,7 +150,7 @@ class PickPanel:
             ball, radius = self._what.value == BALL, float(self._radius.value)
 
             def pick(state: State) -> State:
-                pixel = _pixel(camera, place)
+                pixel = pixel_of(camera, place)
                 if ball:
                     return pick_ball(state, camera, pixel, radius, how)
                 return pick_at(state, session.masks, camera, pixel, how)
@@ -161,7 +163,7 @@ class PickPanel:
         @scene.on_rect_select(modifier=modifier)
         def _(event: "viser.SceneRectSelectEvent") -> None:
             camera = camera_of(event.client)
-            low, high = _pixel(camera, event.screen_min), _pixel(camera, event.screen_max)
+            low, high = pixel_of(camera, event.screen_min), pixel_of(camera, event.screen_max)
 
             def pick(state: State) -> State:
                 found = object_in(state, session.masks, camera, low, high)
@@ -173,10 +175,3 @@ class PickPanel:
 def toggled(state: State, name: str) -> State:
     """Pick an object, or if it is the pick, nothing."""
     return pick_names(state, [] if state.picked == (name,) else [name])
-
-
-def _pixel(camera: Cameras, place: tuple[float, float]) -> tuple[float, float]:
-    """A place in 0..1 as a pixel, within the picture."""
-    width, height = camera.size
-    x, y = (min(max(each, 0.0), 0.9999) for each in place)
-    return x * width, y * height

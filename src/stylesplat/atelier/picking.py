@@ -72,13 +72,27 @@ def object_in(
     return names[int(counts.masked_fill(~alike, len(splats) + 1).argmin())]
 
 
+def object_at(
+    state: State, masks: Masks, camera: Cameras, place: tuple[float, float]
+) -> str | None:
+    """The object that shows at a pixel; None if none does."""
+    x, y = (float(int(each)) for each in place)
+    low, high = (x - AROUND, y - AROUND), (x + 1 + AROUND, y + 1 + AROUND)
+    return object_in(state, masks, camera, low, high)
+
+
+def pixel_of(camera: Cameras, place: tuple[float, float]) -> tuple[float, float]:
+    """A place in shares of a picture, 0 to 1, as a pixel of it, within its bounds."""
+    width, height = camera.size
+    x, y = (min(max(each, 0.0), 0.9999) for each in place)
+    return x * width, y * height
+
+
 def pick_at(
     state: State, masks: Masks, camera: Cameras, place: tuple[float, float], how: How = "new"
 ) -> State:
     """Pick the object that shows at a pixel; where none does, nothing."""
-    x, y = (float(int(each)) for each in place)
-    low, high = (x - AROUND, y - AROUND), (x + 1 + AROUND, y + 1 + AROUND)
-    found = object_in(state, masks, camera, low, high)
+    found = object_at(state, masks, camera, place)
     if found is None:
         return pick_names(state, [], how) if how == "new" and state.picked else state
     return pick_names(state, [found], how)

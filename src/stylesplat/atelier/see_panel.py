@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from stylesplat.atelier.viewing import BEHIND, Stage, fly
+from stylesplat.atelier.viewing import BEHIND, Stage, stand_at
 from stylesplat.atelier.widgets import icon
 
 if TYPE_CHECKING:
@@ -19,8 +19,7 @@ def add_see_panel(server: "viser.ViserServer", stage: Stage) -> None:
     @home.on_click
     def _(event: "viser.GuiEvent") -> None:
         if event.client is not None:
-            client = event.client
-            stage.session.ask(lambda: stage.home(client))
+            stage.home(event.client)
 
     if len(scene.cameras) > 1:
         row = gui.add_slider(FLY, 1, len(scene.cameras), 1, 1, hint="The view of each photo")
@@ -28,7 +27,7 @@ def add_see_panel(server: "viser.ViserServer", stage: Stage) -> None:
         @row.on_update
         def _(event: "viser.GuiEvent") -> None:
             if event.client is not None:
-                fly(event.client, scene.cameras[int(row.value) - 1])
+                stage.flights.fly(event.client, stand_at(scene, scene.cameras[int(row.value) - 1]))
 
     frames = gui.add_checkbox(
         "Show cameras", False, hint="Click one to fly there; meanwhile colours are means"
@@ -37,8 +36,8 @@ def add_see_panel(server: "viser.ViserServer", stage: Stage) -> None:
     paper = gui.add_rgb("Background", _bytes(BEHIND))
     paper.on_update(lambda _: stage.paper(_colour(paper.value)))
     gui.add_markdown(
-        "Drag to turn, right drag to move, wheel to come closer. At rest the picture is exact: "
-        "all bands of colour."
+        "Drag to turn, right drag to move, wheel to come closer. To fly: **W A S D**, **Q** down, "
+        "**E** up, arrows turn. At rest the picture is exact: all bands of colour."
     )
 
 

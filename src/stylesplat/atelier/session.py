@@ -57,6 +57,10 @@ class Session:
         """What is under way."""
         self.painting = False
         """Whether something is being painted, or filmed: the scene stays as it is meanwhile."""
+        self.interrupt: Callable[[], bool] = lambda: False
+        """Ends at once what is being painted, keeping what there is of it; whether it could."""
+        self.greetings = list[str]()
+        """What everybody is told who comes to see."""
         self.stopping = False
         """Whether long work is to end at once."""
         self._changed, self._progressed = list[Callable[[], None]](), list[Callable[[], None]]()
@@ -88,7 +92,7 @@ class Session:
         self._progressed.append(callback)
 
     def on_painted(self, callback: Callable[[str, str], None]) -> None:
-        """Have told, when an object is painted to the end, its name and the picture's."""
+        """Have told, when an object is painted or stopped, its name and the picture's."""
         self._painted.append(callback)
 
     def on_word(self, callback: Callable[[str, bool], None]) -> None:
@@ -117,11 +121,17 @@ class Session:
         self.ask(job, kind=kind)
 
     def step(self, rows: int) -> None:
-        """Undo or redo, soon."""
+        """Undo or redo, soon. Undo ends a painting first, and takes what there is of it back."""
 
         def job() -> None:
             if self.painting:
-                raise StyleSplatError("Something is being painted. Press Stop before you undo.")
+                before = self.state
+                if rows > 0 or not self.interrupt():
+                    raise StyleSplatError(
+                        "Something is being painted or filmed. Wait until it is done, or Stop it."
+                    )
+                if self.state is before:  # there was no stroke yet
+                    return
             self.history.step(rows)
             self.preview = None
             self.tell_change()
@@ -148,7 +158,7 @@ class Session:
             callback()
 
     def tell_painted(self, name: str, title: str) -> None:
-        """An object is painted to the end."""
+        """An object is painted to the end, or was stopped."""
         for callback in self._painted:
             callback(name, title)
 

@@ -10,7 +10,7 @@ import torch
 
 from stylesplat.atelier.studio_state import State
 
-BUDGET = 2**29  # bytes in memory: a painting on 100,000 Gaussians takes 70 MB
+BUDGET = 2**28  # bytes in memory: a painting on 100,000 Gaussians takes 70 MB
 
 
 class StoredStates:

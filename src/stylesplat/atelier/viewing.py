@@ -1,5 +1,6 @@
 """What the panel See does: the picture of all browsers, and where their cameras are."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -7,14 +8,16 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from stylesplat.atelier.flights import Flights, Stand, stand_of
 from stylesplat.atelier.session import Session
 from stylesplat.drawing.at_rest import AtRest
 from stylesplat.drawing.browser import place_camera
+from stylesplat.drawing.first_view import first_view
 from stylesplat.drawing.live_splats import MOST, LiveSplats
 from stylesplat.drawing.shown import Shown
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import extent_of
-from stylesplat.scene.poses import up_vector
+from stylesplat.scene.content import content_of, extent_of
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
 if TYPE_CHECKING:
@@ -24,6 +27,7 @@ Compared = Literal["after", "before", "split"]
 
 BEHIND = (0.086, 0.086, 0.094)  # what is behind everything at first: that of the dark page
 MOST_FRAMES = 60  # cameras that are drawn
+NEAREST = 0.1  # world units to what a photo's camera turns about, at least
 CLOSE = 1.6  # extents of an object from which it is looked at
 
 
@@ -39,8 +43,14 @@ class Stage:
         """Whether paintings are seen, or what was before, or one beside the other."""
         self.split = 0.5
         """Where a split view has its border, of the picture's width."""
+        self._holding, self.flights = set[int](), Flights()
         scene = session.state.scene
         place_camera(server, scene.splats, scene.cameras)
+        view = first_view(scene.splats, scene.cameras)
+        self._first = Stand(
+            *(each.double().numpy() for each in (view.position, view.target, view.up)),
+            fov=server.initial_camera.fov,
+        )
         self._last = self.shown()
         self._splats = LiveSplats(server, self._last)
         self.rest = AtRest(server, session.worker, self.look)
@@ -48,16 +58,18 @@ class Stage:
         self._drawn_over = set[str]()
         self._frames = list["viser.CameraFrustumHandle"]()
         session.on_change(self.refresh)
-        if len(scene.splats) > MOST:
-            session.tell(
-                f"The browser moves {MOST:,} of {len(scene.splats):,} Gaussians; at rest the "
-                "picture is of all."
+        server.on_client_disconnect(lambda client: self.hold(client.client_id, False))
+        count = len(scene.splats)
+        if count > MOST:
+            session.greetings.append(
+                f"The browser moves {MOST:,} of {count:,} Gaussians; at rest the picture is of all."
             )
 
     def shown(self) -> Shown:
         """What is to be seen now."""
         seen = self.session.shown
-        if self.compared == "before" and self.session.preview is None:
+        before = self.compared == "before" or self._holding
+        if before and self.session.preview is None:
             return Shown(self.session.state.scene.unpainted, hidden=seen.hidden)
         return seen
 
@@ -68,10 +80,12 @@ class Stage:
         self.rest.active = not self.session.painting and not self._drawn_over
         self.rest.changed()
 
-    def look(self, camera: Cameras) -> UInt8[np.ndarray, "H W 3"]:
-        """What a camera sees exactly."""
-        image = self._last.render(camera, self.behind).numpy()
-        if self.compared == "split" and self.session.preview is None:
+    def look(
+        self, camera: Cameras, pointed: Bool[Tensor, " N"] | None = None
+    ) -> UInt8[np.ndarray, "H W 3"]:
+        """What a camera sees exactly, some Gaussians tinted as those below the pointer."""
+        image = replace(self._last, pointed=pointed).render(camera, self.behind).numpy()
+        if self.compared == "split" and not self._holding and self.session.preview is None:
             scene, hidden = self.session.state.scene, self._last.hidden
             before = Shown(scene.unpainted, hidden=hidden).render(camera, self.behind).numpy()
             middle = round(self.split * image.shape[1])
@@ -84,6 +98,24 @@ class Stage:
         self.compared = compared
         self.split = self.split if split is None else split
         self.session.ask(self.refresh, kind="compare")
+
+    @property
+    def held(self) -> bool:
+        """Whether somebody holds the key that shows what was before."""
+        return bool(self._holding)
+
+    def hold(self, client_id: int, before: bool) -> None:
+        """Show what was before for as long as somebody holds a key."""
+        if before == (client_id in self._holding):
+            return
+        (self._holding.add if before else self._holding.discard)(client_id)
+        self.session.ask(self._exchange, kind="compare")
+
+    def _exchange(self) -> None:
+        """In the worker's thread: something else is to be seen, at once and without a gap."""
+        self._last = self.shown()
+        self.rest.again()
+        self._splats.show(self._last)
 
     def paper(self, behind: tuple[float, float, float]) -> None:
         """Another colour behind everything."""
@@ -122,20 +154,22 @@ class Stage:
 
         @frame.on_click
         def _(event: "viser.SceneNodePointerEvent[viser.CameraFrustumHandle]") -> None:
-            fly(event.client, camera)
+            self.flights.fly(event.client, stand_at(self.session.state.scene, camera))
 
         return frame
 
     def home(self, client: "viser.ClientHandle") -> None:
         """Where it began, or if something is picked, close to that."""
+        self.flights.fly(client, self.at_home(stand_of(client)))
+
+    def at_home(self, now: Stand) -> Stand:
+        """Where Home leads to."""
         state = self.session.state
         picked = self.session.masks.together(state.scene, state.picked)
-        start = self.server.initial_camera
         if picked is None:
-            client.camera.position, client.camera.look_at = start.position, start.look_at
-            return
-        position, centre = close_to(state.scene.splats, picked, client.camera.position)
-        client.camera.position, client.camera.look_at = position, centre
+            return self._first
+        position, centre = close_to(state.scene.splats, picked, now.position)
+        return replace(now, position=position, target=centre)
 
 
 def close_to(
@@ -149,13 +183,15 @@ def close_to(
     return centre + away / max(float(np.linalg.norm(away)), 1e-9) * distance, centre
 
 
-def fly(client: "viser.ClientHandle", camera: Cameras) -> None:
-    """Take a browser's camera to that of a photo."""
-    wxyz, position, fov = pose_of(camera)
-    with client.atomic():
-        client.camera.up_direction = up_vector(camera).numpy()
-        client.camera.wxyz, client.camera.position = wxyz, position
-        client.camera.fov = fov
+def stand_at(scene: Scene, camera: Cameras) -> Stand:
+    """Where a photo was taken, turning about what is in its middle as far away as the content."""
+    _, position, fov = pose_of(camera)
+    forward = camera.viewmats[0, 2, :3].double().numpy()
+    content = content_of(scene.splats).extent.centre.double().numpy()
+    distance = max(float((content - position) @ forward), NEAREST)
+    return Stand(
+        position, position + distance * forward, -camera.viewmats[0, 1, :3].double().numpy(), fov
+    )
 
 
 def pose_of(camera: Cameras) -> tuple[np.ndarray, np.ndarray, float]:

@@ -57,6 +57,20 @@ class AtRest:
         """Whether a browser shows an exact picture now."""
         return client_id in self._shown
 
+    def motion(self, client_id: int) -> int:
+        """A number that is another one as soon as a browser's picture is out of date."""
+        return self._motions.get(client_id, 0)
+
+    def again(self, client_id: int | None = None, look: Look | None = None) -> None:
+        """In the worker's thread: make the pictures that are shown anew, without a gap.
+
+        Args:
+            client_id: Whose; those of all browsers by default.
+            look: What the camera sees for once, if it is not what it always sees.
+        """
+        for each in [*self._shown] if client_id is None else {client_id} & self._shown:
+            self._picture(each, look)
+
     async def _joined(self, client: "viser.ClientHandle") -> None:
         async def moved(camera: "viser.CameraHandle") -> None:
             self._moved(client.client_id)
@@ -94,12 +108,12 @@ class AtRest:
 
         self._worker.ask(picture, kind=f"at rest {client_id}", patient=True)
 
-    def _picture(self, client_id: int) -> None:
+    def _picture(self, client_id: int, look: Look | None = None) -> None:
         """In the worker's thread."""
         client, motion = self._clients.get(client_id), self._motions.get(client_id)
         if client is None or not self.active:
             return
-        pixels = self._look(camera_of(client))
+        pixels = (look or self._look)(camera_of(client))
 
         def send() -> None:
             if self.active and self._motions.get(client_id) == motion:

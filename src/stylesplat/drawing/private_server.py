@@ -28,6 +28,7 @@ REFUSAL = (
     "way of an SSH tunnel.\n"
 )
 COOKIE = "stylesplat-token"
+LARGEST = 4 * 2**20  # bytes of what a page sends at once; files come in parts of half a MB
 ASKING = """<!doctype html><html lang="en"><meta charset="utf-8"><title>StyleSplat</title>
 <body style="font: 16px system-ui; background: #161618; color: #e6e6e8; display: grid;
 place-content: center; height: 90vh"><form method="get"><h1>StyleSplat</h1>
@@ -65,6 +66,7 @@ def private_server(
 
     def serve_own(*args: Any, process_request: Any = None, **options: Any) -> Any:
         guarded.append(True)
+        options["max_size"] = LARGEST
         return serve(*args, process_request=guard(process_request), **options)
 
     library.serve = serve_own  # viser has no hook; it has called this when it is made

@@ -13,7 +13,10 @@ from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
-GLOW = (1.0, 0.62, 0.05)  # what picked Gaussians are tinted with
+Color = tuple[float, float, float]
+
+GLOW: Color = (1.0, 0.62, 0.05)  # what picked Gaussians are tinted with
+POINTED: Color = (0.45, 0.75, 1.0)  # and those below the pointer
 STRENGTH = 0.45  # of the tint: shapes and patterns are still seen
 
 
@@ -27,27 +30,29 @@ class Shown:
     """Those that are tinted."""
     hidden: Bool[Tensor, " N"] | None = None
     """Those that are left out."""
+    pointed: Bool[Tensor, " N"] | None = None
+    """Those that are tinted otherwise."""
 
     @cached_property
     def visible(self) -> Splats:
         """Tinted, and without what is hidden."""
-        splats = self.splats if self.glowing is None else glowed(self.splats, self.glowing)
+        splats = self.splats
+        for rows, color in ((self.glowing, GLOW), (self.pointed, POINTED)):
+            splats = splats if rows is None else glowed(splats, rows, color)
         return splats if self.hidden is None else splats[~self.hidden]
 
     @torch.no_grad()
-    def render(
-        self, camera: Cameras, background: tuple[float, float, float]
-    ) -> UInt8[Tensor, "H W 3"]:
+    def render(self, camera: Cameras, background: Color) -> UInt8[Tensor, "H W 3"]:
         """The exact picture, with all bands of colour."""
         behind = torch.tensor(background).to(self.visible.means)
         image, _, _ = rasterize(self.visible, camera, background=behind)
         return to_uint8(image[0]).cpu()
 
 
-def glowed(splats: Splats, picked: Bool[Tensor, " N"]) -> Splats:
+def glowed(splats: Splats, picked: Bool[Tensor, " N"], color: Color = GLOW) -> Splats:
     """The splats with some Gaussians tinted."""
     share = STRENGTH * picked.to(splats.means)[:, None, None]
-    tint = sh0_from_rgb(torch.tensor([GLOW])).to(splats.sh0)
+    tint = sh0_from_rgb(torch.tensor([color])).to(splats.sh0)
     return replace(
         splats,
         sh0=torch.lerp(splats.sh0, tint.expand_as(splats.sh0), share),
