@@ -67,3 +67,14 @@ def test_a_folder_that_holds_what_was_taken_back_leads_nowhere(session: Session,
     told = recounted(session.state, session.folder, held)
     assert told.startswith(f"# {session.folder} holds more than this")
     assert f"stylize {tmp_path / 'first'}" in told and "7=" in told and "3=" not in told
+
+
+def test_what_is_saved_where_it_was_is_told_as_well(session: Session, tmp_path: Path):
+    picture = tmp_path / "stripes.png"
+    Image.fromarray(to_uint8(stripes()).numpy()).save(picture)
+    painted(session, "3", picture)
+    Place(session.folder).save(session)
+    told = recounted(session.state, session.folder, {session.folder: held_by(session.saved)})
+    first, second, line = told.splitlines()[:3]
+    assert first == f"# {session.folder} holds all of this" and "like this" in second
+    assert line.startswith(f"stylesplat stylize {session.folder}") and f"3={picture}" in told

@@ -127,6 +127,8 @@ def recounted(state: State, folder: Path, held: Mapping[Path, Held]) -> str:
         if start == folder:
             fact = "holds all of this" if lines is not None else "holds more than this"
             said.append(f"# {folder} {fact}")
+    lines = commands(state, folder, folder.with_name(f"{folder.name}-painted")) or []
+    said += ["# and came about like this", *map(broken, lines)] if lines else []
     return "\n".join(said)
 
 
