@@ -27,8 +27,8 @@ def grow(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tenso
     """
     others = (~picked).nonzero()[:, 0]
     surface = splats.means[solid(splats, picked)]
-    near = _near(splats.means[others], surface, _reach(surface, share))
-    return picked.index_fill(0, others[near], True)
+    close = near(splats.means[others], surface, _reach(surface, share))
+    return picked.index_fill(0, others[close], True)
 
 
 def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tensor, " N"]:
@@ -47,12 +47,12 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
     own = picked.nonzero()[:, 0]
     reach = _reach(splats.means[solid(splats, picked)], share)
     around = ~picked & (torch.sigmoid(splats.opacities) >= FAINT)
-    near = _near(splats.means[own], splats.means[around], reach)
-    if near.all():
+    close = near(splats.means[own], splats.means[around], reach)
+    if close.all():
         raise StyleSplatError(
             f"Shrinking by {share:g} of its extent leaves nothing of the object. Shrink it less."
         )
-    return picked.index_fill(0, own[near], False)
+    return picked.index_fill(0, own[close], False)
 
 
 def extent(points: Float[Tensor, "M 3"]) -> float:
@@ -70,7 +70,7 @@ def _reach(surface: Float[Tensor, "M 3"], share: float) -> float:
     return share * extent(surface)
 
 
-def _near(
+def near(
     points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
 ) -> Bool[Tensor, " M"]:
     """Which points lie at most so far from one of the others."""

@@ -11,6 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
 from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.object_views import Box, typical_length
@@ -48,11 +49,14 @@ class Ground:
 
 
 def own_ground(studio: Studio, job: StyleJob) -> Ground:
-    """The object as it is.
+    """The object as it is, without what lies on the surface that it stands on.
 
     Raises:
         StyleSplatError: If it is not seen, or nothing is its own.
     """
+    if not job.config.hard:
+        support = on_support(studio.splats, job.picked, seed=job.config.seed)
+        job = replace(job, picked=job.picked & ~support)
     places = [] if job.config.hard else find_places(studio.splats, job.picked, studio.cameras)
     everyone = torch.arange(len(studio.splats), device=studio.splats.device)
     return _with_shares(studio, job, everyone, places)
