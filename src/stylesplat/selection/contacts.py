@@ -19,7 +19,7 @@ SMOOTH = 0.004  # what no surface is taken to be smoother than
 TOUCHING = 0.08  # how high above a surface the object may begin
 FEW = 50  # Gaussians that make up no surface
 SAMPLE = 4000  # Gaussians that planes are tried on
-PLANES = 3000  # that are tried, each through three Gaussians
+PLACES, EACH = 300, 10  # Gaussians, and planes through each and two others that are tried
 TRIES = 10  # times that the best of them is looked at closely
 LARGE = 10.0  # times the median area, beyond which a Gaussian counts no more
 ABOVE, LOWEST = 0.95, 0.01  # share of the object on one side of what it stands on; of its foot
@@ -128,12 +128,12 @@ def _areas(splats: Splats) -> Float[Tensor, " N"]:
 
 def _planes(points: Float[Tensor, "M 3"], generator: torch.Generator) -> Float[Tensor, "P 4"]:
     """Normals and offsets of planes through three of the points, each near the others."""
-    first = torch.randint(len(points), (PLANES,), generator=generator)
+    first = points[torch.randint(len(points), (PLACES,), generator=generator)]
     count = len(points) // 4
-    _, close = KDTree(points.double().numpy()).query(points[first].double().numpy(), k=count)
-    pairs = torch.randint(1, count, (PLANES, 2), generator=generator)
-    b, c = points[torch.from_numpy(close).gather(1, pairs)].unbind(1)
-    a = points[first]
+    _, close = KDTree(points.double().numpy()).query(first.double().numpy(), k=count)
+    others = torch.randint(1, count, (PLACES, 2 * EACH), generator=generator)
+    b, c = points[torch.from_numpy(close).gather(1, others)].view(-1, 2, 3).unbind(1)
+    a = first.repeat_interleave(EACH, dim=0)
     normals = torch.linalg.cross(b - a, c - a)
     lengths = normals.norm(dim=1, keepdim=True)
     normals = normals / lengths.clamp(min=1e-30)
