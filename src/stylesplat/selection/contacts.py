@@ -20,6 +20,7 @@ TOUCHING = 0.08  # how high above a surface the object may begin
 FEW = 50  # Gaussians that make up no surface
 SAMPLE = 4000  # Gaussians that planes are tried on
 PLACES, EACH = 300, 10  # Gaussians, and planes through each and two others that are tried
+FITS = 5  # each to what is near the one before
 TRIES = 10  # times that the best of them is looked at closely
 LARGE = 10.0  # times the median area, beyond which a Gaussian counts no more
 ABOVE, LOWEST = 0.95, 0.01  # share of the object on one side of what it stands on; of its foot
@@ -166,12 +167,13 @@ def _best(
     if int(held.max()) < FEW:
         return None
     normal, offset = best[:3], float(best[3])
-    for _ in range(5):
-        chosen = points[(points @ normal - offset).abs() < thick]
+    chosen = points[heights[:, held.argmax()].abs() < thick]
+    for _ in range(FITS):
         middle = chosen.mean(dim=0)
         fitted = torch.linalg.svd(chosen - middle, full_matrices=False).Vh[2]
         normal = fitted if fitted @ normal > 0 else -fitted
         offset = float(middle @ normal)
+        chosen = points[(points @ normal - offset).abs() < thick]
     sigma = 1.4826 * float((chosen @ normal - offset).abs().median())
     return Surface(normal, offset, max(ROUGH * sigma, SMOOTH / THICK * thick))
 
