@@ -29,7 +29,9 @@ BEYOND = 0.6  # share of the directions in which a surface has to go on
 ROUGH = 2.0  # standard deviations from the surface that are still on it
 FOOT = 4.0  # times the tolerance: how low what rises above the surface is its foot
 NEIGHBOURS = 9  # most of which rise above where something rises above
-MOST = 0.4  # share of the object's area that may lie on the surface; else the object itself does
+# Share of the object's area that may lie on the surface; else the object itself does. Measured: a
+# keyboard 0.33 to 0.38, the largest contact of the demo 0.19
+MOST = 0.25
 
 
 @dataclass(frozen=True)
