@@ -18,7 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import stylesplat as ss
-from studio_tab import Tab, studio_tab, until
+from studio_tab import Tab, center_of, studio_tab, until
 from stylesplat.atelier.comparing import at_intensity
 from stylesplat.atelier.opening import Studio
 
@@ -50,10 +50,11 @@ def rests(opened: Studio) -> bool:
 
 def picks(opened: Studio, tab: Tab) -> Iterator[Time]:
     session = opened.session
+    place = center_of(opened, next(iter(session.state.scene.objects)))
     for _ in range(TIMES):
         session.worker.settle(PATIENCE)
         before = session.state
-        tab.click(480, 270)  # the middle
+        tab.click(*place)
         changed = lambda before=before: session.state is not before  # noqa: E731
         yield "click to the pick", seconds_until(changed, "a pick")
         opened.page.stage.rest.changed()

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from chromium import Page, launched
+from stylesplat.atelier.opening import Studio
+from stylesplat.drawing.at_rest import camera_of
+from stylesplat.rendering.shares import coverage
 
 T = TypeVar("T")
 
@@ -65,6 +68,16 @@ def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> 
             return answer
         time.sleep(0.05)
     raise AssertionError(f"Waited {seconds:g} s for {what}.")
+
+
+def center_of(opened: Studio, name: str) -> tuple[float, float]:
+    """Where an object shows on the page."""
+    (client,) = opened.server.get_clients().values()
+    camera = camera_of(client)
+    scene = opened.session.state.scene
+    seen = coverage(scene.splats, camera, opened.session.masks.of(scene, name))
+    y, x = (each.float().mean().item() for each in (seen > 0.8).nonzero(as_tuple=True))
+    return x, y
 
 
 @contextmanager

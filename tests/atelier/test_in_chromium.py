@@ -11,7 +11,7 @@ from PIL import Image
 
 from balls import CAMERAS, SPLATS, enlarged
 from chromium import needs_chromium
-from studio_tab import Tab, studio_tab, until
+from studio_tab import Tab, center_of, studio_tab, until
 from stylesplat.atelier.opening import Studio, studio
 from stylesplat.atelier.studio_state import shown
 from stylesplat.drawing.at_rest import camera_of
@@ -94,16 +94,6 @@ def exact(opened: Studio) -> np.ndarray:
     return seen.render(camera_of(client), stage.behind).numpy().astype(float)
 
 
-def center_of(opened: Studio, id: int) -> tuple[float, float]:
-    """Where a ball shows on the page."""
-    (client,) = opened.server.get_clients().values()
-    camera = camera_of(client)
-    scene = opened.session.state.scene
-    seen = coverage(scene.splats, camera, opened.session.masks.of(scene, str(id)))
-    y, x = (each.float().mean().item() for each in (seen > 0.8).nonzero(as_tuple=True))
-    return x, y
-
-
 def wait_for_note(opened: Studio, begins: str) -> Callable[[], bool]:
     return lambda: opened.session.state.note.startswith(begins)
 
@@ -115,7 +105,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     before = at_rest(tab, opened)
 
     hovers(opened, tab)
-    tab.click(*center_of(opened, 3))
+    tab.click(*center_of(opened, "3"))
     until(lambda: session.state.picked == ("3",), "a pick")
     assert_changed(at_rest(tab, opened) - before, opened)
 
@@ -149,7 +139,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
 def hovers(opened: Studio, tab: Tab) -> None:
     """The object below the pointer is lit, until the pointer is elsewhere."""
     hover = opened.page.pick.hover
-    tab.page.mouse("move", *center_of(opened, 7))
+    tab.page.mouse("move", *center_of(opened, "7"))
     until(lambda: [*hover.lit.values()] == ["7"], "an object that is lit")
     tab.page.mouse("move", 2, 2)
     until(lambda: not hover.lit, "nothing to be lit")

@@ -67,6 +67,18 @@ def test_the_surface(scene: tuple[Splats, Tensor, Tensor]):
     assert abs(surface.offset) < 0.01
 
 
+def test_of_two_surfaces_the_one_that_it_stands_on(scene: tuple[Splats, Tensor, Tensor]):
+    """A wall near by has more Gaussians."""
+    splats, picked, is_box = scene
+    y, z = 0.4 * torch.rand(2, 3000, generator=torch.Generator().manual_seed(1)) - 0.2
+    wall = torch.stack([torch.full_like(y, -SIDE / 2 - 0.07), y, z + 0.25], dim=1)
+    both = splats_at(torch.cat([splats.means, wall]))
+    mine = torch.cat([picked, torch.zeros(len(wall), dtype=torch.bool)])
+    surface = find_support(both, mine)
+    assert surface is not None and surface.normal[2] > 0.99
+    assert on_support(both, mine)[: len(is_box)][is_box].float().mean() < 0.02
+
+
 def test_the_same_again(scene: tuple[Splats, Tensor, Tensor]):
     splats, picked, _ = scene
     assert torch.equal(on_support(splats, picked, seed=3), on_support(splats, picked, seed=3))

@@ -45,7 +45,7 @@ class Surface:
     tolerance: float
     """How far from it its own Gaussians lie."""
 
-    def heights(self, points: Float[Tensor, "M 3"]) -> Float[Tensor, " M"]:
+    def heights(self, points: Float[Tensor, "*M 3"]) -> Float[Tensor, "*M"]:
         """How far points lie above it."""
         return points @ self.normal - self.offset
 
@@ -103,15 +103,15 @@ def find_support(splats: Splats, picked: Bool[Tensor, " N"], *, seed: int = 0) -
     if int(around.sum()) < FEW or size == 0:
         return None
     rows = _some(own, areas, generator)
-    left = means[_some(around, areas, generator)]
-    planes = _beside(_planes(left, generator), means[rows], THICK * size)
+    left = points = means[_some(around, areas, generator)]
+    planes = _beside(_planes(points, generator), means[rows], THICK * size)
     for _ in range(TRIES):
-        surface = _best(planes, left, means[rows], THICK * size)
+        surface = _best(planes, left, THICK * size)
         if surface is None:
             return None
-        if _stands_on(surface, means[rows], size) and _goes_on(surface, left, means[rows], size):
+        if _stands_on(surface, means[rows], size) and _goes_on(surface, points, means[rows], size):
             return surface
-        planes = _unlike(surface, planes, means[rows], THICK * size)
+        left = left[surface.heights(left).abs() > THICK * size]
     return None
 
 
@@ -155,10 +155,7 @@ def _beside(
 
 
 def _best(
-    planes: Float[Tensor, "P 4"],
-    points: Float[Tensor, "M 3"],
-    own: Float[Tensor, "L 3"],
-    thick: float,
+    planes: Float[Tensor, "P 4"], points: Float[Tensor, "M 3"], thick: float
 ) -> Surface | None:
     """The one with most points, and few beneath it, fitted to these."""
     if not len(planes):
@@ -178,15 +175,6 @@ def _best(
         chosen = points[(points @ normal - offset).abs() < thick]
     sigma = 1.4826 * float((chosen @ normal - offset).abs().median())
     return Surface(normal, offset, max(ROUGH * sigma, SMOOTH / THICK * thick))
-
-
-def _unlike(
-    surface: Surface, planes: Float[Tensor, "P 4"], own: Float[Tensor, "L 3"], thick: float
-) -> Float[Tensor, "_ 4"]:
-    """Planes that do not lie beneath the object as one that was looked at does."""
-    middle = own.median(dim=0).values
-    gaps = (planes[:, :3] @ middle - planes[:, 3]) - surface.heights(middle)
-    return planes[(planes[:, :3] @ surface.normal < 0.99) | (gaps.abs() > thick)]
 
 
 def _stands_on(surface: Surface, own: Float[Tensor, "L 3"], size: float) -> bool:
