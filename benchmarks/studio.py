@@ -65,6 +65,7 @@ def picks(opened: Studio, tab: Tab) -> Iterator[Time]:
 def painting(opened: Studio, tab: Tab) -> Iterator[Time]:
     session = opened.session
     tab.press_button("Paint")
+    time.sleep(2)  # until its pictures are there, which move the buttons
     tab.press_button(opened.page.paint.gallery.exhibits[0].title)
     start = time.perf_counter()
     yield "style to the colour preview", seconds_until(lambda: session.preview, "a preview")

@@ -1,12 +1,10 @@
 """What every painting needs first, fetched before somebody asks for one."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from stylesplat.progress import Observer, Silence, Task, observed
+from stylesplat.progress import Silence, observed
 from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
@@ -67,18 +65,11 @@ def ball_of_noise() -> Scene:
     return Scene(splats, cameras, objects={NAME: SceneObject(picked)})
 
 
-class _Breath(Silence, Observer):
+class _Breath(Silence):
     """Tells nothing, and lets short work in."""
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
-
-    @contextmanager
-    def task(
-        self, what: str, total: int | float | None, unit: str, done: int | float
-    ) -> Iterator[Task]:
-        """Tell nobody."""
-        yield self
 
     def advance(self, amount: int | float = 1) -> None:
         """Something may wait."""
