@@ -19,7 +19,7 @@ def test_the_box_begins_around_the_pick_and_its_corners_may_cross(tmp_path: Path
         assert session.worker.settle()
         box = BoxHandles(stage)
         box.show(True)
-        assert session.worker.settle() and not stage.rest.active, "a picture would hide it"
+        assert session.worker.settle() and stage.rest.behind, "a picture would hide it"
         corners = box.corners
         assert corners is not None
         picked = pick_box(session.state, *corners)
@@ -31,6 +31,6 @@ def test_the_box_begins_around_the_pick_and_its_corners_may_cross(tmp_path: Path
         again = box.corners
         assert again is not None and np.allclose(again, corners)
         box.show(False)
-        assert session.worker.settle() and stage.rest.active and box.corners is None
+        assert session.worker.settle() and not stage.rest.behind and box.corners is None
     finally:
         opened.close()

@@ -29,9 +29,7 @@ def add_see_panel(server: "viser.ViserServer", stage: Stage) -> None:
             if event.client is not None:
                 stage.flights.fly(event.client, stand_at(scene, scene.cameras[int(row.value) - 1]))
 
-    frames = gui.add_checkbox(
-        "Show cameras", False, hint="Click one to fly there; meanwhile colours are means"
-    )
+    frames = gui.add_checkbox("Show cameras", False, hint="Click one to fly there")
     frames.on_update(lambda _: stage.frames(frames.value))
     paper = gui.add_rgb("Background", _bytes(BEHIND))
     paper.on_update(lambda _: stage.paper(_colour(paper.value)))

@@ -77,7 +77,8 @@ class Stage:
         """Something is another: in the worker's thread."""
         self._last = self.shown()
         self._splats.show(self._last)
-        self.rest.active = not self.session.painting and not self._drawn_over
+        self.rest.active = not self.session.painting
+        self.rest.behind = bool(self._drawn_over)
         self.rest.changed()
 
     def look(
@@ -124,7 +125,7 @@ class Stage:
         self.session.ask(self.refresh, kind="compare")
 
     def frames(self, show: bool) -> None:
-        """Draw the cameras of the photos, to fly to, or take them away; no exact picture then."""
+        """Draw the cameras of the photos, to fly to, or take them away."""
         for frame in self._frames:
             frame.remove()
         self._frames = []
@@ -135,7 +136,7 @@ class Stage:
         self.draw_over("frames", show)
 
     def draw_over(self, what: str, there: bool) -> None:
-        """Something is drawn in the scene, which exact pictures would hide; or no longer."""
+        """Something is drawn in the scene, which exact pictures must not hide; or no longer."""
         (self._drawn_over.add if there else self._drawn_over.discard)(what)
         self.session.ask(self.refresh, kind="compare")
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from stylesplat.drawing.client_camera import browser_camera
+from stylesplat.drawing.live_splats import PARENT
 from stylesplat.scene.cameras import Cameras
 from stylesplat.work import Worker
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     import viser
 
 REST = 0.15  # seconds without motion
+DECODED = 0.5  # seconds in which a browser has unpacked a picture
 QUALITY = 92  # of the JPEGs that are sent
 IN_FRONT = 0.02  # world units from the camera: the picture hides the splats; the near plane is 0.01
 
@@ -35,12 +37,15 @@ class AtRest:
         self._server, self._worker, self._look = server, worker, look
         self._loop = server.get_event_loop()
         self._clients = dict[int, "viser.ClientHandle"]()
+        self._splats = dict[int, "viser.FrameHandle"]()
         self._timers = dict[int, asyncio.TimerHandle]()
         self._motions = dict[int, int]()
         self._shown = set[int]()
         self._paper: UInt8[np.ndarray, "H W 3"] | None = None
         self.active = True
         """Whether there are exact pictures at all; `changed` after it was set."""
+        self.behind = False
+        """Whether they lie behind what else is drawn in the scene; `changed` after it was set."""
         server.on_client_connect(self._joined)
         server.on_client_disconnect(self._left)
 
@@ -76,11 +81,13 @@ class AtRest:
             self._moved(client.client_id)
 
         self._clients[client.client_id] = client
+        self._splats[client.client_id] = client.scene.add_frame(PARENT, show_axes=False)
         client.camera.on_update(moved)
         self._moved(client.client_id)
 
     async def _left(self, client: "viser.ClientHandle") -> None:
         self._clients.pop(client.client_id, None)
+        self._splats.pop(client.client_id, None)
         self._shown.discard(client.client_id)
         timer = self._timers.pop(client.client_id, None)
         if timer is not None:
@@ -95,6 +102,7 @@ class AtRest:
         self._motions[client_id] = self._motions.get(client_id, 0) + 1
         if client_id in self._shown:
             self._shown.discard(client_id)
+            self._splats[client_id].visible = True
             self._clients[client_id].scene.set_background_image(self._paper, format="png")
         timer = self._timers.pop(client_id, None)
         if timer is not None:
@@ -117,11 +125,17 @@ class AtRest:
 
         def send() -> None:
             if self.active and self._motions.get(client_id) == motion:
-                near = np.full((2, 2), IN_FRONT)
+                near = None if self.behind else np.full((2, 2), IN_FRONT)
                 client.scene.set_background_image(pixels, jpeg_quality=QUALITY, depth=near)
                 self._shown.add(client_id)
+                self._loop.call_later(DECODED, self._hide, client_id, motion)
 
         self._loop.call_soon_threadsafe(send)
+
+    def _hide(self, client_id: int, motion: int | None) -> None:
+        """In the server's event loop: splats that nobody sees are not drawn again and again."""
+        if client_id in self._shown and self._motions.get(client_id) == motion:
+            self._splats[client_id].visible = False
 
 
 def camera_of(client: "viser.ClientHandle", **options: int) -> Cameras:

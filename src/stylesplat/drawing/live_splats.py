@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     import viser
 
 MOST = 500_000  # Gaussians that a browser is sent; a laptop turns 300,000 smoothly
-NODE = "/splats"
+PARENT = "/seen"  # each browser has one of its own, by which it hides them
+NODE = f"{PARENT}/splats"
 
 
 def covariances(splats: Splats) -> Float[Tensor, "N 3 3"]:
