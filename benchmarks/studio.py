@@ -19,7 +19,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import stylesplat as ss
 from studio_tab import Tab, center_of, studio_tab, until
-from stylesplat.atelier.comparing import at_intensity
 from stylesplat.atelier.opening import Studio
 
 SIZE = 1344, 540  # the picture beside the panel has 960x540
@@ -65,7 +64,6 @@ def picks(opened: Studio, tab: Tab) -> Iterator[Time]:
 def painting(opened: Studio, tab: Tab) -> Iterator[Time]:
     session = opened.session
     tab.press_button("Paint")
-    time.sleep(2)  # until its pictures are there, which move the buttons
     tab.press_button(opened.page.paint.gallery.exhibits[0].title)
     start = time.perf_counter()
     yield "style to the colour preview", seconds_until(lambda: session.preview, "a preview")
@@ -79,13 +77,16 @@ def painting(opened: Studio, tab: Tab) -> Iterator[Time]:
     yield "style to the final picture", time.perf_counter() - start
 
 
-def intensities(opened: Studio) -> Iterator[Time]:
+def intensities(opened: Studio, tab: Tab) -> Iterator[Time]:
     session = opened.session
-    (name,) = session.state.picked
-    for number in range(TIMES):
-        session.worker.settle(PATIENCE)
-        before, value = session.state, 0.1 * number
-        session.do(lambda state, value=value: at_intensity(state, name, value))
+    tab.press_button("Compare")
+    tab.focus_last_slider()
+    tab.press("Home")
+    until(lambda: session.state.note.endswith(" at 0%"), "intensity 0")
+    for _ in range(TIMES):
+        until(lambda: rests(opened), "rest", PATIENCE)
+        before = session.state
+        tab.press("ArrowRight")
         changed = lambda before=before: session.state is not before  # noqa: E731
         yield "intensity to other colours", seconds_until(changed, "another intensity")
 
@@ -94,7 +95,7 @@ def measure(scene: Path, styles: Path, tab: Tab) -> dict[str, list[float]]:
     opened, first = opening(scene, styles, tab)
     times = {"studio to the first picture": [first]}
     try:
-        for found in (picks(opened, tab), painting(opened, tab), intensities(opened)):
+        for found in (picks(opened, tab), painting(opened, tab), intensities(opened, tab)):
             for name, seconds in found:
                 times.setdefault(name, []).append(seconds)
                 print(f"{name}: {seconds:.2f} s", file=sys.stderr, flush=True)

@@ -15,7 +15,32 @@ from stylesplat.rendering.shares import coverage
 T = TypeVar("T")
 
 PATIENCE = 120.0  # seconds: of a machine that does much else
-KEYS = {"Home": 36, "B": 66}  # with the numbers that the protocol knows them by
+KEYS = {"Home": 36, "ArrowRight": 39, "B": 66}  # with the numbers that the protocol has for them
+PLACE = """(async () => {
+    const folders = '.mantine-Paper-root:not(:has(.mantine-Paper-root))';
+    const all = [...document.querySelectorAll(`button, [role=tab], [role=slider], ${folders}`)];
+    const fits = e => [(e.innerText || '').trim(), e.getAttribute('role')].includes(LABEL);
+    const found = all.find(e => fits(e) && e.getClientRects().length);
+    if (!found || [...document.images].some(image => !image.complete)) return null;
+    found.scrollIntoView({block: 'center'});
+    const places = [];
+    for (let frame = 0; frame < 3; frame++) {
+        const box = found.getBoundingClientRect();
+        places.push([box.x + box.width / 2, box.y + box.height / 2]);
+        await new Promise(requestAnimationFrame);
+    }
+    return places.every(place => String(place) === String(places[0])) ? places[0] : null;
+})()"""
+PICTURE = """(() => {
+    const fits = e => e.parentElement.previousElementSibling?.textContent === LABEL;
+    const found = [...document.images].find(e => e.complete && e.offsetParent && fits(e));
+    if (!found) return null;
+    found.scrollIntoView({block: 'center'});
+    const box = found.getBoundingClientRect();
+    return [box.x, box.y, box.width, box.height];
+})()"""
+FILES = "document.querySelector('input[type=file]')"
+LAST_SLIDER = "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent).at(-1)"
 
 
 class Tab:
@@ -43,17 +68,29 @@ class Tab:
         self.click(*until(lambda: self.place_of(label), f"a button {label!r}"))
 
     def place_of(self, label: str) -> tuple[float, float] | None:
-        found = self.page.evaluate(f"""(() => {{
-            const all = [...document.querySelectorAll('button, [role=tab], [role=slider]')];
-            const fits = e => [(e.innerText || '').trim(), e.getAttribute('role')]
-                .includes({json.dumps(label)});
-            const found = all.find(e => fits(e) && e.getClientRects().length);
-            if (!found) return null;
-            found.scrollIntoView({{block: 'center'}});
-            const box = found.getBoundingClientRect();
-            return [box.x + box.width / 2, box.y + box.height / 2];
-        }})()""")
+        """Where it is; None for as long as it is not there, or pictures that load may move it."""
+        found = self.page.evaluate(PLACE.replace("LABEL", json.dumps(label)))
         return tuple(found) if found else None
+
+    def drag_on(self, title: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """From one place on a picture of the panel to another, in shares of it."""
+        ask = PICTURE.replace("LABEL", json.dumps(title))
+        x, y, width, height = until(lambda: self.page.evaluate(ask), f"a picture {title!r}")
+        places = [(x + a * width, y + b * height) for a, b in (start, end)]
+        self.page.mouse("move", *places[0])
+        self.page.mouse("press", *places[0])
+        self.page.mouse("move", *places[1], buttons=1)
+        self.page.mouse("release", *places[1])
+
+    def give(self, file: Path) -> None:
+        """Choose a file for the button that asks for one."""
+        found = self.page.call("Runtime.evaluate", expression=FILES)["result"]["objectId"]
+        self.page.call("DOM.setFileInputFiles", files=[str(file)], objectId=found)
+
+    def focus_last_slider(self) -> None:
+        """As soon as there is one."""
+        until(lambda: self.place_of("slider"), "a slider")
+        self.page.evaluate(f"{LAST_SLIDER}.focus()")
 
     def text(self) -> str:
         return self.page.evaluate("document.body.innerText") or ""

@@ -12,8 +12,10 @@ from PIL import Image
 from balls import CAMERAS, SPLATS, enlarged
 from chromium import needs_chromium
 from studio_tab import Tab, center_of, studio_tab, until
+from stylesplat.atelier.gallery import MOST_BYTES
 from stylesplat.atelier.opening import Studio, studio
 from stylesplat.atelier.studio_state import shown
+from stylesplat.atelier.wire import TITLE
 from stylesplat.drawing.at_rest import camera_of
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
@@ -30,8 +32,6 @@ VISERS = (
     "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN.",
     "THREE.Clock: This module has been deprecated.",
 )
-SLIDERS = "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent)"
-FOCUS = f"{SLIDERS}.at(-1).focus()"
 FAR = 8  # pixels around an object to which its strokes may reach
 TILE = 10  # pixels
 SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels by less
@@ -102,15 +102,16 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     session = opened.session
     until(lambda: "Picked: nothing" in tab.text(), "the page")
     until(lambda: "of all browsers" in tab.text(), "a greeting")
+    chooses_pictures(opened, tab, tmp_path)
     before = at_rest(tab, opened)
 
     hovers(opened, tab)
+    draws_cameras(opened, tab, before)
     tab.click(*center_of(opened, "3"))
     until(lambda: session.state.picked == ("3",), "a pick")
     assert_changed(at_rest(tab, opened) - before, opened)
 
     opened.page.paint.controls["quality"].value = "draft"
-    tab.press_button("Paint")
     tab.press_button("stripes")
     until(wait_for_note(opened, "Painted 3"), "strokes")
     painted = at_rest(tab, opened)
@@ -118,8 +119,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     holds(opened, tab, painted)
 
     tab.press_button("Compare")
-    until(lambda: tab.place_of("slider"), "a slider of intensity")
-    tab.page.evaluate(FOCUS)
+    tab.focus_last_slider()
     tab.press("Home")
     until(lambda: session.state.note == "3 at 0%", "intensity 0")
     faded = np.abs(at_rest(tab, opened) - before)
@@ -134,6 +134,49 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     told = tab.page.complaints()
     complaints = [line for line in told if not any(known in line for known in VISERS)]
     assert not complaints, json.dumps(complaints, indent=1)
+
+
+def chooses_pictures(opened: Studio, tab: Tab, folder: Path) -> None:
+    """One is too large, one is added; and a part of one is drawn."""
+    told, part = list[str](), opened.page.paint.part
+    opened.session.on_word(lambda line, failure: told.append(line))
+    tab.press_button("Paint")
+    large, small = folder / "large.png", folder / "plain.png"
+    with large.open("wb") as file:
+        file.truncate(MOST_BYTES + 1)
+    tab.give(large)
+    until(lambda: f"Send {MOST_BYTES >> 20} MB at most" in tab.text(), "a refusal")
+    assert not told, "the page refused it: nothing was sent"
+    Image.new("RGB", (64, 64), (90, 160, 40)).save(small)
+    tab.give(small)
+    until(lambda: tab.place_of("plain"), "a button for what was added")
+    tab.press_button("Settings")
+    tab.press_button("Part of a picture")
+    for start, end, wanted in (
+        ((0.2, 0.3), (0.8, 0.5), ((20, 80), (30, 50))),
+        ((0.4, 0.4), (0.4, 0.4), ((0, 100), (0, 100))),
+        ((0.9, 0.9), (0.1, 0.1), ((10, 90), (10, 90))),
+    ):
+        tab.drag_on(TITLE, start, end)
+        until(lambda wanted=wanted: np.abs(np.subtract(part.percent, wanted)).max() < 2, "a part")
+
+
+def draws_cameras(opened: Studio, tab: Tab, before: np.ndarray) -> None:
+    """The photos' cameras lie over the exact picture, which stays where there are none."""
+    stage, session = opened.page.stage, opened.session
+    (client,) = opened.server.get_clients()
+    session.ask(lambda: stage.frames(True))
+    assert session.worker.settle()
+    until(lambda: stage.rest.behind and stage.rest.showing(client), "cameras over a picture")
+
+    def share() -> float:
+        height, width = before.shape[:2]
+        change = np.abs(tab.page.screenshot()[:height, :width] - before).max(axis=2)
+        return float((change > 3 * SLIGHT).mean())
+
+    until(lambda: 0.001 < share() < 0.3, "lines on the exact picture")
+    session.ask(lambda: stage.frames(False))
+    assert np.abs(at_rest(tab, opened) - before).max() < 3 * SLIGHT
 
 
 def hovers(opened: Studio, tab: Tab) -> None:
@@ -170,7 +213,7 @@ def saved_and_exported(opened: Studio, tab: Tab, file: Path) -> None:
     until(lambda: not opened.session.unsaved, "saving")
     saved = open(opened.session.folder)
     assert saved.painted is not None and saved.painted.names == ("3",)
-    assert "--style" in tab.text() and "stripes.png" in tab.text()
+    assert "--region" in tab.text() and "stripes.png" in tab.text()
     tab.press_button("Download")
     until(file.exists, "a download")
     assert len(read_splats(file)) == len(saved.splats)
