@@ -15,7 +15,7 @@ from studio_tab import Tab, center_of, studio_tab, until
 from stylesplat.atelier.gallery import MOST_BYTES
 from stylesplat.atelier.opening import Studio, studio
 from stylesplat.atelier.studio_state import shown
-from stylesplat.atelier.wire import TITLE
+from stylesplat.atelier.wire import MANY, TITLE
 from stylesplat.drawing.at_rest import camera_of
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
@@ -32,6 +32,19 @@ VISERS = (
     "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN.",
     "THREE.Clock: This module has been deprecated.",
 )
+COUNTED = """(() => {
+    window.drawn = { splats: 0, others: 0 };
+    const gl = WebGL2RenderingContext.prototype;
+    const { drawElements, drawElementsInstanced } = gl;
+    gl.drawElements = function (...given) {
+        drawn.others += 1;
+        drawElements.apply(this, given);
+    };
+    gl.drawElementsInstanced = function (...given) {
+        drawn.splats += given[4] > MANY;
+        drawElementsInstanced.apply(this, given);
+    };
+})()""".replace("MANY", str(MANY))
 FAR = 8  # pixels around an object to which its strokes may reach
 TILE = 10  # pixels
 SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels by less
@@ -59,6 +72,7 @@ def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
     downloads = tmp_path / "downloads"
     downloads.mkdir()
     with studio_tab(size=SIZE, downloads=downloads) as tab:
+        tab.page.call("Page.addScriptToEvaluateOnNewDocument", source=COUNTED)
         tab.page.open(f"http://127.0.0.1:{opened.port}")
         yield tab
 
@@ -105,6 +119,7 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     chooses_pictures(opened, tab, tmp_path)
     before = at_rest(tab, opened)
 
+    until(lambda: draws_no_splats(tab), "frames without splats, which the picture hides")
     hovers(opened, tab)
     draws_cameras(opened, tab, before)
     tab.click(*center_of(opened, "3"))
@@ -134,6 +149,12 @@ def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path:
     told = tab.page.complaints()
     complaints = [line for line in told if not any(known in line for known in VISERS)]
     assert not complaints, json.dumps(complaints, indent=1)
+
+
+def draws_no_splats(tab: Tab) -> bool:
+    before = tab.page.evaluate("({ ...drawn })")
+    tab.page.until(f"drawn.others > {before['others'] + 1}")
+    return before["splats"] > 0 and tab.page.evaluate("drawn.splats") == before["splats"]
 
 
 def chooses_pictures(opened: Studio, tab: Tab, folder: Path) -> None:

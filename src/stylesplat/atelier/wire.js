@@ -1,5 +1,6 @@
 // What viser's page does not tell: a key that is held, where the pointer rests, drags on a picture.
 // It is told by way of a text field of the page, which viser sends to the server.
+// And viser draws splats that are hidden, far away: without a GPU that takes seconds each time.
 (() => {
   if (window.stylesplatWire) return;
   window.stylesplatWire = true;
@@ -69,6 +70,19 @@
       `position: absolute; left: ${left}%; top: ${top}%; width: ${right - left}%;` +
       `height: ${bottom - top}%; outline: 2px solid #ffa014; pointer-events: none`;
   }
+
+  const gl = WebGL2RenderingContext.prototype;
+  const { texSubImage2D, drawElementsInstanced } = gl;
+  let hidden = false;
+  gl.texSubImage2D = function (...given) {
+    const rows = given[8]; // of a transform, if it is that of the splats
+    if (rows instanceof Float32Array && rows.length === 12)
+      hidden = [rows[3], rows[7], rows[11]].every((each) => each === $FAR);
+    return texSubImage2D.apply(this, given);
+  };
+  gl.drawElementsInstanced = function (...given) {
+    if (!hidden || given[4] < $MANY) drawElementsInstanced.apply(this, given);
+  };
 
   window.addEventListener("change", (event) => {
     const file = event.target.files && event.target.files[0];

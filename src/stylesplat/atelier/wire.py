@@ -1,6 +1,7 @@
 """What viser's page does not tell by itself: a held key, where the pointer rests, drags.
 
-A small script sees these and writes them into a text field of the page, which viser sends.
+A small script sees these and writes them into a text field of the page, which viser sends. It also
+lets the page not draw splats that are hidden.
 """
 
 import html
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 MARK = "stylesplat:"  # begins what the field holds
 TITLE = "Drag a rectangle for a part of it"  # of the picture that can be dragged on
+FAR = 1e10  # where viser 1.1 draws splats that are hidden, along each axis
+MANY = 200  # instances of a shape: more than the lines of cameras have
 SCRIPT = Path(__file__).with_name("wire.js")
 # An empty picture, as scripts in HTML that is added later do not run by themselves
 PAGE = """<style>div:has(> div > div > div > input[value^="$MARK"]) { display: none; }</style>
@@ -57,7 +60,7 @@ def add_wire(
         server: Whose page.
         told: Is called with what a browser tells, in the order of that; must not wait.
     """
-    names = {"MARK": MARK, "TITLE": TITLE, "MOST": str(MOST_BYTES)}
+    names = {"MARK": MARK, "TITLE": TITLE, "MOST": MOST_BYTES, "FAR": FAR, "MANY": MANY}
     script = html.escape(Template(SCRIPT.read_text(encoding="utf-8")).safe_substitute(names))
     server.gui.add_html(Template(PAGE).substitute(names, SCRIPT=script))
     field = server.gui.add_text("page", f"{MARK}{{}}")
