@@ -1,12 +1,14 @@
 """How soon the studio answers, measured in headless Chromium with software WebGL.
 
-    python benchmarks/studio.py SCENE STYLES
+    python benchmarks/studio.py SCENE STYLES [--paintings 20]
 
 The scene is copied first. Times are medians of five, but for those of the one painting. At rest a
-picture counts when it was sent.
+picture counts when it was sent. `--paintings` measures the studio's memory over so many drafts
+instead, without a browser.
 """
 
 import argparse
+import resource
 import shutil
 import statistics
 import sys
@@ -19,7 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import stylesplat as ss
 from studio_tab import Tab, center_of, studio_tab, until
+from stylesplat.atelier.easel import styled
 from stylesplat.atelier.opening import Studio
+from stylesplat.atelier.studio_state import names_in
 
 SIZE = 1344, 540  # the picture beside the panel has 960x540
 PATIENCE = 300.0
@@ -104,13 +108,31 @@ def measure(scene: Path, styles: Path, tab: Tab) -> dict[str, list[float]]:
     return times
 
 
+def memories(scene: Path, styles: Path, count: int) -> None:
+    """The largest memory so far after each of some paintings, of all objects in turn."""
+    opened = ss.studio(scene, styles=styles, port=0, block=False)
+    session, paint = opened.session, opened.page.paint
+    names, exhibits = names_in(session.state.scene), paint.gallery.exhibits
+    for number in range(count):
+        name, exhibit = names[number % len(names)], exhibits[number // 2 % len(exhibits)]
+        paint.easel.paint((name,), styled(exhibit.path, quality="draft"), exhibit.title)
+        session.worker.settle(PATIENCE)
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        print(f"{number + 1:3d} {session.state.note:50s} {most:.2f} GB", flush=True)
+    opened.close()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
     parser.add_argument("styles", type=Path)
+    parser.add_argument("--paintings", type=int)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(shutil.copytree(given.scene, Path(folder) / "scene"))
+        if given.paintings is not None:
+            memories(scene, given.styles, given.paintings)
+            return
         with studio_tab(size=SIZE, downloads=Path(folder)) as tab:
             for name, times in measure(scene, given.styles, tab).items():
                 print(f"{name:36s} {statistics.median(times):7.2f} s")

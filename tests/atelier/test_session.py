@@ -10,7 +10,7 @@ from studio_balls import QUICK, quick_style, session_in, stripes
 from stylesplat.atelier.comparing import at_intensity, taken_back, variant_of
 from stylesplat.atelier.easel import Easel, previewed
 from stylesplat.atelier.history import History
-from stylesplat.atelier.keeping import AUTOSAVE, Place, exported, still
+from stylesplat.atelier.keeping import AUTOSAVE, FORMATS, Place, exported, still
 from stylesplat.atelier.picking import pick_names, renamed
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.studio_state import State
@@ -218,9 +218,20 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
     assert open(session.folder.parent / "elsewhere").splats is not None
 
 
-@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".splat"])
-def test_exports_are_files_of_their_kind(session: Session, ending: str):
-    assert len(exported(session.state.scene, ending)) > 1000
+@pytest.mark.parametrize(
+    ("ending", "begin"),
+    [
+        (".ply", b"ply"),
+        (".compressed.ply", b"ply"),
+        (".spz", b"\x1f\x8b"),
+        (".splat", b""),
+        (".html", b"<!doctype html>"),
+    ],
+)
+def test_exports_are_files_of_their_kind(session: Session, ending: str, begin: bytes):
+    assert ending in FORMATS
+    content = exported(session.state.scene, ending)
+    assert len(content) > 1000 and content.lower().startswith(begin)
 
 
 def test_stills_have_the_size_that_is_asked_for(session: Session):

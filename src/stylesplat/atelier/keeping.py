@@ -15,19 +15,21 @@ from PIL import Image
 from stylesplat.atelier.session import Progress, Session
 from stylesplat.atelier.studio_state import State, with_scene
 from stylesplat.drawing.orbit import orbit_around, orbit_cameras
+from stylesplat.drawing.web_page import SUFFIX
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.places import refuse_unwritable
 from stylesplat.io.recovery import changing
-from stylesplat.io.splats.splat_files import COMPRESSED, write_splats
+from stylesplat.io.splats.splat_files import COMPRESSED
 from stylesplat.io.video import write_video
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.ring import FOCAL, has_no_photos
 from stylesplat.scene.scene import Scene, check_name
+from stylesplat.verbs.export import export
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
-FORMATS = (".ply", COMPRESSED, ".spz", ".splat")
+FORMATS = (".ply", COMPRESSED, ".spz", ".splat", SUFFIX)
 FRAMES = 120  # of a turntable: four seconds
 TURNTABLE = 960  # pixels along its longer side
 MOST_PIXELS = 8192  # along a side of a still picture
@@ -108,14 +110,14 @@ class Place:
 
 
 def exported(scene: Scene, ending: str) -> bytes:
-    """The scene's splats as a file of another program.
+    """The scene's splats as a file of another program, or as a page.
 
     Raises:
         StyleSplatError: As `export` does.
     """
     with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
         path = Path(folder) / f"scene{ending}"
-        write_splats(scene.splats, path)
+        export(scene, path)
         return path.read_bytes()
 
 
