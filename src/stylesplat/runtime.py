@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+from contextlib import suppress
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # names of glibc's mallopt
 KEPT_BYTES = 2**30  # blocks up to this size are reused rather than given back
@@ -22,3 +23,12 @@ def tune_runtime() -> None:
             return
         mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def tidy_heap() -> None:
+    """Give freed memory back to the system, where that is glibc's; `tune_runtime` lets it be kept.
+
+    What is kept fits again only as long as nothing small has come to lie in it.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

@@ -15,6 +15,7 @@ from stylesplat.atelier.studio_state import State, names_in, shown, unless_all, 
 from stylesplat.drawing.shown import Shown
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import color_map, map_colors
@@ -196,6 +197,7 @@ class Easel:
         self.session.preview = self.session.progress = None
         self.session.painting = False
         self.session.tell_change()
+        tidy_heap()  # else twenty paintings on 100,000 Gaussians take 2.6 GB and not 2.3
 
 
 @torch.no_grad()

@@ -1,14 +1,14 @@
 """A store of bounded size."""
 
-import ctypes
 import mmap
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from contextlib import suppress
 from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor
+
+from stylesplat.runtime import tidy_heap
 
 Key = TypeVar("Key", bound=Hashable)
 T = TypeVar("T", bound=tuple[Tensor | None, ...])
@@ -54,7 +54,7 @@ class Cache(Generic[Key]):
             self._drop(next(iter(self._items)))
         if self._since_tidied > TIDY_EVERY:
             self._since_tidied = 0
-            _tidy_heap()
+            tidy_heap()  # heads of kept tensors lie in what decoding freed: 6 MB a photo are lost
         return item
 
     def forget(self, unwanted: Callable[[Key], bool]) -> None:
@@ -64,16 +64,6 @@ class Cache(Generic[Key]):
 
     def _drop(self, key: Key) -> None:
         self._used -= size_of(self._items.pop(key))
-
-
-def _tidy_heap() -> None:
-    """Give freed memory back to the system, where that is glibc's.
-
-    `runtime.py` lets the heap keep it. The few bytes of each kept tensor's head lie in what was
-    freed by decoding, so that the next photo does not fit there again: 6 MB a photo are lost.
-    """
-    with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _apart(item: T) -> T:
