@@ -26,6 +26,7 @@ from stylesplat.atelier.opening import Studio
 from stylesplat.atelier.studio_state import names_in
 
 SIZE = 1344, 540  # the picture beside the panel has 960x540
+WIDTH = "Math.max(...[...document.querySelectorAll('canvas')].map(e => e.width))"
 PATIENCE = 300.0
 TIMES = 5
 
@@ -43,8 +44,14 @@ def opening(scene: Path, styles: Path, tab: Tab) -> tuple[Studio, float]:
     opened = ss.studio(scene, styles=styles, port=0, block=False)
     tab.page.open(f"http://127.0.0.1:{opened.port}")
     until(lambda: opened.server.get_clients() or None, "a browser", PATIENCE)
-    seconds_until(lambda: rests(opened), "a picture")
+    seconds_until(lambda: fits(opened, tab) and rests(opened), "a picture")
     return opened, time.perf_counter() - start
+
+
+def fits(opened: Studio, tab: Tab) -> bool:
+    """Whether the studio knows how large the picture is, beside the panel."""
+    (client,) = opened.server.get_clients().values()
+    return tab.page.evaluate(WIDTH) == client.camera.image_width
 
 
 def rests(opened: Studio) -> bool:

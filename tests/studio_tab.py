@@ -16,29 +16,25 @@ T = TypeVar("T")
 
 PATIENCE = 120.0  # seconds: of a machine that does much else
 KEYS = {"Home": 36, "ArrowRight": 39, "B": 66}  # with the numbers that the protocol has for them
-PLACE = """(async () => {
+RESTING = """async found => {
+    if (!found || [...document.images].some(image => !image.complete)) return null;
+    found.scrollIntoView({block: 'center'});
+    const boxes = [];
+    for (let frame = 0; frame < 3; frame++) {
+        const box = found.getBoundingClientRect();
+        boxes.push([box.x, box.y, box.width, box.height]);
+        await new Promise(requestAnimationFrame);
+    }
+    return boxes.every(box => String(box) === String(boxes[0])) ? boxes[0] : null;
+}"""
+BUTTON = """(() => {
     const folders = '.mantine-Paper-root:not(:has(.mantine-Paper-root))';
     const all = [...document.querySelectorAll(`button, [role=tab], [role=slider], ${folders}`)];
     const fits = e => [(e.innerText || '').trim(), e.getAttribute('role')].includes(LABEL);
-    const found = all.find(e => fits(e) && e.getClientRects().length);
-    if (!found || [...document.images].some(image => !image.complete)) return null;
-    found.scrollIntoView({block: 'center'});
-    const places = [];
-    for (let frame = 0; frame < 3; frame++) {
-        const box = found.getBoundingClientRect();
-        places.push([box.x + box.width / 2, box.y + box.height / 2]);
-        await new Promise(requestAnimationFrame);
-    }
-    return places.every(place => String(place) === String(places[0])) ? places[0] : null;
+    return all.find(e => fits(e) && e.getClientRects().length);
 })()"""
-PICTURE = """(() => {
-    const fits = e => e.parentElement.previousElementSibling?.textContent === LABEL;
-    const found = [...document.images].find(e => e.complete && e.offsetParent && fits(e));
-    if (!found) return null;
-    found.scrollIntoView({block: 'center'});
-    const box = found.getBoundingClientRect();
-    return [box.x, box.y, box.width, box.height];
-})()"""
+PICTURE = """[...document.images].find(
+    e => e.offsetParent && e.parentElement.previousElementSibling?.textContent === LABEL)"""
 FILES = "document.querySelector('input[type=file]')"
 LAST_SLIDER = "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent).at(-1)"
 
@@ -68,14 +64,18 @@ class Tab:
         self.click(*until(lambda: self.place_of(label), f"a button {label!r}"))
 
     def place_of(self, label: str) -> tuple[float, float] | None:
-        """Where it is; None for as long as it is not there, or pictures that load may move it."""
-        found = self.page.evaluate(PLACE.replace("LABEL", json.dumps(label)))
-        return tuple(found) if found else None
+        """Its middle; None for as long as it is not there, or moves."""
+        found = self._box(BUTTON, label)
+        return (found[0] + found[2] / 2, found[1] + found[3] / 2) if found else None
+
+    def _box(self, element: str, label: str) -> list[float] | None:
+        """Left, top, width and height of what no longer moves."""
+        return self.page.evaluate(f"({RESTING})({element.replace('LABEL', json.dumps(label))})")
 
     def drag_on(self, title: str, start: tuple[float, float], end: tuple[float, float]) -> None:
         """From one place on a picture of the panel to another, in shares of it."""
-        ask = PICTURE.replace("LABEL", json.dumps(title))
-        x, y, width, height = until(lambda: self.page.evaluate(ask), f"a picture {title!r}")
+        found = until(lambda: self._box(PICTURE, title), f"a picture {title!r}")
+        x, y, width, height = found
         places = [(x + a * width, y + b * height) for a, b in (start, end)]
         self.page.mouse("move", *places[0])
         self.page.mouse("press", *places[0])

@@ -1,5 +1,6 @@
 """The page of the studio: its panels, and what is told in all of them."""
 
+import html
 from typing import TYPE_CHECKING
 
 from stylesplat.atelier.compare_panel import ComparePanel
@@ -10,7 +11,7 @@ from stylesplat.atelier.keeping import Place
 from stylesplat.atelier.paint_panel import PaintPanel
 from stylesplat.atelier.pick_panel import PickPanel
 from stylesplat.atelier.see_panel import add_see_panel
-from stylesplat.atelier.session import Session
+from stylesplat.atelier.session import Progress, Session
 from stylesplat.atelier.viewing import Stage
 from stylesplat.atelier.widgets import icon
 from stylesplat.atelier.wire import Said, add_wire
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 BRAND = (232, 138, 30)
 SECONDS = 6.0  # that a word is shown
 UNDO, REDO = "undo", "redo"
+# Of two lines however long the word is: else what is below would move, and clicks hit other buttons
+STATUS = """<div style="height: 2.9em; line-height: 1.45; padding: 0 0.9em; font-size: 0.875em;
+overflow: hidden; overflow-wrap: anywhere">{}</div>"""
 
 
 class Page:
@@ -46,8 +50,8 @@ class Page:
             control_width="large",
         )
         gui.main_panel.dock_right()
-        self._status = gui.add_markdown("")
-        self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._status = gui.add_html("")
+        self._bar = gui.add_progress_bar(0.0)
         self._history = gui.add_button_group("History", (UNDO, REDO))
         self._history.on_click(lambda _: session.step(-1 if self._history.value == UNDO else 1))
         self._keys(gui)
@@ -77,17 +81,19 @@ class Page:
 
     def progress(self) -> None:
         """How far long work is."""
-        progress, waiting = self.session.progress, self._easel.waiting
-        self._bar.visible = progress is not None
+        progress = self.session.progress
+        self._bar.value = 100 * progress.share if progress else 0.0
+        self._status.content = STATUS.format(html.escape(self._word(progress)))
+
+    def _word(self, progress: Progress | None) -> str:
         if progress is None:
             star = " · not saved" if self.session.unsaved else ""
-            self._status.content = f"{self.session.state.note}{star}"
-            return
-        self._bar.value = 100 * progress.share
+            return f"{self.session.state.note}{star}"
+        waiting = self._easel.waiting
         left = "" if progress.left is None else f", {progress.left:.0f} s left"
         doing = f" ({progress.doing})" if progress.doing and not progress.share else ""
         queue = f" · {waiting} waiting" if waiting else ""
-        self._status.content = f"{progress.what}{doing}{left}{queue}"
+        return f"{progress.what}{doing}{left}{queue}"
 
     def _keys(self, gui: "viser.GuiApi") -> None:
         back = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl")

@@ -42,9 +42,9 @@ class PaintPanel:
 
         with gui.add_folder("Settings", order=4.0, expand_by_default=False):
             self._settings()
-        self._stop = gui.add_button("Stop", icon=icon("player-stop"), color="red", order=1.0)
+        self._stop = gui.add_button("Stop", icon=icon("player-stop"), color="red", order=2.5)
         self._stop.on_click(lambda _: easel.stop())
-        self._continue = gui.add_button("Continue", icon=icon("player-play"), order=1.1)
+        self._continue = gui.add_button("Continue", icon=icon("player-play"), order=2.6)
         self._continue.on_click(lambda _: easel.go_on())
         self._hung()
         self.refresh()
