@@ -6,12 +6,13 @@ import torch
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.drawing.grid import CAPTION
 from stylesplat.drawing.object_sheet import MARGIN
-from stylesplat.drawing.selection_picture import OUTLINE, PANEL, selection_picture
+from stylesplat.drawing.selection_picture import OUTLINE, PANEL, THICKNESS, selection_picture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 BLUE = pick(SPLATS, object_id=300, remove_outliers=False)
+GREEN = pick(SPLATS, object_id=7, remove_outliers=False)
 HEIGHT = PANEL * 36 // 48
 
 
@@ -45,12 +46,24 @@ def test_what_is_picked_in_colour_and_all_else_grey(picked: torch.Tensor, channe
         assert 0.3 < grey.float().mean() < 0.98
 
 
+def test_blue_is_what_takes_no_paint():
+    """A few Gaussians of another ball, which they do not cover."""
+    few = RED.clone()
+    few[GREEN.nonzero()[:8, 0]] = True
+    where = (drawn(few).float() - drawn(RED).float())[..., 2] > 20
+    assert where.sum() > 20
+    red, green, blue = drawn(few)[where].float().mean(dim=0)
+    assert blue > 1.3 * max(red, green)
+
+
 def test_the_outline_goes_round_the_object():
     view = panel(drawn(RED), 0)
-    line, red = (colored(view, color).nonzero() for color in (OUTLINE, (230, 26, 26)))
-    before, after = red.amin(dim=0) - line.amin(dim=0), line.amax(dim=0) - red.amax(dim=0)
-    assert (torch.cat([before, after]) >= 0).all()
-    assert (torch.cat([before, after]) < 15).all()  # a tenth of its width, where its rim fades
+    outline = colored(view, OUTLINE)
+    vivid = (view.amax(dim=-1) - view.amin(dim=-1) > 90) & ~outline
+    line, ball = outline.nonzero(), vivid.nonzero()
+    before, after = ball.amin(dim=0) - line.amin(dim=0), line.amax(dim=0) - ball.amax(dim=0)
+    assert (torch.cat([before, after]) >= -THICKNESS).all()  # its own blended pixels are vivid, too
+    assert (torch.cat([before, after]) < 20).all()  # a tenth of its width, where its rim fades
 
 
 def test_a_small_object_is_shown_from_close_by():

@@ -71,7 +71,8 @@ class Objects:
             named = {name: place for name, place in named.items() if name not in same}
             called = ", ".join([f"id {each['id']}", *same])
             sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
-            yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{sure}{_where(each)}"
+            own = f", {each['own']:,} its own"
+            yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{own}{sure}{_where(each)}"
         for name, place in named.items():  # unions, parts, and what a style has changed
             called = f"{name} (id {ids[name]})" if name in ids else name
             yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_where(place)}"

@@ -151,7 +151,7 @@ class Select:
             say(self._pictured(target))
 
     def _pictured(self, target: Path) -> str:
-        return f"Picture: {target}, in colour what was picked."
+        return f"Picture: {target}, in colour what was picked, in blue what of it gets no paint."
 
     def _draw(self, scene: "Scene", target: Path) -> Path | None:
         """Draw it; the picture if there is one."""

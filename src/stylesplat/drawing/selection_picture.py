@@ -1,11 +1,11 @@
-"""A selection in three views: in colour what is picked, grey and dim all else."""
+"""A selection in three views: in colour what takes paint, blue what does not, grey all else."""
 
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 from torch import Tensor
 
@@ -13,14 +13,16 @@ from stylesplat.drawing.best_views import Shown, find_views
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import CAPTION, write_line
 from stylesplat.drawing.object_sheet import MARGIN, PAPER, TITLE_SIZE
-from stylesplat.rendering.shares import colors_and_coverage
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
+from stylesplat.selection.own_shares import own_shares
 
 PANEL = 480  # pixels along the longer side of a view
 DIM = 0.55  # of the brightness of what is not picked
+LEFT_OUT = (0.1, 0.35, 1.0)  # the colour of what is picked but takes no paint
 OUTLINE, THICKNESS = (255, 200, 0), 2
 SPECK = 5  # pixels: what is narrower shows in colour, but an outline would cover it
 ROOM = 3.0  # how many times as long as the object a view may be, beyond which it is cut to that
@@ -33,6 +35,9 @@ def selection_picture(
 ) -> UInt8[Tensor, "H W 3"] | None:
     """Draw what is picked in up to three views from different sides, with their names.
 
+    What of it `stylize` leaves as it is, as it lies beside the object or on what this stands on, is
+    blue.
+
     Args:
         splats: The scene.
         cameras: Views to choose from.
@@ -41,14 +46,23 @@ def selection_picture(
     Returns:
         The views side by side; None if the picked Gaussians show in none.
     """
-    panels = []
-    for shown in find_views(splats, cameras, picked):
-        camera = _cut(cameras[shown.row], shown)
-        image, share = colors_and_coverage(splats, camera, picked)
-        grey = DIM * image.mean(dim=-1, keepdim=True)
-        panel = to_uint8(share * image + (1 - share) * grey).cpu()
-        panels.append((_outlined(panel, share[..., 0].cpu() > MIN_COVERAGE), camera.names[0]))
-    return _row(panels) if panels else None
+    views = find_views(splats, cameras, picked)
+    if not views:
+        return None
+    features = torch.stack([picked.to(splats.means), own_shares(splats, picked, cameras)], dim=1)
+    return _row([_panel(splats, _cut(cameras[shown.row], shown), features) for shown in views])
+
+
+def _panel(
+    splats: Splats, camera: Cameras, features: Float[Tensor, "N 2"]
+) -> tuple[UInt8[np.ndarray, "_ _ 3"], str]:
+    """One view and its name; the features are the pick and the shares of it that take paint."""
+    rendered, _, _ = rasterize(splats, camera, features=features)
+    image, covered, own = rendered[0].split([3, 1, 1], dim=-1)
+    grey = DIM * image.mean(dim=-1, keepdim=True)
+    left_out = (covered - own) * image.new_tensor(LEFT_OUT)
+    panel = to_uint8(own * image + left_out + (1 - covered) * grey).cpu()
+    return _outlined(panel, covered[..., 0].cpu() > MIN_COVERAGE), camera.names[0]
 
 
 def _cut(camera: Cameras, shown: Shown) -> Cameras:

@@ -9,6 +9,7 @@ from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
+from stylesplat.selection.own_shares import own_shares
 from stylesplat.selection.pick import pick_objects
 
 
@@ -16,8 +17,9 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     """List the objects that a scene's label maps named.
 
     Returns:
-        By id: `id`, `names`, `gaussians`, if labels were lifted the mean `confidence` of these,
-        and as `extents` gives it where they are.
+        By id: `id`, `names`, `gaussians`, how many of these are the object's `own`, which
+        `stylize` paints, if labels were lifted their mean `confidence`, and as `extents` gives it
+        where they are.
 
     Raises:
         StyleSplatError: If the scene has no identities.
@@ -28,6 +30,7 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
             "id": id,
             "names": names_of(scene, id),
             "gaussians": int(mask.sum()),
+            "own": int((own_shares(scene.splats, mask, scene.cameras) > 0).sum()),
             **_confidence(scene, mask),
             **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
         }
