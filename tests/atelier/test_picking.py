@@ -15,6 +15,7 @@ from stylesplat.atelier.picking import (
     pick_ball,
     pick_box,
     pick_names,
+    pick_round,
     renamed,
     resized,
     united,
@@ -76,6 +77,18 @@ def test_a_ball_picks_without_labels_and_strokes_correct_it():
     less = pick_ball(more, CAMERA, pixel("7"), 0.25, "away")
     assert torch.equal(masks.of(less.scene, "pick 1"), masks.of(first.scene, "pick 1"))
     assert names_in(less.scene) == ["pick 1"], "what was taken away has no name any more"
+
+
+def test_a_rectangle_corrects_a_pick_by_the_ball_that_fits_into_it():
+    masks, (x, y) = Masks(), pixel("3")
+    first = pick_round(PLAIN, CAMERA, (x - 60, y - 60), (x + 60, y + 60))
+    part = pick_round(PLAIN, CAMERA, (x - 60, y - 25), (x + 60, y + 25))
+    whole, some = (masks.of(state.scene, "pick 1") for state in (first, part))
+    assert 0 < int(some.sum()) < int(whole.sum()) and (whole | ~some).all()
+    less = pick_round(first, CAMERA, (x - 60, y - 25), (x + 60, y + 25), "away")
+    assert torch.equal(masks.of(less.scene, "pick 1"), whole & ~some)
+    places, _ = project(SPLATS.means[some], CAMERA)
+    assert (places - torch.tensor([x, y])).abs().max() < 28, "25 pixels, on the near side"
 
 
 def test_shapes_sizes_differences_and_names():

@@ -15,6 +15,7 @@ from stylesplat.atelier.picking import (
     pick_ball,
     pick_box,
     pick_names,
+    pick_round,
     pick_words,
     pixel_of,
     renamed,
@@ -39,7 +40,8 @@ HOW: dict[str, How] = {"": "new", "shift": "add", "cmd/ctrl": "away"}
 SHARE = 0.05  # of its extent, by which an object grows or shrinks at a click
 NOBODY = "none"
 HELP = """**Click** an object in the picture. **Shift** adds, **Ctrl** takes away.
-**Shift**-drag a rectangle to add what shows most in it, **Ctrl**-drag to take that away."""
+**Shift**-drag a rectangle to add what shows most in it, **Ctrl**-drag to take that away.
+With a *ball*, the one that fits into the rectangle is added or taken away."""
 
 
 class PickPanel:
@@ -162,10 +164,12 @@ class PickPanel:
 
         @scene.on_rect_select(modifier=modifier)
         def _(event: "viser.SceneRectSelectEvent") -> None:
-            camera = camera_of(event.client)
+            camera, ball = camera_of(event.client), self._what.value == BALL
             low, high = pixel_of(camera, event.screen_min), pixel_of(camera, event.screen_max)
 
             def pick(state: State) -> State:
+                if ball:
+                    return pick_round(state, camera, low, high, how)
                 found = object_in(state, session.masks, camera, low, high)
                 return state if found is None else pick_names(state, [found], how)
 

@@ -5,12 +5,14 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from stylesplat.atelier.studio_state import Masks, State, names_in, unless_all, with_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import AT_ONCE, render_shares
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop
+from stylesplat.scene.projection import crop, depths_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.shapes import surface_point
@@ -113,8 +115,37 @@ def pick_ball(
     Raises:
         StyleSplatError: If nothing solid shows there.
     """
-    centre = surface_point(state.scene.splats, camera, place).tolist()
-    sphere = tuple(round(float(number), 5) for number in (*centre, radius))
+    return _ball(state, surface_point(state.scene.splats, camera, place), radius, how)
+
+
+def pick_round(
+    state: State,
+    camera: Cameras,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    how: How = "new",
+) -> State:
+    """Pick the ball that fits into a rectangle of a camera's picture, around the surface there.
+
+    Args:
+        state: What is picked now.
+        camera: One camera.
+        low: Left and top, in pixels.
+        high: Right and bottom.
+        how: What becomes of it.
+
+    Raises:
+        StyleSplatError: If nothing solid shows in its middle.
+    """
+    across, down = ((a + b) / 2 for a, b in zip(low, high, strict=True))
+    centre = surface_point(state.scene.splats, camera, (across, down))
+    pixels = min(b - a for a, b in zip(low, high, strict=True)) / 2
+    depth = float(depths_of(centre[None], camera)[0])
+    return _ball(state, centre, pixels * depth / float(camera.Ks[0, 0, 0]), how)
+
+
+def _ball(state: State, centre: Float[Tensor, " 3"], radius: float, how: How) -> State:
+    sphere = tuple(round(float(number), 5) for number in (*centre.tolist(), radius))
     return _shaped(state, {"sphere": sphere}, how)
 
 
