@@ -14,7 +14,7 @@ from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering import rasterize
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
@@ -38,6 +38,21 @@ def without_overflow(
         cameras: Views in which the object may cover no pixel that it did not cover before; of
             many some are checked.
     """
+    return unsplit(splats, split, split.parents[beside(splats, split, picked, cameras)].unique())
+
+
+@torch.no_grad()
+def beside(
+    splats: Splats, split: Split, picked: Bool[Tensor, " N"], cameras: Cameras
+) -> Int[Tensor, " M"]:
+    """Which of the object's Gaussians show, after a split, where nothing of it showed.
+
+    Args:
+        splats: The scene before the split, on the CPU.
+        split: After it.
+        picked: The object's Gaussians, before.
+        cameras: Views of the scene, of which some are checked.
+    """
     bare, plain = without_looks(splats), without_looks(split.splats)
 
     def overflowing(index: int) -> Tensor:
@@ -46,7 +61,7 @@ def without_overflow(
 
     rows = evenly(range(len(cameras)), CHECKED_VIEWS)
     found = track(at_once(overflowing, rows), "looking beside the object", total=len(rows))
-    return unsplit(splats, split, split.parents[torch.cat([NONE, *found])].unique())
+    return torch.cat([NONE, *found]).unique()
 
 
 def _showing(
@@ -67,7 +82,7 @@ def _showing(
 
 def _touching(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Bool[Tensor, " N"]:
     """Which Gaussians may reach some pixels: the boxes around them hold some."""
-    projected = cpu.project_gaussians(activated(splats), views_of(beside(splats, camera))[0])
+    projected = cpu.project_gaussians(rasterize.activated(splats), views_of(rasterize.beside(splats, camera))[0])
     sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
     size = torch.tensor(camera.size)
     low = (projected.means2d - projected.radii).floor().long().clamp(min=0).minimum(size)

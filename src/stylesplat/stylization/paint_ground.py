@@ -13,6 +13,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
+from stylesplat.stylization.fresh_canvas import fresh_canvas
 from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.object_views import Box, typical_length
 from stylesplat.stylization.overflow import without_overflow
@@ -79,6 +80,33 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     split = _split(ground.studio, ground.job, boxes, length, growth)
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
+    places = seen_anew(studio.splats, job.picked, ground.places)
+    return _with_shares(studio, job, split.parents, places)
+
+
+def fresh_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
+    """The same with a fresh canvas on the object.
+
+    Args:
+        ground: Not split yet.
+        boxes: Where the object is seen.
+        length: Its longer side in pixels, for which the canvas is to be fine enough.
+    """
+    studio, job = ground.studio, ground.job
+    count = int(job.picked.sum())
+    device, splats = studio.splats.device, studio.splats.to("cpu")
+    split = fresh_canvas(
+        splats,
+        job.picked.cpu(),
+        boxes,
+        studio.every_camera,
+        length=length,
+        room=int(max(job.config.growth(count) - 1, 1) * count),
+        seed=job.config.seed,
+    )
+    split = Split(split.splats.to(device), split.parents.to(device))
+    job = replace(job, picked=job.picked[split.parents])
+    studio = replace(studio, splats=split.splats)
     places = seen_anew(studio.splats, job.picked, ground.places)
     return _with_shares(studio, job, split.parents, places)
 

@@ -5,7 +5,7 @@ depths and fall below the faintest opacity that is drawn. Renders of the scene b
 tell what their opacities and scales have to be; no photos are needed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,7 +16,8 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.rasterize import activated, beside, rasterize
 from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import drawn, evenly
@@ -48,14 +49,17 @@ class _View:
     picked: Float[Tensor, "M 1 1"]
     """1 for those of the object, 0 for others."""
 
-    def error(self, leaves: dict[str, Tensor], raised: Float[Tensor, " 3"]) -> Float[Tensor, ""]:
-        """Of the image of other opacities and scales, the object's colours being raised.
+    def error(
+        self, leaves: Mapping[str, Tensor], fitted: Bool[Tensor, " N"], raised: Float[Tensor, " 3"]
+    ) -> Float[Tensor, ""]:
+        """Of the image of other Gaussians, the object's colours being raised.
 
         By other amounts in every step, so that its coverage has to be right whatever lies behind.
         """
-        moved = {name: leaf[self.shown] for name, leaf in leaves.items()}
-        sh0 = self.splats.sh0 + raised / SH_C0 * self.picked
-        image, _, _ = rasterize(replace(self.splats, sh0=sh0, **moved), self.camera)
+        moved = {"sh0": self.splats.sh0} | {k: leaf[self.shown] for k, leaf in leaves.items()}
+        sh0 = torch.where(fitted[self.shown, None, None], moved["sh0"], self.splats.sh0)
+        moved["sh0"] = sh0 + raised / SH_C0 * self.picked
+        image, _, _ = rasterize(replace(self.splats, **moved), self.camera)
         return (image[0] - self.image - raised * self.coverage).square().mean()
 
 
@@ -81,32 +85,59 @@ def refit(
     divided = split.parents.bincount(minlength=len(splats))[split.parents] > 1
     if not divided.any():
         return split
+    return fit(splats, split, picked, boxes, divided, RATES, steps=STEPS, seed=seed)
+
+
+def fit(
+    splats: Splats,
+    split: Split,
+    picked: Bool[Tensor, " N"],
+    boxes: Sequence[Box],
+    fitted: Bool[Tensor, " M"],
+    rates: Mapping[str, float],
+    *,
+    steps: int,
+    seed: int,
+) -> Split:
+    """Give some Gaussians of a split scene what makes the object look as before.
+
+    Args:
+        splats: The scene before the split, on the CPU.
+        split: After it.
+        picked: The object's Gaussians, before.
+        boxes: Where the object lies in the views to compare.
+        fitted: Which Gaussians, after. Colours are fitted of those only that have no higher bands.
+        rates: What of them changes, and how fast.
+        steps: How many.
+        seed: Of the order of the views, and of the colours that tell object and background apart.
+    """
     zoom = min(1.0, LENGTH / typical_length(boxes))
     cuts = [around(box, zoom, (MARGIN, MARGIN))[0] for box in evenly(boxes, VIEWS)]
     views = [*at_once(partial(_look, splats, split, picked), cuts)]
-    leaves = {name: split.splats.tensors()[name].clone().requires_grad_() for name in RATES}
+    leaves = {name: split.splats.tensors()[name].clone().requires_grad_() for name in rates}
     moments = Moments.zeros(leaves)
     generator = torch.Generator().manual_seed(seed)
-    shown = track(drawn(views, STEPS, generator), "fitting split Gaussians", total=STEPS)
+    shown = track(drawn(views, steps, generator), "fitting new Gaussians", total=steps)
     for step, view in enumerate(shown, start=1):
         raised = RAISED * torch.rand(3, generator=generator)
         with torch.enable_grad():
-            view.error(leaves, raised.to(view.image)).backward()
-        rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
-        adam_step(leaves, moments, rates, step, seen=divided & view.shown)
+            view.error(leaves, fitted, raised.to(view.image)).backward()
+        now = {name: rate * LAST ** (step / steps) for name, rate in rates.items()}
+        adam_step(leaves, moments, now, step, seen=fitted & view.shown)
         for leaf in leaves.values():
             leaf.grad = None
-    fitted = {name: leaf.detach() for name, leaf in leaves.items()}
-    return replace(split, splats=replace(split.splats, **fitted))
+    found = {name: leaf.detach() for name, leaf in leaves.items()}
+    return replace(split, splats=replace(split.splats, **found))
 
 
 @torch.no_grad()
 def _look(splats: Splats, split: Split, picked: Tensor, camera: Cameras) -> _View:
     """What a camera saw, and the Gaussians that it draws now."""
     features = picked.to(splats.means)[:, None]
-    image, _, info = rasterize(splats, camera, features=features)
+    image, _, _ = rasterize(splats, camera, features=features)
     image, coverage = image[0].split((3, 1), dim=2)
-    shown = (info["radii"][0] > 0).all(dim=1)[split.parents]
+    views = views_of(beside(split.splats, camera))
+    shown = (cpu.project_gaussians(activated(split.splats), views[0]).radii > 0).all(dim=1)
     seen = replace(split.splats, identities=None, confidence=None)[shown]
     directions = seen.means - camera.positions.to(seen.means)
     colors = cpu.spherical_harmonics(seen.sh_degree, directions, seen.sh0, seen.shN)

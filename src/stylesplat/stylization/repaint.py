@@ -19,7 +19,7 @@ from stylesplat.stylization.near_palette import NearPalette, near_palette, settl
 from stylesplat.stylization.object_views import Box, ObjectView, typical_length
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.paint_ground import Ground, finer_ground, own_ground
+from stylesplat.stylization.paint_ground import Ground, finer_ground, fresh_ground, own_ground
 from stylesplat.stylization.stages import Stage
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.style_job import Studio, StyleJob
@@ -82,7 +82,9 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     photo_length = typical_length(boxes)
     stages, finest = _stages(studio, job, photo_length), config.finest(photo_length)
     split_at = min(SPLIT_AT, len(stages) - 1)
-    if split_at == 0:
+    if config.canvas:
+        ground, split_at = fresh_ground(ground, boxes, finest), None
+    elif split_at == 0:
         ground = finer_ground(ground, boxes, finest)
     generator = torch.Generator().manual_seed(config.seed)
     views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)

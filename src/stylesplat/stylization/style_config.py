@@ -141,6 +141,11 @@ class StyleConfig:
         return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
 
     @property
+    def canvas(self) -> bool:
+        """Whether the object is painted on a fresh canvas: its own pattern goes for good."""
+        return self.texture == "replace" and self.intensity > 0 and self.max_growth != 1
+
+    @property
     def levelled(self) -> float:
         """How much to take away of what is finer than strokes larger than usual, 0 to 1."""
         follows = self.object_size or SIZES[self.pattern]  # else no render shows less
