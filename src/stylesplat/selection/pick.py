@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -14,6 +14,7 @@ from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.gaps import amid
 from stylesplat.selection.identities import (
     class_probabilities,
     object_ids,
@@ -23,6 +24,7 @@ from stylesplat.selection.identities import (
 from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
+SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
@@ -49,7 +51,8 @@ def pick(
         box: `(x0, y0, x1, y1)` in the photo's pixels; the object that shows most inside it.
         point: `(x, y)` in the photo's pixels; the object that shows there.
         camera: The view that `box` or `point` refers to, at the photo's full size.
-        threshold: Probability of the object above which a Gaussian belongs to it.
+        threshold: Probability of the object above which a Gaussian belongs to it; those in doubt
+            do where most of their neighbours do.
         remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object.
 
     Returns:
@@ -108,7 +111,10 @@ def pick_objects(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> dict[int, Bool[Tensor, " N"]]:
-    """The Gaussians of each object by its label id, possibly none."""
+    """The Gaussians of each object by its label id, possibly none.
+
+    These are likelier the object's than `threshold` says, or in doubt and lie amid those that are.
+    """
     _, classifier = require_identities(splats)
     probabilities = class_probabilities(splats)
     picked = {}
@@ -116,8 +122,17 @@ def pick_objects(
         mask = probabilities[:, classifier.ids.index(id)] > threshold
         if remove_outliers:
             mask[mask.clone()] = inliers(splats.means[mask])
+        mask |= amid(splats, mask, _doubtful(probabilities, classifier.ids, id))
         picked[id] = mask
     return picked
+
+
+def _doubtful(
+    probabilities: Float[Tensor, "N K"], ids: Sequence[int], id: int
+) -> Bool[Tensor, " N"]:
+    """Which Gaussians are not known to be something else than an object."""
+    limits = [1.0 if each == id else SURE[each == BACKGROUND] for each in ids]
+    return (probabilities <= probabilities.new_tensor(limits)).all(dim=1)
 
 
 def _known_ids(

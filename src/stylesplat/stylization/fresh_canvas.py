@@ -4,7 +4,7 @@ An object's own pattern sits in the shapes of its Gaussians too, so that whateve
 take, it shows. The canvas hides them; they keep their places, and undoing gives them back.
 """
 
-import math
+import math, os
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -28,8 +28,9 @@ from stylesplat.stylization.seen_surface import LENGTH, Surface, seen_surface
 from stylesplat.stylization.split import FINE_ENOUGH, Split
 from stylesplat.stylization.spread import POOLED, flattened, pooled, thinned
 
-WIDE, FLAT = 0.7, 0.15  # deviations of a disc in its plane and across, in distances of discs
-OPACITY = 0.95  # of a disc before it is fitted
+WIDE, FLAT = float(os.environ.get('WIDE', .7)), 0.15  # deviations of a disc in its plane and across, in distances of discs
+FINER = float(os.environ.get('FINER', 1))
+OPACITY = float(os.environ.get('OPAC', .95))  # of a disc before it is fitted
 RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}
 STEPS = 60
 BENEATH = (0.3, 0.6)  # parts of what a Gaussian paints beneath discs: none of it fades, and all
@@ -64,13 +65,12 @@ def fresh_canvas(
         Each new Gaussian's parent is the picked one that is nearest.
     """
     surface = seen_surface(splats, picked, boxes)
-    distance = FINE_ENOUGH / WIDE * surface.pixel * LENGTH / length
+    distance = FINER * FINE_ENOUGH / 0.7 * surface.pixel * LENGTH / length
     split = _laid(splats, picked, _discs(surface, distance, room, seed=seed))
-    split = _within(splats, split, picked, cameras)
-    split = _hiding(splats, split, picked, boxes)
+    split = _hiding(splats, _within(splats, split, picked, cameras), picked, boxes)
     fitted = torch.arange(len(split.splats)) >= len(splats)
     split = fit(splats, split, picked, boxes, fitted, RATES, steps=STEPS, seed=seed)
-    return _within(splats, split, picked, cameras)
+    return _hiding(splats, _within(splats, split, picked, cameras), picked, boxes)
 
 
 def _discs(surface: Surface, distance: float, room: int, *, seed: int) -> Splats:
@@ -134,10 +134,9 @@ def _hiding(splats: Splats, split: Split, picked: Tensor, boxes: Sequence[Box]) 
     low, high = BENEATH
     fading = ((beneath / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1)
     fading = fading * picked
-    opacities = split.splats.opacities.clone()
-    faded = torch.sigmoid(opacities[: len(splats)]) * (1 - fading)
-    faded = torch.where(fading > 0, torch.logit(faded, eps=1e-6), opacities[: len(splats)])
-    opacities[: len(splats)] = faded
+    faded = torch.logit(torch.sigmoid(splats.opacities) * (1 - fading), eps=1e-6)
+    faded = torch.where(fading > 0, faded, splats.opacities)
+    opacities = torch.cat([faded, split.splats.opacities[len(splats) :]])
     return replace(split, splats=replace(split.splats, opacities=opacities))
 
 

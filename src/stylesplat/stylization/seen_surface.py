@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.shares import TINY_COVERAGE
+from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
 from stylesplat.scene.sampling import evenly
@@ -52,26 +52,33 @@ def seen_surface(splats: Splats, picked: Bool[Tensor, " N"], boxes: Sequence[Box
     cuts = [around(box, zoom, (1, 1))[0] for box in evenly(boxes, VIEWS)]
     far = BEHIND * extent(splats.means[picked])
 
-    def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        return _look(splats, picked, camera, far)
+    alone = without_looks(splats[picked])
+    everyone = torch.ones(len(alone), dtype=torch.bool, device=splats.device)
+
+    def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        return *_look(splats, picked, camera, far), coverage(alone, camera, everyone)
 
     seen = track(at_once(look, cuts, splats.device), "looking for the surface", total=len(cuts))
-    points, normals, colors, sizes = (torch.cat(each) for each in zip(*seen, strict=True))
-    return Surface(points, normals, colors, float(sizes.median()))
+    *parts, outlines = zip(*seen, strict=True)
+    points, normals, colors, sizes = (torch.cat(each) for each in parts)
+    kept = torch.ones(len(points), dtype=torch.bool, device=points.device)
+    for camera, outline in zip(cuts, outlines, strict=True):
+        kept &= ~_beside(points, camera, outline)
+    return Surface(points[kept], normals[kept], colors[kept], float(sizes.median()))
 
 
 def _look(
     splats: Splats, picked: Tensor, camera: Cameras, far: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Points, normals, colours and sizes of the pixels of one camera that show the surface."""
-    image, coverage, depths = _depths(splats, picked, camera)
+    image, covered, depths = _depths(splats, picked, camera)
     first = picked & ~_behind(splats, camera, depths + far)
     _, own, depths = _depths(splats, first, camera)
     width, height = camera.size
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)
     normals, sure = _normals(points, camera.positions.to(points))
-    sure &= (coverage > SOLID) & (own > SOLID / 2)
+    sure &= (covered > SOLID) & (own > SOLID / 2)
     sizes = depths / camera.Ks[0, 0, 0].to(depths)
     return points[sure], normals[sure], image[sure], sizes[sure]
 
@@ -81,18 +88,33 @@ def _depths(splats: Splats, picked: Tensor, camera: Cameras) -> tuple[Tensor, Te
     mine = picked.to(splats.means)
     features = torch.stack([mine, mine * depths_of(splats.means, camera)], dim=1)
     image, _, _ = rasterize(splats, camera, features=features)
-    colors, coverage, depths = image[0].split((3, 1, 1), dim=2)
-    coverage, depths = coverage[..., 0], depths[..., 0]
-    return colors, coverage, depths / coverage.clamp(min=TINY_COVERAGE)
+    colors, covered, depths = image[0].split((3, 1, 1), dim=2)
+    covered, depths = covered[..., 0], depths[..., 0]
+    return colors, covered, depths / covered.clamp(min=TINY_COVERAGE)
 
 
 def _behind(splats: Splats, camera: Cameras, depths: Float[Tensor, "H W"]) -> Tensor:
     """Which Gaussians lie behind the depths of their pixels; those beside the image do not."""
-    places, own = project(splats.means, camera)
+    inside, there = _looked_up(splats.means, camera, depths)
+    own = depths_of(splats.means[inside], camera)
+    return inside.masked_scatter(inside, own > there)
+
+
+def _beside(points: Tensor, camera: Cameras, outline: Float[Tensor, "H W"]) -> Tensor:
+    """Which points lie beside the object in a camera's image, were nothing before it."""
+    inside, there = _looked_up(points, camera, outline)
+    return inside.masked_scatter(inside, there < COVERED)
+
+
+def _looked_up(
+    points: Float[Tensor, "P 3"], camera: Cameras, values: Float[Tensor, "H W"]
+) -> tuple[Bool[Tensor, " P"], Float[Tensor, " L"]]:
+    """Which points lie in a camera's image, and what is there."""
+    places, depths = project(points, camera)
     size = torch.tensor(camera.size).to(places)
-    inside = ((places >= 0) & (places < size)).all(dim=1) & (own > 0)
+    inside = ((places >= 0) & (places < size)).all(dim=1) & (depths > 0)
     x, y = places[inside].long().unbind(1)
-    return inside.masked_scatter(inside, own[inside] > depths[y, x])
+    return inside, values[y, x]
 
 
 def _normals(

@@ -143,7 +143,8 @@ class StyleConfig:
     @property
     def canvas(self) -> bool:
         """Whether the object is painted on a fresh canvas: its own pattern goes for good."""
-        return self.texture == "replace" and self.intensity > 0 and self.max_growth != 1
+        import os
+        return (self.texture == "replace" or bool(os.environ.get("CANVAS"))) and self.intensity > 0 and self.max_growth != 1
 
     @property
     def levelled(self) -> float:
