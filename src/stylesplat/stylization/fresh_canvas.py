@@ -4,12 +4,12 @@ An object's own pattern sits in the shapes of its Gaussians too, so that whateve
 take, it shows. The canvas hides them; they keep their places, and undoing gives them back.
 """
 
-import math, os
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -22,21 +22,22 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.object_views import Box, around, typical_length
-from stylesplat.stylization.overflow import beside
+from stylesplat.stylization.overflow import Untouched, beside, untouched
 from stylesplat.stylization.refit import fit
 from stylesplat.stylization.seen_surface import LENGTH, Surface, seen_surface
-from stylesplat.stylization.split import FINE_ENOUGH, Split
+from stylesplat.stylization.split import Split
 from stylesplat.stylization.spread import POOLED, flattened, pooled, thinned
 
-WIDE, FLAT = float(os.environ.get('WIDE', .7)), 0.15  # deviations of a disc in its plane and across, in distances of discs
-FINER = float(os.environ.get('FINER', 1))
-OPACITY = float(os.environ.get('OPAC', .95))  # of a disc before it is fitted
+CLOSE = 1.3  # pixels between discs: of as many, one that lies too high is told from one too low
+WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in distances of discs
+# Of a disc before it is fitted: more looks grainy, as then a pixel shows a single disc
+OPACITY = 0.8
 RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}
 STEPS = 60
-BENEATH = (0.3, 0.6)  # parts of what a Gaussian paints beneath discs: none of it fades, and all
-VIEWS = 12  # in which is looked for what lies beneath
-SMALLER = 0.6  # of a disc that shows where nothing of the object showed, once
-TRIES = 2
+BENEATH = (0.5, 0.9)  # part of what a Gaussian paints that discs hide: none of it fades, and all
+VIEWS = 12  # in which is looked for what discs hide
+SMALLER = 0.6  # of a disc that shows where nothing of the object showed
+SPARE = 0.95  # share of the room that is aimed at
 
 
 @torch.no_grad()
@@ -65,30 +66,31 @@ def fresh_canvas(
         Each new Gaussian's parent is the picked one that is nearest.
     """
     surface = seen_surface(splats, picked, boxes)
-    distance = FINER * FINE_ENOUGH / 0.7 * surface.pixel * LENGTH / length
+    distance = CLOSE * surface.pixel * LENGTH / length
     split = _laid(splats, picked, _discs(surface, distance, room, seed=seed))
-    split = _hiding(splats, _within(splats, split, picked, cameras), picked, boxes)
+    pixels = untouched(splats, picked, cameras)
+    split = _smaller(split, _overflowing(splats, split, picked, pixels))
+    split = _hiding(splats, split, picked, boxes)
     fitted = torch.arange(len(split.splats)) >= len(splats)
     split = fit(splats, split, picked, boxes, fitted, RATES, steps=STEPS, seed=seed)
-    return _hiding(splats, _within(splats, split, picked, cameras), picked, boxes)
+    return _hiding(splats, _within(splats, split, picked, pixels), picked, boxes)
 
 
 def _discs(surface: Surface, distance: float, room: int, *, seed: int) -> Splats:
     """Round Gaussians on a surface; farther from each other than wanted if there is no room."""
     while True:
-        points, normals, colors = pooled(
-            POOLED * distance, surface.points, [surface.normals, surface.colors]
-        )
-        points, normals = flattened(points, normals)
+        known = [surface.normals, surface.colors]
+        points, normals, colors = pooled(POOLED * distance, surface.points, known)
         rows = thinned(points, distance, seed=seed)
         if len(rows) <= room:
             break
-        distance *= max(1.02, math.sqrt(len(rows) / room))
+        distance *= math.sqrt(len(rows) / (SPARE * room))
+    means, normals = flattened(points, normals, rows)
     scales = points.new_tensor([WIDE, WIDE, FLAT]).mul(distance).log()
     count = len(rows)
     return Splats(
-        means=points[rows],
-        quats=_facing(normals[rows]),
+        means=means,
+        quats=_facing(normals),
         scales=scales.expand(count, 3).clone(),
         opacities=torch.logit(points.new_full((count,), OPACITY)),
         sh0=sh0_from_rgb(colors[rows])[:, None],
@@ -140,16 +142,25 @@ def _hiding(splats: Splats, split: Split, picked: Tensor, boxes: Sequence[Box]) 
     return replace(split, splats=replace(split.splats, opacities=opacities))
 
 
-def _within(splats: Splats, split: Split, picked: Tensor, cameras: Cameras) -> Split:
+def _within(
+    splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]
+) -> Split:
     """The same with smaller discs, or none, where they show beside the object."""
-    for attempt in range(TRIES + 1):
-        rows = beside(splats, split, picked, cameras)
-        rows = rows[rows >= len(splats)]
-        if not len(rows):
-            return split
-        if attempt < TRIES:
-            scales = split.splats.scales.clone()
-            scales[rows] += math.log(SMALLER)
-            split = replace(split, splats=replace(split.splats, scales=scales))
-    kept = torch.ones(len(split.splats), dtype=torch.bool).index_fill(0, rows, False)
+    split = _smaller(split, _overflowing(splats, split, picked, pixels))
+    kept = torch.ones_like(split.parents, dtype=torch.bool)
+    kept[_overflowing(splats, split, picked, pixels)] = False
     return Split(split.splats[kept], split.parents[kept])
+
+
+def _overflowing(
+    splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]
+) -> Int[Tensor, " M"]:
+    """The discs that show where nothing may."""
+    rows = beside(split.splats, picked[split.parents], pixels)
+    return rows[rows >= len(splats)]
+
+
+def _smaller(split: Split, rows: Int[Tensor, " M"]) -> Split:
+    scales = split.splats.scales.clone()
+    scales[rows] += math.log(SMALLER)
+    return replace(split, splats=replace(split.splats, scales=scales))

@@ -4,6 +4,8 @@ Children of large Gaussians close to a camera, each of which it sees in its own 
 lie before what hid the parent's centre; or that grew when they were fitted.
 """
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -22,6 +24,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.split import Split, unsplit
 
 CHECKED_VIEWS = 16
+Untouched = tuple[Cameras, Tensor]  # one camera, and some of its pixels [H, W]
 NONE = torch.zeros(0, dtype=torch.long)
 
 
@@ -38,29 +41,45 @@ def without_overflow(
         cameras: Views in which the object may cover no pixel that it did not cover before; of
             many some are checked.
     """
-    return unsplit(splats, split, split.parents[beside(splats, split, picked, cameras)].unique())
+    rows = beside(split.splats, picked[split.parents], untouched(splats, picked, cameras))
+    return unsplit(splats, split, split.parents[rows].unique())
+
+
+@torch.no_grad()
+def untouched(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) -> list[Untouched]:
+    """Some cameras, and the pixels of each in which nothing of an object shows.
+
+    Args:
+        splats: The scene, on the CPU.
+        picked: The object's Gaussians.
+        cameras: To choose from.
+    """
+    bare = without_looks(splats)
+
+    def look(row: int) -> Untouched:
+        return cameras[row], coverage(bare, cameras[row], picked) == 0
+
+    rows = evenly(range(len(cameras)), CHECKED_VIEWS)
+    return [*track(at_once(look, rows), "looking where nothing shows", total=len(rows))]
 
 
 @torch.no_grad()
 def beside(
-    splats: Splats, split: Split, picked: Bool[Tensor, " N"], cameras: Cameras
+    splats: Splats, picked: Bool[Tensor, " N"], pixels: Sequence[Untouched]
 ) -> Int[Tensor, " M"]:
-    """Which of the object's Gaussians show, after a split, where nothing of it showed.
+    """Which of an object's Gaussians show where nothing of it may show.
 
     Args:
-        splats: The scene before the split, on the CPU.
-        split: After it.
-        picked: The object's Gaussians, before.
-        cameras: Views of the scene, of which some are checked.
+        splats: The scene, on the CPU.
+        picked: The object's Gaussians.
+        pixels: Where nothing may show.
     """
-    bare, plain = without_looks(splats), without_looks(split.splats)
+    bare = without_looks(splats)
 
-    def overflowing(index: int) -> Tensor:
-        nothing = coverage(bare, cameras[index], picked) == 0
-        return _showing(plain, cameras[index], picked[split.parents], nothing)
+    def overflowing(where: Untouched) -> Tensor:
+        return _showing(bare, where[0], picked, where[1])
 
-    rows = evenly(range(len(cameras)), CHECKED_VIEWS)
-    found = track(at_once(overflowing, rows), "looking beside the object", total=len(rows))
+    found = track(at_once(overflowing, pixels), "looking beside the object", total=len(pixels))
     return torch.cat([NONE, *found]).unique()
 
 

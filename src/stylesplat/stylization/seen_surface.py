@@ -19,7 +19,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.margins import extent
 from stylesplat.stylization.object_views import Box, around, typical_length
 
-VIEWS = 16
+VIEWS = 32
 LENGTH = 200  # longer side of the object in them, in pixels
 SOLID = 0.7  # coverage from which a pixel shows the surface
 BEHIND = 0.04  # of the object's extent: what lies so far behind the mean depth is another side

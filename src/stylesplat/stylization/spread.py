@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional as F
 
 POOLED = 0.6  # side of the cubes whose points are one, in distances of the points that are left
 AROUND = 16  # points that a plane is fitted to
@@ -31,13 +32,16 @@ def pooled(size: float, points: Float[Tensor, "P 3"], values: Sequence[Tensor]) 
 
 
 def flattened(
-    points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"]
-) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]:
-    """Points moved along their normals onto the planes of their neighbours, and these' normals."""
-    near = _nearest(points, AROUND)
-    smooth = torch.nn.functional.normalize(normals[near].mean(dim=1), dim=1)
-    above = ((points - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
-    return points - above * smooth, smooth
+    points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
+) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
+    """Some points, moved along their normals onto the planes of their neighbours, and these'."""
+    coordinates = points.double().numpy()
+    count = min(AROUND, len(points))
+    _, near = KDTree(coordinates).query(coordinates[rows.numpy()], k=count, workers=-1)
+    near = torch.from_numpy(near).view(len(rows), -1)
+    smooth = F.normalize(normals[near].mean(dim=1), dim=1)
+    above = ((points[rows] - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
+    return points[rows] - above * smooth, smooth
 
 
 def thinned(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
@@ -63,9 +67,3 @@ def thinned(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[
         if not left.any():
             break
     return torch.from_numpy(taken.nonzero()[0])
-
-
-def _nearest(points: Float[Tensor, "P 3"], count: int) -> Int[Tensor, "P count"]:
-    coordinates = points.double().numpy()
-    _, rows = KDTree(coordinates).query(coordinates, k=min(count, len(points)), workers=-1)
-    return torch.from_numpy(rows).view(len(points), -1)
