@@ -38,6 +38,8 @@ class Ground:
     """The Gaussian of the scene before that each one comes from."""
     places: Sequence[Place]
     """Where the object is in some views, which tells shares; none if all have one of 1."""
+    canvas: bool = False
+    """Whether a fresh canvas lies on it."""
 
     def handed_down(self, earlier: Splats) -> Splats:
         """The object's Gaussians in the colours that their parents had earlier."""
@@ -64,7 +66,7 @@ def own_ground(studio: Studio, job: StyleJob) -> Ground:
 
 
 def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
-    """The same with Gaussians split that are too large.
+    """The same with Gaussians that are fine enough: a fresh canvas, or split ones.
 
     Args:
         ground: Not split yet.
@@ -77,38 +79,16 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     growth = ground.job.config.growth(int(ground.job.picked.sum()))
     if growth == 1 or ground.job.config.intensity == 0:
         return ground  # nothing would come of it
-    split = _split(ground.studio, ground.job, boxes, length, growth)
+    # contributions are known on the CPU only
+    studio = replace(ground.studio, splats=ground.studio.splats.to("cpu"))
+    job, device = replace(ground.job, picked=ground.job.picked.cpu()), ground.studio.splats.device
+    fresh = job.config.canvas == "fresh"
+    split = (_canvas if fresh else _split)(studio, job, boxes, length, growth)
+    split = Split(split.splats.to(device), split.parents.to(device))
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
     places = seen_anew(studio.splats, job.picked, ground.places)
-    return _with_shares(studio, job, split.parents, places)
-
-
-def fresh_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
-    """The same with a fresh canvas on the object.
-
-    Args:
-        ground: Not split yet.
-        boxes: Where the object is seen.
-        length: Its longer side in pixels, for which the canvas is to be fine enough.
-    """
-    studio, job = ground.studio, ground.job
-    count = int(job.picked.sum())
-    device, splats = studio.splats.device, studio.splats.to("cpu")
-    split = fresh_canvas(
-        splats,
-        job.picked.cpu(),
-        boxes,
-        studio.every_camera,
-        length=length,
-        room=int(max(job.config.growth(count) - 1, 1) * count),
-        seed=job.config.seed,
-    )
-    split = Split(split.splats.to(device), split.parents.to(device))
-    job = replace(job, picked=job.picked[split.parents])
-    studio = replace(studio, splats=split.splats)
-    places = seen_anew(studio.splats, job.picked, ground.places)
-    return _with_shares(studio, job, split.parents, places)
+    return replace(_with_shares(studio, job, split.parents, places), canvas=fresh)
 
 
 def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
@@ -125,18 +105,28 @@ def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequenc
     )
 
 
+def _canvas(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
+) -> Split:
+    """The scene with a fresh canvas on the object."""
+    return fresh_canvas(
+        studio.splats,
+        job.picked,
+        boxes,
+        studio.every_camera,
+        length=length,
+        room=int((growth - 1) * int(job.picked.sum())),
+        seed=job.config.seed,
+    )
+
+
 def _split(
     studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
 ) -> Split:
     """The scene with Gaussians of the object split."""
-    device = studio.splats.device
-    # contributions are known on the CPU only
-    studio = replace(studio, splats=studio.splats.to("cpu"))
-    job = replace(job, picked=job.picked.cpu())
     few = evenly(boxes, SPLIT_VIEWS)
     zoom = length / typical_length(boxes)
     views = object_views(studio, job, few, zoom, max_memory=math.inf)
     split = split_large(studio.splats, job.picked, views, max_growth=growth)
     split = refit(studio.splats, split, job.picked, boxes, seed=job.config.seed)
-    split = without_overflow(studio.splats, split, job.picked, studio.every_camera)
-    return Split(split.splats.to(device), split.parents.to(device))
+    return without_overflow(studio.splats, split, job.picked, studio.every_camera)

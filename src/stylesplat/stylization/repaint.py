@@ -19,7 +19,7 @@ from stylesplat.stylization.near_palette import NearPalette, near_palette, settl
 from stylesplat.stylization.object_views import Box, ObjectView, typical_length
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.paint_ground import Ground, finer_ground, fresh_ground, own_ground
+from stylesplat.stylization.paint_ground import Ground, finer_ground, own_ground
 from stylesplat.stylization.stages import Stage
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.style_job import Studio, StyleJob
@@ -30,6 +30,7 @@ from stylesplat.stylization.undercoat import undercoat
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
 STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
 COLOR_VIEWS = 8  # whose pixels tell an object's colours
+CALM = 0.5  # factor of the rate on a fresh canvas: a pixel shows few discs, and more looks grainy
 SPLIT_AT = 1  # the stage: Gaussians are fine enough for the one before
 
 
@@ -82,9 +83,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     photo_length = typical_length(boxes)
     stages, finest = _stages(studio, job, photo_length), config.finest(photo_length)
     split_at = min(SPLIT_AT, len(stages) - 1)
-    if config.canvas:
-        ground, split_at = fresh_ground(ground, boxes, finest), None
-    elif split_at == 0:
+    if split_at == 0:
         ground = finer_ground(ground, boxes, finest)
     generator = torch.Generator().manual_seed(config.seed)
     views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)
@@ -98,8 +97,8 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
                 ground = finer_ground(ground, boxes, finest)
             views += stage_views(ground.studio, ground.job, boxes, stage, generator)
             if ground is not before:
-                aim = replace(aim, views=_few_views(ground, boxes, stage, views))
-                plain, current = ground.handed_down(plain), ground.handed_down(current)
+                current = ground.handed_down(current)
+                aim, plain, _ = _begun(ground, _few_views(ground, boxes, stage, views))
         objective = _objective(ground, aim, stage, plain, current)
         for step in optimize_colors(
             current, ground.studio.splats, ground.shares, views, objective, stage.steps
@@ -202,7 +201,7 @@ def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: S
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
         original=plain,
-        config=replace(config, lr=stage.rate * config.lr),
+        config=replace(config, lr=stage.rate * (CALM if ground.canvas else 1.0) * config.lr),
         near=aim.near,
         anchor=Anchor(mixed_colors(ground.studio.splats, current, ground.shares)) if fine else None,
     )

@@ -46,10 +46,11 @@ GROWTH = 4.0  # times as many Gaussians by splitting
 MOST_GROWTH = 16.0  # of objects that have few
 FEW = 25_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
+FIRST = 25  # steps on the object as it is: what is to be seen soon
 PLANS: dict[Quality, tuple[Row, ...]] = {
-    "draft": (Row(90, COARSE), Row(30, 1.0)),
-    "normal": (Row(165, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
-    "high": (Row(225, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
+    "draft": (Row(FIRST, COARSE), Row(90 - FIRST, COARSE), Row(30, 1.0)),
+    "normal": (Row(FIRST, COARSE), Row(165 - FIRST, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
+    "high": (Row(FIRST, COARSE), Row(225 - FIRST, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
 }
 
 

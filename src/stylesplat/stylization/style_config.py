@@ -26,6 +26,7 @@ ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
 Texture = Literal["keep", "soften", "replace"]
+Canvas = Literal["fresh", "own"]
 
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
@@ -87,6 +88,12 @@ class StyleConfig:
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
+    canvas: Canvas = "fresh"
+    """What strokes are made of: a fresh canvas is small, round Gaussians laid on the object's
+    surface, in whose shapes its own pattern is gone; own are the object's, split where too large.
+
+    Both need room to grow; a draft has none.
+    """
     hard: bool = False
     """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     view_share: float = 1.0
@@ -139,12 +146,6 @@ class StyleConfig:
     def softened(self) -> float:
         """How much of the object's own pattern to take away, 0 to 1."""
         return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
-
-    @property
-    def canvas(self) -> bool:
-        """Whether the object is painted on a fresh canvas: its own pattern goes for good."""
-        import os
-        return (self.texture == "replace" or bool(os.environ.get("CANVAS"))) and self.intensity > 0 and self.max_growth != 1
 
     @property
     def levelled(self) -> float:
