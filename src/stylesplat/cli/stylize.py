@@ -31,6 +31,7 @@ SETTINGS = (
     "content",
     "smoothness",
     "view_dependence",
+    "canvas",
     "max_growth",
     "seed",
 )
@@ -87,9 +88,12 @@ class Stylize:
     """Weight of the total variation; 0 by default, 1 calms, 5 makes flat areas."""
     view_dependence: Literal["keep", "drop", "train"] | None = None
     """Whether highlights and reflections stay, are painted over (default), or are trained too."""
+    canvas: Literal["fresh", "own"] | None = None
+    """What carries the strokes: small new Gaussians on the object's surface (fresh, the default),
+    or its own, split where too large."""
     max_growth: float | None = None
-    """Split Gaussians too large for strokes, by default up to 4 times as many, 16 for an object of
-    few; 1 splits none, as a draft does."""
+    """How many times as many Gaussians the object may get, by default 4, up to 16 for one of few;
+    1 adds none, as a draft does: it is painted on its own."""
     hard: FlagCreatePairsOff[bool] = False
     """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     max_memory: float = 1.5

@@ -134,9 +134,10 @@ def _unsplit(scene: Scene, base: Splats) -> Unsplit | None:
     before, known = scene.splats, scene.painted.unsplit if scene.painted else None
     count = known.count if known else len(before)
     changed = (base.scales[:count] != before.scales[:count]).any(dim=1)
+    changed |= base.opacities[:count] != before.opacities[:count]
     if known is not None:
         changed[known.rows] = False  # their shapes before are kept already
-    if known is None and not changed.any():
+    if known is None and not changed.any() and len(base) == count:
         return None
     rows = changed.nonzero()[:, 0]
     found = Unsplit(count, rows, before.scales[rows], before.opacities[rows])

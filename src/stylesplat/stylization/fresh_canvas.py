@@ -21,12 +21,12 @@ from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.evenly_spread import POOLED, flattened, pooled, thinned
 from stylesplat.stylization.object_views import Box, around, typical_length
 from stylesplat.stylization.overflow import Untouched, beside, untouched
 from stylesplat.stylization.refit import fit
 from stylesplat.stylization.seen_surface import LENGTH, Surface, seen_surface
 from stylesplat.stylization.split import Split
-from stylesplat.stylization.spread import POOLED, flattened, pooled, thinned
 
 CLOSE = 1.3  # pixels between discs: of as many, one that lies too high is told from one too low
 WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in distances of discs
@@ -37,6 +37,7 @@ STEPS = 60
 BENEATH = (0.5, 0.9)  # part of what a Gaussian paints that discs hide: none of it fades, and all
 VIEWS = 12  # in which is looked for what discs hide
 SMALLER = 0.6  # of a disc that shows where nothing of the object showed
+FEW = 500  # pixels of all views that show no surface
 SPARE = 0.95  # share of the room that is aimed at
 
 
@@ -50,7 +51,7 @@ def fresh_canvas(
     length: float,
     room: int,
     seed: int,
-) -> Split:
+) -> Split | None:
     """Lay a canvas on an object, and fade what lies beneath.
 
     Args:
@@ -63,9 +64,12 @@ def fresh_canvas(
         seed: Of their places, and of what they are fitted in.
 
     Returns:
-        Each new Gaussian's parent is the picked one that is nearest.
+        Each new Gaussian's parent is the picked one that is nearest. None if the object has no
+        surface that a canvas could lie on, as smoke has none.
     """
     surface = seen_surface(splats, picked, boxes)
+    if len(surface.points) < FEW:
+        return None
     distance = CLOSE * surface.pixel * LENGTH / length
     split = _laid(splats, picked, _discs(surface, distance, room, seed=seed))
     pixels = untouched(splats, picked, cameras)
@@ -132,7 +136,7 @@ def _hiding(splats: Splats, split: Split, picked: Tensor, boxes: Sequence[Box]) 
         return sums.new_zeros(len(splats), 2).index_copy_(0, view.gaussians, sums)
 
     seen = track(at_once(look, cuts), "looking beneath the canvas", total=len(cuts))
-    beneath, everywhere = sum(seen).unbind(dim=1)
+    beneath, everywhere = torch.stack([*seen]).sum(dim=0).unbind(dim=1)
     low, high = BENEATH
     fading = ((beneath / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1)
     fading = fading * picked
@@ -142,9 +146,7 @@ def _hiding(splats: Splats, split: Split, picked: Tensor, boxes: Sequence[Box]) 
     return replace(split, splats=replace(split.splats, opacities=opacities))
 
 
-def _within(
-    splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]
-) -> Split:
+def _within(splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]) -> Split:
     """The same with smaller discs, or none, where they show beside the object."""
     split = _smaller(split, _overflowing(splats, split, picked, pixels))
     kept = torch.ones_like(split.parents, dtype=torch.bool)

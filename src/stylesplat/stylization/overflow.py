@@ -12,11 +12,10 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from stylesplat.progress import track
-from stylesplat.rendering import cpu
+from stylesplat.rendering import cpu, rasterize
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering import rasterize
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
@@ -101,7 +100,9 @@ def _showing(
 
 def _touching(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Bool[Tensor, " N"]:
     """Which Gaussians may reach some pixels: the boxes around them hold some."""
-    projected = cpu.project_gaussians(rasterize.activated(splats), views_of(rasterize.beside(splats, camera))[0])
+    projected = cpu.project_gaussians(
+        rasterize.activated(splats), views_of(rasterize.beside(splats, camera))[0]
+    )
     sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
     size = torch.tensor(camera.size)
     low = (projected.means2d - projected.radii).floor().long().clamp(min=0).minimum(size)

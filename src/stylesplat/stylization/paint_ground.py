@@ -1,4 +1,4 @@
-"""What an object is painted on: Gaussians that are its own, by shares, split where too large."""
+"""What an object is painted on: Gaussians that are its own, by shares, and fine enough."""
 
 import math
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.progress import say
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
@@ -82,13 +83,13 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     # contributions are known on the CPU only
     studio = replace(ground.studio, splats=ground.studio.splats.to("cpu"))
     job, device = replace(ground.job, picked=ground.job.picked.cpu()), ground.studio.splats.device
-    fresh = job.config.canvas == "fresh"
-    split = (_canvas if fresh else _split)(studio, job, boxes, length, growth)
+    canvas = _canvas(studio, job, boxes, length, growth) if job.config.canvas == "fresh" else None
+    split = canvas or _split(studio, job, boxes, length, growth)
     split = Split(split.splats.to(device), split.parents.to(device))
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
     places = seen_anew(studio.splats, job.picked, ground.places)
-    return replace(_with_shares(studio, job, split.parents, places), canvas=fresh)
+    return replace(_with_shares(studio, job, split.parents, places), canvas=canvas is not None)
 
 
 def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
@@ -107,9 +108,9 @@ def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequenc
 
 def _canvas(
     studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
-) -> Split:
-    """The scene with a fresh canvas on the object."""
-    return fresh_canvas(
+) -> Split | None:
+    """The scene with a fresh canvas on the object, if that is possible."""
+    split = fresh_canvas(
         studio.splats,
         job.picked,
         boxes,
@@ -118,6 +119,9 @@ def _canvas(
         room=int((growth - 1) * int(job.picked.sum())),
         seed=job.config.seed,
     )
+    if split is None:
+        say(f"{job.name} has no surface for a fresh canvas: its own Gaussians are split instead.")
+    return split
 
 
 def _split(

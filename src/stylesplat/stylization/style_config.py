@@ -79,9 +79,9 @@ class StyleConfig:
     view_dependence: ViewDependence = "drop"
     """What becomes of highlights and reflections: painted over, kept, or trained too."""
     max_growth: float | None = None
-    """Gaussians too large for strokes are split, up to this many times as many; 1 splits none.
+    """How many times as many Gaussians the object may get, be it on a fresh canvas or by splits.
 
-    None leaves it to quality and object: 1 for draft, else 4, and up to 16 for an object of few
+    1 adds none, so that it is painted on its own. None leaves it to quality and object: 1 for draft, else 4, and up to 16 for an object of few
     Gaussians.
     """
     lr: float = 0.1
@@ -89,10 +89,10 @@ class StyleConfig:
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
     canvas: Canvas = "fresh"
-    """What strokes are made of: a fresh canvas is small, round Gaussians laid on the object's
-    surface, in whose shapes its own pattern is gone; own are the object's, split where too large.
+    """What carries the strokes: fresh lays small, round Gaussians on the object's surface, which
+    have nothing of its pattern in their shapes; own splits the object's where they are too large.
 
-    Both need room to grow; a draft has none.
+    Both need room to grow, and a draft has none.
     """
     hard: bool = False
     """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""

@@ -101,18 +101,18 @@ def _painted_still(
         paintings=tuple(replace(each, picked=each.picked[rows]) for each in left),
         before=painted.before[rows],
         full=chosen(mine, painted.before, painted.full)[rows],
-        unsplit=_still_split(painted.unsplit, mine),
+        unsplit=_still_split(painted.unsplit, mine, len(rows)),
         origin=painted.origin,
         gone=_gone(painted, {each.name for each in left}),
     )
 
 
-def _still_split(unsplit: Unsplit | None, mine: Bool[Tensor, " N"]) -> Unsplit | None:
-    """How to undo the splits of all others."""
+def _still_split(unsplit: Unsplit | None, mine: Bool[Tensor, " N"], left: int) -> Unsplit | None:
+    """How to undo the splits of all others, so many Gaussians being left in all."""
     if unsplit is None:
         return None
     others = ~mine[unsplit.rows]
-    if not others.any():
+    if not others.any() and left == unsplit.count:
         return None
     return Unsplit(
         count=unsplit.count,
