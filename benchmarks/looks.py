@@ -78,6 +78,8 @@ class Options:
     """Held-out views that are painted pixel by pixel."""
     target_steps: int = 150
     """Steps for their pixels."""
+    own: bool = False
+    """Paint on the object's own Gaussians, too, without a fresh canvas."""
     paper_steps: int = 0
     """Steps of the paper's preset, which has 500; 0 leaves it out."""
 
@@ -147,6 +149,9 @@ def compared(
     case = seen(studio, job, options.views)
     done = {"before": scene.splats}
     done["ours"] = paint(scene.splats, training, picked, job.styles[0], config=job.config)
+    if options.own:
+        own = replace(job.config, canvas="own")
+        done["own"] = paint(scene.splats, training, picked, job.styles[0], config=own)
     if options.paper_steps:
         paper = replace(PRESETS["paper"], steps=options.paper_steps)
         done["paper"] = paint(

@@ -56,7 +56,7 @@ def painted(
 def write_painted(
     folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
 ) -> Path:
-    """The balls; red painted; a second object painted upon that; and two pictures.
+    """The balls; red painted, split; a second one upon that, on a canvas; and two pictures.
 
     Args:
         folder: Gets `trained`, `once`, `twice` and the pictures.
@@ -65,7 +65,8 @@ def write_painted(
     """
     wave, night = write_pictures(folder)
     scene_folder.save(TRAINED, folder / "trained")
-    scene_folder.save(painted(opened(folder / "trained"), "red", wave), folder / "once")
+    once = painted(opened(folder / "trained"), "red", wave, canvas="own")
+    scene_folder.save(once, folder / "once")
     twice = painted(opened(folder / "once"), second, pictures(wave, night))
     scene_folder.save(twice, folder / "twice")
     return folder

@@ -50,9 +50,11 @@ def test_nothing_changes_outside_the_object(job: StyleJob, network: FeatureNetwo
     assert (metrics["outside_psnr"], metrics["outside_max_difference"]) == (120, 0)
 
 
-@pytest.mark.parametrize("color", ["blend", "free"])
-def test_the_object_comes_closer_to_the_style(job: StyleJob, network: FeatureNetwork, color: str):
-    job = with_settings(job, steps=60, color=color, max_growth=GROWN, hard=True)
+@pytest.mark.parametrize(("color", "canvas"), [("blend", "own"), ("free", "fresh")])
+def test_the_object_comes_closer_to_the_style(
+    job: StyleJob, network: FeatureNetwork, color: str, canvas: str
+):
+    job = with_settings(job, steps=60, color=color, max_growth=GROWN, hard=True, canvas=canvas)
     styled, metrics = measured([job], network, CAMERAS[1:], held_out=CAMERAS[:1])
     numbers = metrics["objects"]["ball"]
     assert numbers["nnfm_after"] < 0.97 * numbers["nnfm_before"]

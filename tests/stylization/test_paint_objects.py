@@ -68,7 +68,7 @@ def test_only_colors_of_the_picked_change(job: StyleJob, network: FeatureNetwork
 
 
 def test_the_rest_is_the_same_to_the_bit_after_splitting(job: StyleJob, network: FeatureNetwork):
-    job = with_settings(job, max_growth=GROWN)
+    job = with_settings(job, max_growth=GROWN, canvas="own")
     styled = painted([job], network)
     count = len(SCENE)
     assert len(styled.splats) == len(styled.parents) > count
@@ -80,6 +80,18 @@ def test_the_rest_is_the_same_to_the_bit_after_splitting(job: StyleJob, network:
         else:
             assert torch.equal(base, after), name
     assert job.picked[styled.parents[count:]].all()
+
+
+def test_the_rest_is_the_same_to_the_bit_beside_a_canvas(job: StyleJob, network: FeatureNetwork):
+    styled = painted([with_settings(job, max_growth=GROWN)], network)
+    count = len(SCENE)
+    assert count < len(styled.splats) <= count + (GROWN - 1) * job.picked.sum()
+    for name, before in SCENE.tensors().items():
+        after, base = (s.tensors()[name][:count] for s in (styled.splats, styled.base))
+        assert torch.equal(after[~job.picked], before[~job.picked]), name
+        assert torch.equal(base, before) == (name != "opacities"), name
+    assert job.picked[styled.parents[count:]].all()
+    assert not styled.base.shN[count:].any(), "a canvas is matte"
 
 
 def test_colors_start_where_they_were(job: StyleJob, network: FeatureNetwork):

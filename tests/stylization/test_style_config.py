@@ -94,12 +94,12 @@ def test_sizes_follow_the_scale():
     """Beside a style image of the same size: an object half as long shows strokes twice as large.
     Fine stages too, else they would add small strokes; sizes stay within the photos'."""
     usual, large, small = (StyleConfig(scale=scale).stages(500.0) for scale in (2.0, 4.0, 1.0))
-    assert [stage.lengths for stage in usual] == [(96.0,), (160.0,), (250.0, 500.0)]
-    assert [stage.lengths for stage in large] == [(48.0,), (80.0,), (125.0, 250.0)]
-    assert [stage.lengths for stage in small] == [(192.0,), (320.0,), (320.0, 500.0)]
-    assert [stage.window for stage in usual] == [None, None, WINDOW]
-    assert [stage.window for stage in small] == [WINDOW] * 3, "no step costs more than usual"
-    assert [stage.anchored for stage in small] == [False, False, True]
+    assert [stage.lengths for stage in usual] == [(96.0,), (96.0,), (160.0,), (250.0, 500.0)]
+    assert [stage.lengths for stage in large] == [(48.0,), (48.0,), (80.0,), (125.0, 250.0)]
+    assert [stage.lengths for stage in small] == [(192.0,), (192.0,), (320.0,), (320.0, 500.0)]
+    assert [stage.window for stage in usual] == [None, None, None, WINDOW]
+    assert [stage.window for stage in small] == [WINDOW] * 4, "no step costs more than usual"
+    assert [stage.anchored for stage in small] == [False, False, False, True]
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])

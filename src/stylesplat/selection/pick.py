@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -122,17 +122,11 @@ def pick_objects(
         mask = probabilities[:, classifier.ids.index(id)] > threshold
         if remove_outliers:
             mask[mask.clone()] = inliers(splats.means[mask])
-        mask |= amid(splats, mask, _doubtful(probabilities, classifier.ids, id))
+        limits = [threshold if each == id else SURE[each == BACKGROUND] for each in classifier.ids]
+        doubtful = (probabilities <= probabilities.new_tensor(limits)).all(dim=1)
+        mask |= amid(splats, mask, doubtful)
         picked[id] = mask
     return picked
-
-
-def _doubtful(
-    probabilities: Float[Tensor, "N K"], ids: Sequence[int], id: int
-) -> Bool[Tensor, " N"]:
-    """Which Gaussians are not known to be something else than an object."""
-    limits = [1.0 if each == id else SURE[each == BACKGROUND] for each in ids]
-    return (probabilities <= probabilities.new_tensor(limits)).all(dim=1)
 
 
 def _known_ids(

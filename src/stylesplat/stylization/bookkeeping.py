@@ -69,7 +69,7 @@ def with_paintings(scene: Scene, styled: Styled, paintings: Sequence[Painting]) 
     splats, base = styled.splats.to("cpu"), styled.base.to("cpu")
     before, full = Colors.of(base), Colors.of(styled.full.to("cpu"))
     if known is not None:
-        before = known.before[parents]
+        before = chosen(mine, before, known.before[parents])
         full = chosen(mine, full, known.full[parents])
     every = (*(known.paintings if known else ()), *paintings)
     painted = Painted(

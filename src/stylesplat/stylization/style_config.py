@@ -81,8 +81,8 @@ class StyleConfig:
     max_growth: float | None = None
     """How many times as many Gaussians the object may get, be it on a fresh canvas or by splits.
 
-    1 adds none, so that it is painted on its own. None leaves it to quality and object: 1 for draft, else 4, and up to 16 for an object of few
-    Gaussians.
+    1 adds none, so that it is painted on its own. None leaves it to quality and object: 1 for
+    draft, else 4, and up to 16 for an object of few Gaussians.
     """
     lr: float = 0.1
     """Adam's step for the constant colour band."""

@@ -1,0 +1,104 @@
+"""A canvas covers its object, shows nowhere else, and hides what lies beneath."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS, enlarged
+from stretched_balls import PICKED, ROWS, SCENE, UNSEEN
+from striped_balls import same
+from stylesplat.metrics.psnr import psnr
+from stylesplat.rendering.shares import colors_and_coverage, coverage
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.evenly_spread import flattened, thinned
+from stylesplat.stylization.fresh_canvas import fresh_canvas
+from stylesplat.stylization.object_views import Box, find_boxes
+from stylesplat.stylization.split import Split
+
+FINE = enlarged(CAMERAS, 4)
+LENGTH, ROOM = 60.0, 1500
+SOLID = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, 6.0))
+
+
+@pytest.fixture(scope="module")
+def boxes() -> list[Box]:
+    return find_boxes(SOLID, FINE, PICKED)
+
+
+def canvas_on(splats: Splats, boxes: list[Box], **changes) -> Split | None:
+    options = {"length": LENGTH, "room": ROOM, "seed": 0} | changes
+    return fresh_canvas(splats, PICKED, boxes, FINE, **options)
+
+
+@pytest.fixture(scope="module")
+def laid(boxes: list[Box]) -> Split:
+    split = canvas_on(SOLID, boxes)
+    assert split is not None
+    return split
+
+
+def test_discs_cover_the_object_and_look_like_it(laid: Split):
+    disc = torch.arange(len(laid.splats)) >= len(SOLID)
+    for index in range(len(FINE)):
+        before, covered = colors_and_coverage(SOLID, FINE[index], PICKED)
+        after, _ = colors_and_coverage(laid.splats, FINE[index], disc)
+        inside = covered[..., 0] > 0.98
+        assert coverage(laid.splats, FINE[index], disc)[inside].mean() > 0.9
+        assert psnr(after[inside], before[inside]) > 25
+
+
+def test_nothing_shows_where_nothing_of_the_object_did(laid: Split):
+    picked = PICKED[laid.parents]
+    for index in range(len(FINE)):
+        nothing = coverage(SOLID, FINE[index], PICKED) == 0
+        shown = coverage(laid.splats, FINE[index], picked)[nothing]
+        assert shown.max() < UNSEEN
+
+
+def test_others_stay_and_the_objects_rows_only_fade(laid: Split):
+    for name, before in SOLID.tensors().items():
+        after = laid.splats.tensors()[name][: len(SOLID)]
+        assert torch.equal(after[~PICKED], before[~PICKED]), name
+        assert torch.equal(after, before) == (name != "opacities"), name
+    opacities = laid.splats.opacities[: len(SOLID)]
+    assert (opacities <= SOLID.opacities + 1e-4).all()
+    assert torch.equal(laid.parents[: len(SOLID)], ROWS)
+    assert PICKED[laid.parents].sum() == PICKED.sum() + len(laid.parents) - len(SOLID)
+
+
+def test_the_room_is_kept_and_nearly_used(boxes: list[Box]):
+    split = canvas_on(SOLID, boxes, room=300)
+    assert split is not None
+    assert 150 < len(split.splats) - len(SOLID) <= 300
+
+
+def test_the_same_seed_gives_the_same_canvas(laid: Split, boxes: list[Box]):
+    again, other = canvas_on(SOLID, boxes), canvas_on(SOLID, boxes, seed=1)
+    assert again is not None and other is not None
+    assert same(again.splats, laid.splats)
+    assert not same(other.splats, laid.splats)
+
+
+def test_smoke_has_no_surface(boxes: list[Box]):
+    smoke = replace(SCENE, opacities=torch.full_like(SCENE.opacities, -3.0))
+    assert canvas_on(smoke, boxes) is None
+
+
+def test_thinned_points_keep_their_distance():
+    points = torch.rand(3000, 3, generator=torch.Generator().manual_seed(0))
+    rows = thinned(points, 0.1, seed=0)
+    distances = torch.cdist(points, points[rows])
+    own = distances[rows].fill_diagonal_(1.0)
+    assert own.min() > 0.1
+    assert distances.amin(dim=1).max() <= 0.1, "every point is close to one that is left"
+
+
+def test_flattened_points_lie_on_their_plane():
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(2000, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.02])
+    normals = torch.tensor([0.0, 0.0, 1.0]).expand(2000, 3)
+    rows = torch.arange(0, 2000, 7)
+    flat, up = flattened(points, normals, rows)
+    assert flat[:, 2].std() < 0.4 * points[rows, 2].std()
+    torch.testing.assert_close(up, normals[rows])
