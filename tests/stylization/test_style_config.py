@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -93,13 +94,25 @@ def test_an_object_size_is_the_largest():
 def test_sizes_follow_the_scale():
     """Beside a style image of the same size: an object half as long shows strokes twice as large.
     Fine stages too, else they would add small strokes; sizes stay within the photos'."""
-    usual, large, small = (StyleConfig(scale=scale).stages(500.0) for scale in (2.0, 4.0, 1.0))
-    assert [stage.lengths for stage in usual] == [(96.0,), (96.0,), (160.0,), (250.0, 500.0)]
-    assert [stage.lengths for stage in large] == [(48.0,), (48.0,), (80.0,), (125.0, 250.0)]
-    assert [stage.lengths for stage in small] == [(192.0,), (192.0,), (320.0,), (320.0, 500.0)]
-    assert [stage.window for stage in usual] == [None, None, None, WINDOW]
-    assert [stage.window for stage in small] == [WINDOW] * 4, "no step costs more than usual"
-    assert [stage.anchored for stage in small] == [False, False, False, True]
+    usual, large, small = (
+        StyleConfig(scale=scale, canvas="own").stages(500.0) for scale in (2.0, 4.0, 1.0)
+    )
+    assert [stage.lengths for stage in usual] == [(96.0,), (160.0,), (250.0, 500.0)]
+    assert [stage.lengths for stage in large] == [(48.0,), (80.0,), (125.0, 250.0)]
+    assert [stage.lengths for stage in small] == [(192.0,), (320.0,), (320.0, 500.0)]
+    assert [stage.window for stage in usual] == [None, None, WINDOW]
+    assert [stage.window for stage in small] == [WINDOW] * 3, "no step costs more than usual"
+    assert [stage.anchored for stage in small] == [False, False, True]
+
+
+def test_what_waits_for_a_canvas_shows_strokes_before():
+    first, then, *rest = StyleConfig().stages(500.0)
+    whole, *others = StyleConfig(canvas="own").stages(500.0)
+    assert first.steps < then.steps
+    assert replace(then, steps=first.steps + then.steps) == whole
+    assert rest == others
+    for plain in (StyleConfig(quality="draft"), StyleConfig(max_growth=1.0)):
+        assert plain.stages(500.0) == replace(plain, canvas="own").stages(500.0)
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])

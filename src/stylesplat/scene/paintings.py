@@ -69,7 +69,7 @@ class Unsplit:
     count: int
     """How many Gaussians there were; what follows them is new."""
     rows: Int[Tensor, " R"]
-    """Those that were split."""
+    """Those that were split, or faded beneath a canvas."""
     scales: Float[Tensor, "R 3"]
     """Theirs before."""
     opacities: Float[Tensor, " R"]

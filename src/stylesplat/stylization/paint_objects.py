@@ -55,8 +55,8 @@ def paint(
 ) -> Splats:
     """Repaint one object in the style of a picture.
 
-    Nothing but the picked Gaussians changes: of these the colours, and those too large to show
-    strokes are split. The new ones follow all others.
+    Nothing but the picked Gaussians changes: of these the colours, and what a fresh canvas hides of
+    them fades, or those too large to show strokes are split. New ones follow all others.
 
     Args:
         splats: The scene.

@@ -1,4 +1,4 @@
-"""Repainting one object, step by step: coarse, then split what is too large, and finer."""
+"""Repainting one object, step by step: coarse, then on finer Gaussians."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free":
 STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
 COLOR_VIEWS = 8  # whose pixels tell an object's colours
 CALM = 0.5  # factor of the rate on a fresh canvas: a pixel shows few discs, and more looks grainy
-SPLIT_AT = 1  # the stage: Gaussians are fine enough for the one before
+FINER_AT = 1  # the stage: Gaussians are fine enough for the one before
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
     boxes = evenly(boxes, math.ceil(config.view_share * len(boxes)))
     photo_length = typical_length(boxes)
     stages, finest = _stages(studio, job, photo_length), config.finest(photo_length)
-    split_at = min(SPLIT_AT, len(stages) - 1)
-    if split_at == 0:
+    finer_at = min(FINER_AT, len(stages) - 1)
+    if finer_at == 0:
         ground = finer_ground(ground, boxes, finest)
     generator = torch.Generator().manual_seed(config.seed)
     views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)
@@ -93,12 +93,16 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         if number > 0:
             views.clear()  # before there are others: they take much memory
             before = ground
-            if number == split_at:
+            if number == finer_at:
                 ground = finer_ground(ground, boxes, finest)
             views += stage_views(ground.studio, ground.job, boxes, stage, generator)
             if ground is not before:
+                few = _few_views(ground, boxes, stage, views)
                 current = ground.handed_down(current)
-                aim, plain, _ = _begun(ground, _few_views(ground, boxes, stage, views))
+                if ground.canvas:
+                    aim, plain, _ = _begun(ground, few)
+                else:
+                    aim, plain = replace(aim, views=few), ground.handed_down(plain)
         objective = _objective(ground, aim, stage, plain, current)
         for step in optimize_colors(
             current, ground.studio.splats, ground.shares, views, objective, stage.steps

@@ -1,6 +1,6 @@
 """How an object is painted, coarse first: for every quality a table of stages."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import Literal
 
@@ -46,11 +46,11 @@ GROWTH = 4.0  # times as many Gaussians by splitting
 MOST_GROWTH = 16.0  # of objects that have few
 FEW = 25_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
-FIRST = 25  # steps on the object as it is: what is to be seen soon
+FIRST = 25  # steps on the object as it is, where laying a canvas would keep one waiting
 PLANS: dict[Quality, tuple[Row, ...]] = {
-    "draft": (Row(FIRST, COARSE), Row(90 - FIRST, COARSE), Row(30, 1.0)),
-    "normal": (Row(FIRST, COARSE), Row(165 - FIRST, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
-    "high": (Row(FIRST, COARSE), Row(225 - FIRST, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
+    "draft": (Row(90, COARSE), Row(30, 1.0)),
+    "normal": (Row(165, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
+    "high": (Row(225, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
 }
 
 
@@ -82,6 +82,7 @@ def planned(
     most: float,
     steps: int,
     scale: float,
+    canvas: bool = False,
 ) -> list[Stage]:
     """The stages of a quality.
 
@@ -96,9 +97,14 @@ def planned(
         most: It never exceeds this, be strokes as small as they may.
         steps: Of all stages together; those without any are left out.
         scale: Of the style.
+        canvas: Whether a canvas will be laid: after the first stage, which is short then.
     """
     finest = max(pattern_length, min(photo_length, FINEST))
     rows, total = PLANS[quality], usual_steps(quality)
+    if canvas:
+        first, *rest = rows
+        begun = replace(first, steps=FIRST), replace(first, steps=first.steps - FIRST)
+        rows = (*begun, *rest)
     ends = [round(steps * done / total) for done in accumulate((r.steps for r in rows), initial=0)]
     stages = []
     for row, (start, end) in zip(rows, pairwise(ends), strict=True):

@@ -179,6 +179,7 @@ class StyleConfig:
             most=float(self.object_size or max(SMALLEST * size, min(photos, FINEST))),
             steps=self.all_steps,
             scale=self.scale,
+            canvas=self.canvas == "fresh" and self.growth(1) > 1,
         )
 
     def finest(self, photo_length: float) -> float:
