@@ -28,7 +28,7 @@ from stylesplat.stylization.refit import fit
 from stylesplat.stylization.seen_surface import LENGTH, Surface, seen_surface
 from stylesplat.stylization.split import Split
 
-CLOSE = 1.3  # pixels between discs: of as many, one that lies too high is told from one too low
+CLOSE = 1.3  # pixels between discs: a stroke is several of them wide
 WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in distances of discs
 # Of a disc before it is fitted: more looks grainy, as then a pixel shows a single disc
 OPACITY = 0.8
@@ -38,6 +38,7 @@ BENEATH = (0.5, 0.9)  # part of what a Gaussian paints that discs hide: none of 
 VIEWS = 12  # in which is looked for what discs hide
 SMALLER = 0.6  # of a disc that shows where nothing of the object showed
 FEW = 500  # pixels of all views that show no surface
+CHECKED = 48  # views in which nothing may show beside the object: discs lie on its very outline
 SPARE = 0.95  # share of the room that is aimed at
 
 
@@ -72,7 +73,7 @@ def fresh_canvas(
         return None
     distance = CLOSE * surface.pixel * LENGTH / length
     split = _laid(splats, picked, _discs(surface, distance, room, seed=seed))
-    pixels = untouched(splats, picked, cameras)
+    pixels = untouched(splats, picked, cameras, views=CHECKED)
     split = _smaller(split, _overflowing(splats, split, picked, pixels))
     split = _hiding(splats, split, picked, boxes)
     fitted = torch.arange(len(split.splats)) >= len(splats)
@@ -149,9 +150,10 @@ def _hiding(splats: Splats, split: Split, picked: Tensor, boxes: Sequence[Box]) 
 def _within(splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]) -> Split:
     """The same with smaller discs, or none, where they show beside the object."""
     split = _smaller(split, _overflowing(splats, split, picked, pixels))
-    kept = torch.ones_like(split.parents, dtype=torch.bool)
-    kept[_overflowing(splats, split, picked, pixels)] = False
-    return Split(split.splats[kept], split.parents[kept])
+    while len(rows := _overflowing(splats, split, picked, pixels)):
+        kept = torch.ones_like(split.parents, dtype=torch.bool).index_fill(0, rows, False)
+        split = Split(split.splats[kept], split.parents[kept])  # which may uncover others
+    return split
 
 
 def _overflowing(

@@ -45,20 +45,23 @@ def without_overflow(
 
 
 @torch.no_grad()
-def untouched(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) -> list[Untouched]:
+def untouched(
+    splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras, *, views: int = CHECKED_VIEWS
+) -> list[Untouched]:
     """Some cameras, and the pixels of each in which nothing of an object shows.
 
     Args:
         splats: The scene, on the CPU.
         picked: The object's Gaussians.
         cameras: To choose from.
+        views: How many, at most.
     """
     bare = without_looks(splats)
 
     def look(row: int) -> Untouched:
         return cameras[row], coverage(bare, cameras[row], picked) == 0
 
-    rows = evenly(range(len(cameras)), CHECKED_VIEWS)
+    rows = evenly(range(len(cameras)), views)
     return [*track(at_once(look, rows), "looking where nothing shows", total=len(rows))]
 
 
