@@ -1,3 +1,4 @@
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -5,11 +6,16 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from studio_balls import QUICK, stripes
+from stylesplat.atelier.keeping import AUTOSAVE
 from stylesplat.atelier.opening import studio
 from stylesplat.atelier.picking import pick_names, renamed
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene
+from stylesplat.stylization.style import Style
+
+LONG = replace(QUICK, steps=5000)  # longer than any test
 
 
 @pytest.fixture
@@ -34,6 +40,23 @@ def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Pat
         assert not again.session.state.scene.objects
     finally:
         again.close()
+
+
+def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
+    opened = studio(folder, port=0, block=False, device="cpu")
+    strokes = threading.Event()
+
+    def look() -> None:
+        if opened.session.progress is not None and opened.session.progress.share > 0:
+            strokes.set()
+
+    opened.session.on_change(look)
+    opened.page.paint.easel.paint(("3",), Style(stripes(), config=LONG), "stripes")
+    assert strokes.wait(60)
+    opened.close()
+    kept = open(folder / AUTOSAVE)
+    assert kept.painted is not None and kept.painted.names == ("3",)
+    assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
 
 
 def test_of_what_is_thinned_every_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):

@@ -16,6 +16,7 @@ from stylesplat.atelier.picking import (
     pick_box,
     pick_names,
     pick_round,
+    pick_words,
     renamed,
     resized,
     united,
@@ -141,3 +142,10 @@ def test_commands_name_the_same_gaussians(tmp_path: Path, capsys: pytest.Capture
     found = open(tmp_path / "balls").objects
     assert found.keys() == {"pick 1"}
     assert torch.equal(found["pick 1"].picked, state.scene.objects["pick 1"].picked)
+
+
+def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("stylesplat.atelier.picking.is_at_hand", lambda name: False)
+    monkeypatch.setattr("stylesplat.atelier.picking.select", lambda *_, **__: pytest.fail())
+    with pytest.raises(StyleSplatError, match=r"pip install .*hf download IDEA-Research/"):
+        pick_words(STATE, "red chair")

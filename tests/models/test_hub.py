@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.models import hub
-from stylesplat.models.hub import find_model, load_model, load_processor
+from stylesplat.models.hub import find_model, is_at_hand, load_model, load_processor
 
 Models = Callable[[str], Path]
 NAME = "owner/tiny"
@@ -143,6 +143,12 @@ def test_the_cache_needs_no_network(folder: Path, cache: Path, said: list[str]):
     assert load(find(NAME).path) is not None
     with pytest.raises(StyleSplatError, match="is of the type sam2_video"):
         find_model(NAME, ["sam"], job="sing")
+
+
+def test_whether_a_model_is_at_hand_needs_no_network(folder: Path, cache: Path):
+    assert is_at_hand(str(folder)) and not is_at_hand(NAME)
+    put_into_cache(folder, cache)
+    assert is_at_hand(NAME)
 
 
 @pytest.mark.parametrize("missing", ["config.json", "model.safetensors", "processor_config.json"])

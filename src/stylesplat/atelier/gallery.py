@@ -97,7 +97,10 @@ class Gallery:
         folder = Path(tempfile.mkdtemp(dir=self._uploads.name))
         path = folder / f"{NO_NAME.sub('', Path(name).stem)[:40].strip() or 'picture'}.image"
         path.write_bytes(content)
-        return self.add(path)
+        try:
+            return self.add(path)
+        except StyleSplatError as error:  # whoever sent it knows no path of ours
+            raise StyleSplatError(str(error).replace(str(path), path.stem)) from error
 
     def close(self) -> None:
         """Remove what was uploaded."""

@@ -60,6 +60,12 @@ class Studio:
             return
         self._closed.set()
         self.session.worker.close()
+        try:
+            self.session.interrupt()  # what there is of a painting is kept, too
+        finally:
+            self._end()
+
+    def _end(self) -> None:
         if self._autosave():
             say(
                 f"Kept what was not saved in {self.place.folder}: `stylesplat studio` goes on "

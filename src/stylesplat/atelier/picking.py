@@ -10,10 +10,12 @@ from torch import Tensor
 
 from stylesplat.atelier.studio_state import Masks, State, names_in, unless_all, with_scene
 from stylesplat.errors import StyleSplatError
+from stylesplat.models.hub import is_at_hand
 from stylesplat.rendering.shares import AT_ONCE, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, depths_of
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.detector import CHECKPOINT
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.shapes import surface_point
 from stylesplat.verbs.delete import delete
@@ -165,6 +167,12 @@ def pick_words(state: State, text: str) -> State:
     Raises:
         StyleSplatError: If no model is installed that knows words, or they mean none.
     """
+    # A download would take minutes, in which the page answers nothing
+    if not is_at_hand(CHECKPOINT):
+        raise StyleSplatError(
+            "No model that knows words is installed. Run `pip install 'stylesplat[segment]'` and "
+            f"`hf download {CHECKPOINT}`, then try again."
+        )
     return _shaped(state, {"text": text}, "new")
 
 

@@ -74,6 +74,14 @@ def find_model(name: str, types: Collection[str], *, job: str) -> ModelFolder:
     return ModelFolder(folder, _check_type(folder / CONFIG, name, types, job))
 
 
+def is_at_hand(name: str) -> bool:
+    """Whether a model is on this machine: nothing would be downloaded."""
+    folder = Path(expanduser(name))  # noqa: PTH111
+    if folder.exists() or find_spec("huggingface_hub") is None:
+        return folder.exists()
+    return _cached(name) is not None
+
+
 def load_model(
     source: ModelFolder, kind: Any, *, device: torch.device | str, dtype: torch.dtype
 ) -> Any:
