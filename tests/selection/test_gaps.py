@@ -48,8 +48,8 @@ def test_two_objects_never_share_a_gap():
     assert SPLATS.identities is not None
     noise = torch.randn(SPLATS.identities.shape, generator=torch.Generator().manual_seed(0))
     splats = replace(SPLATS, identities=SPLATS.identities + 5 / SHARPNESS * noise)
-    together = sum(pick(splats, object_id=id).int() for id in (3, 7, 300))
-    assert int(together.max()) == 1
+    picks = torch.stack([pick(splats, object_id=id) for id in (3, 7, 300)])
+    assert int(picks.sum(dim=0).max()) == 1
 
 
 def test_hardly_visible_gaussians_vouch_for_nothing():
