@@ -73,8 +73,9 @@ def stylize(
 
     Nothing but these objects changes: of their Gaussians the colours, and what a fresh canvas hides
     of them fades, or those too large to show strokes are split. New ones follow all others. Objects
-    are painted each by itself; those that were painted before stay to the bit, and show in the views that others are painted in. An
-    object that was painted before is painted anew from the colours it had before that.
+    are painted each by itself; those that were painted before stay to the bit, and show in the
+    views that others are painted in. An object that was painted before is painted anew from the
+    colours it had before that.
 
     Args:
         scene: What to paint on.
