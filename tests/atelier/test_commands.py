@@ -13,6 +13,7 @@ from stylesplat.atelier.keep_panel import recounted
 from stylesplat.atelier.keeping import Place
 from stylesplat.atelier.picking import pick_names, renamed
 from stylesplat.atelier.session import Session
+from stylesplat.atelier.studio_state import State
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.io.scene_folder import open
 from stylesplat.stylization.style import Style
@@ -52,6 +53,19 @@ def test_after_save_as_the_commands_start_from_what_is_saved(session: Session, t
     assert shlex.split(line)[:5] == words and str(out) in line
     saved = open(place.folder).painted
     assert saved is not None and saved.names == ("red",), "on this the line goes on"
+
+
+def test_what_is_recovered_has_the_commands_of_the_run_before(session: Session):
+    place = Place(session.folder)
+    session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert session.worker.settle()
+    place.save(session)
+    session.do(lambda state: renamed(pick_names(state, ["7"]), "blue"))
+    assert session.worker.settle() and place.autosave(session)
+    kept = Place(session.folder).recovered(State(open(session.folder)))
+    assert kept is not None and kept.commands == session.state.commands[-1:]
+    (line,) = commands(kept, session.folder, session.folder) or []
+    assert line.startswith("stylesplat select") and "--name blue" in line
 
 
 def test_a_folder_that_holds_what_was_taken_back_leads_nowhere(session: Session, tmp_path: Path):

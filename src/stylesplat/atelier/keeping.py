@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -18,6 +18,7 @@ from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.drawing.web_page import SUFFIX
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
+from stylesplat.io.json_files import read_json_as, write_json
 from stylesplat.io.places import refuse_unwritable
 from stylesplat.io.recovery import changing
 from stylesplat.io.splats.splat_files import COMPRESSED
@@ -29,10 +30,19 @@ from stylesplat.scene.scene import Scene, check_name
 from stylesplat.verbs.export import export
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
+COMMANDS = "commands.json"  # in that folder
 FORMATS = (".ply", COMPRESSED, ".spz", ".splat", SUFFIX)
 FRAMES = 120  # of a turntable: four seconds
 TURNTABLE = 960  # pixels along its longer side
 MOST_PIXELS = 8192  # along a side of a still picture
+
+
+@dataclass(frozen=True)
+class Told:
+    """What an earlier run did to the scene in the folder."""
+
+    commands: tuple[tuple[str, ...], ...] = ()
+    """See `State`."""
 
 
 class Place:
@@ -93,7 +103,11 @@ class Place:
         if not session.unsaved:
             return False
         refuse_unwritable(self.folder)
-        scene_folder.save(session.state.scene, self.folder / AUTOSAVE, overwrite=True)
+        kept, commands = self.folder / AUTOSAVE, session.state.commands
+        scene_folder.save(session.state.scene, kept, overwrite=True)
+        known = len(session.saved.commands)
+        if commands[:known] == session.saved.commands:  # else something was undone that is saved
+            write_json({"commands": commands[known:]}, kept / COMMANDS)
         return True
 
     def recovered(self, state: State) -> State | None:
@@ -106,7 +120,11 @@ class Place:
         if not kept.is_dir():
             return None
         scene = replace(scene_folder.open(kept), path=state.scene.path)
-        return with_scene(state, scene, "Recovered what was not saved")
+        told, remedy = Told(), f"Remove {kept / COMMANDS}."
+        if (kept / COMMANDS).exists():
+            told = read_json_as(kept / COMMANDS, Told, remedy)
+        state = with_scene(state, scene, "Recovered what was not saved")
+        return replace(state, commands=(*state.commands, *told.commands))
 
 
 def exported(scene: Scene, ending: str) -> bytes:
