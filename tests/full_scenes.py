@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.paintings import Colors, Gone, Painted, Painting, Source
+from stylesplat.scene.paintings import Gone, Looks, Painted, Painting, Source
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -81,8 +81,10 @@ def painted() -> Painted:
         weights=Source(Path("/nets/vgg19.pth"), "56ef"),
         upon={"fox": 0.5},
     )
-    before = Colors(random(COUNT, 1, 3), random(COUNT, 15, 3))
-    full = Colors(random(COUNT, 1, 3) + 1, random(COUNT, 15, 3) + 1)
+    opacities = plain_scene().splats.opacities
+    laid = torch.where(torch.arange(COUNT) == 1, -16.0, opacities)
+    before = Looks(random(COUNT, 1, 3), random(COUNT, 15, 3), laid)
+    full = Looks(random(COUNT, 1, 3) + 1, random(COUNT, 15, 3) + 1, opacities)
     gone = (Gone(replace(other, name="fox", picked=other.picked[:0], upon={}), 0),)
     return Painted((fox, other), before, full, origin=Path("/scenes/trained"), gone=gone)
 

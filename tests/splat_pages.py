@@ -13,7 +13,7 @@ import torch
 from balls import CAMERAS, SPLATS
 from painted_balls import PICKS
 from stylesplat.rendering.sh import sh0_from_rgb
-from stylesplat.scene.paintings import Colors, Painted, Painting
+from stylesplat.scene.paintings import Looks, Painted, Painting
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 
@@ -43,7 +43,10 @@ def scene() -> Scene:
     painted = PICKED["red"] | PICKED["blue"]
     sh0 = torch.where(painted[:, None, None], sh0_from_rgb(before.sh0.abs() % 1), before.sh0)
     shN = torch.where(painted[:, None, None], 0 * before.shN, before.shN)
-    after = replace(before, sh0=sh0, shN=shN)
+    faded = torch.where(painted & (torch.arange(count) % 7 == 0), -16.0, before.opacities)
+    laid = painted & (torch.arange(count) % 7 == 1)  # a canvas, which does not show before
+    after = replace(before, sh0=sh0, shN=shN, opacities=faded)
+    before = replace(before, opacities=torch.where(laid, -16.0, before.opacities))
     paintings = [
         Painting(name, PICKED[name], (), {}, 1.0, "compact", upon={}) for name in ("red", "blue")
     ]
@@ -51,7 +54,7 @@ def scene() -> Scene:
         splats=after,
         cameras=CAMERAS,
         objects={name: SceneObject(picked) for name, picked in PICKED.items()},
-        painted=Painted(tuple(paintings), Colors.of(before), Colors.of(after)),
+        painted=Painted(tuple(paintings), Looks.of(before), Looks.of(after)),
     )
 
 
@@ -87,6 +90,8 @@ def read(page: str) -> Read:
     is_painted = columns.take(count) > 0
     before = after.copy()
     before[:, is_painted] = _between(columns.take(3, painted), about["colors"])
+    earlier_opacities = opacities.copy()
+    earlier_opacities[is_painted] = columns.take(painted) / 255
     strongest = np.array(about["strongest"])[:, None, None, None]
     palettes = (columns.take(2, bands, 256, 3) - 128) / 127 * strongest
     entries = columns.take(2, count).astype(int) if bands else np.zeros((2, count), int)
@@ -106,9 +111,12 @@ def read(page: str) -> Read:
         shN=_tensor(sum(palettes[level][:, entries[level]] for level in (0, 1))).transpose(0, 1),
     )
     shN = _tensor(sum(palettes[level][:, earlier[level]] for level in (0, 1))).transpose(0, 1)
-    return Read(
-        about, splats, replace(splats, sh0=sh0_from_rgb(_tensor(before.T))[:, None], shN=shN)
+    earlier_looks = Looks(
+        sh0=sh0_from_rgb(_tensor(before.T))[:, None],
+        shN=shN,
+        opacities=_tensor(earlier_opacities).logit(),
     )
+    return Read(about, splats, earlier_looks.on(splats))
 
 
 class _Columns:

@@ -21,7 +21,7 @@ from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State
 from stylesplat.posing.prepare import prepare
-from stylesplat.scene.paintings import Colors, Gone, Painted, Painting, Source, Unsplit
+from stylesplat.scene.paintings import Gone, Looks, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.features.weights import PACKAGED
 from stylesplat.training.loop import fit
@@ -62,7 +62,7 @@ def _painted(picked: torch.Tensor) -> Painted:
     before, full = random_splats(COUNT, seed=1), random_splats(COUNT, seed=2)
     unsplit = Unsplit(COUNT - 1, torch.tensor([1]), torch.full((1, 3), -2.0), torch.tensor([0.5]))
     gone = (Gone(replace(fox, name="cup", picked=picked[:0]), 1),)
-    colors = Colors.of(before), Colors.of(full)
+    colors = Looks.of(before), Looks.of(full)
     return Painted((fox, pot), *colors, unsplit, Path("trained"), gone)
 
 

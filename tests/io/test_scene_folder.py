@@ -13,7 +13,7 @@ from full_scenes import COUNT, assert_same, full_scene, painted, plain_scene, ra
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
-from stylesplat.scene.paintings import Colors, Unsplit
+from stylesplat.scene.paintings import Unsplit
 from stylesplat.scene.scene import Scene
 
 
@@ -48,13 +48,13 @@ def test_the_files_of_a_scene(tmp_path: Path):
     assert {p.name for p in (tmp_path / "plain").iterdir()} == plain
     styled = {"base_colors.safetensors", "style_colors.safetensors", "paintings.safetensors"}
     assert {p.name for p in (tmp_path / "full").iterdir()} == plain | styled | {
-        *("identities.safetensors", "recipe.json")
+        *("identities.safetensors", "opacities.safetensors", "recipe.json")
     }
 
 
 def test_base_colors_have_the_bands_that_the_splats_get(tmp_path: Path):
     scene, colors = full_scene(), painted().before
-    few = replace(painted(), before=Colors(colors.sh0, colors.shN[:, :3]))
+    few = replace(painted(), before=replace(colors, shN=colors.shN[:, :3]))
     scene_folder.save(replace(scene, painted=few), tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")
     assert found.painted is not None

@@ -12,7 +12,7 @@ from stylesplat.posing.coverage import Coverage
 from stylesplat.posing.findings import Finding
 from stylesplat.scene.frames import SAME
 from stylesplat.scene.lazy import Lazy
-from stylesplat.scene.paintings import Colors, Painted, Painting, Source, Unsplit
+from stylesplat.scene.paintings import Looks, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import SceneObject
 from stylesplat.stylization.style import Recipe, StyledObject
 from stylesplat.verbs.render import Views
@@ -54,9 +54,9 @@ def test_scenes_and_what_is_in_them():
     painting = Painting("vase", VASE, sources, {}, 0.7, "compact")
     expected = "vase like wave.jpg, a picture, 20 Gaussians, intensity 0.7, compact"
     assert repr(painting) == f"Painting({expected})"
-    painted = Painted((painting,), Colors.of(SPLATS), Colors.of(SPLATS))
+    painted = Painted((painting,), Looks.of(SPLATS), Looks.of(SPLATS))
     assert repr(painted) == "Painted(vase)"
-    assert repr(painted.before) == f"Colors(of {count})"
+    assert repr(painted.before) == f"Looks(of {count})"
     scene = ss.Scene(
         SPLATS, CAMERAS, ("0000.jpg",), 1.0, {"vase": vase}, painted, Path("garden-wave")
     )

@@ -9,8 +9,11 @@ from balls import CAMERAS, SPLATS, enlarged
 from stretched_balls import PICKED, ROWS, SCENE, UNSEEN
 from striped_balls import same
 from stylesplat.metrics.psnr import psnr
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.crossfade import UNSEEN as UNSEEN_LOGIT
+from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.evenly_spread import flattened, thinned
 from stylesplat.stylization.fresh_canvas import fresh_canvas
 from stylesplat.stylization.object_views import Box, find_boxes
@@ -65,6 +68,27 @@ def test_others_stay_and_the_objects_rows_only_fade(laid: Split):
     assert (opacities <= SOLID.opacities + 1e-4).all()
     assert torch.equal(laid.parents[: len(SOLID)], ROWS)
     assert PICKED[laid.parents].sum() == PICKED.sum() + len(laid.parents) - len(SOLID)
+
+
+def test_it_fades_in_as_strongly_as_is_wanted(laid: Split):
+    count, new = len(SOLID), len(laid.splats) - len(SOLID)
+    laid_on = torch.cat([SOLID.opacities, torch.full((new,), UNSEEN_LOGIT)])
+    before = replace(laid.splats, opacities=laid_on)
+    sh0 = laid.splats.sh0.clone()
+    sh0[count:] = -sh0[count:]  # any other colours
+    after, picked = replace(laid.splats, sh0=sh0), PICKED[laid.parents]
+    for index in (0, 3):
+        first, last = (rasterize(s, FINE[index])[0][0] for s in (before, after))
+        assert torch.equal(first, rasterize(SOLID, FINE[index])[0][0])
+        whole = last - first
+        for share in (0.1, 0.25, 0.5, 0.75, 0.9, 1.0):
+            mixed = crossfade(before, after, picked, share)
+            change = rasterize(mixed, FINE[index])[0][0] - first
+            assert (change * whole).sum() / whole.square().sum() == pytest.approx(share, abs=0.1)
+    assert same(crossfade(before, after, picked, 0.0), before)
+    beyond = crossfade(before, after, picked, 1.5)
+    assert torch.equal(beyond.opacities, after.opacities)
+    torch.testing.assert_close(beyond.sh0[count:], -2 * laid.splats.sh0[count:])
 
 
 def test_the_room_is_kept_and_nearly_used(boxes: list[Box]):

@@ -16,7 +16,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks.quick_splat import with_splat
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.paintings import Colors, Painted, Painting
+from stylesplat.scene.paintings import Looks, Painted, Painting
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.training.train_config import TrainConfig
@@ -36,7 +36,7 @@ def inverted() -> Scene:
     """The balls, painted in the opposite colours."""
     shown = replace(SPLATS, sh0=torch.where(PICKED[:, None, None], -3 * SPLATS.sh0, SPLATS.sh0))
     painting = Painting("balls", PICKED, (), {}, 1.0, "compact")
-    painted = Painted((painting,), before=Colors.of(SPLATS), full=Colors.of(shown))
+    painted = Painted((painting,), before=Looks.of(SPLATS), full=Looks.of(shown))
     return Scene(shown, CAMERAS, painted=painted)
 
 

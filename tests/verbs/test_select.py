@@ -11,7 +11,7 @@ from balls import BALLS, CAMERAS, SPLATS
 from color_detector import ColorDetector
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.scene.paintings import Colors, Painted, Painting
+from stylesplat.scene.paintings import Looks, Painted, Painting
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick
@@ -230,7 +230,7 @@ def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector)
     painted[red], painted[green] = SPLATS.sh0[green], SPLATS.sh0[red]
     splats = replace(SPLATS, sh0=painted)
     record = Painting("3", red, (), {}, 1.0, "compact")
-    styled = Painted((record,), before=Colors.of(SPLATS), full=Colors.of(splats))
+    styled = Painted((record,), before=Looks.of(SPLATS), full=Looks.of(splats))
     assert how(scene=Scene(splats, CAMERAS, painted=styled), text="red")["ids"] == [3]
 
 

@@ -25,7 +25,7 @@ class Adjust:
     scene: Positional[Path]
     """Folder of the styled scene."""
     intensity: float | None = None
-    """0 for the colours before, 1 for the style's, up to 1.5 to exaggerate."""
+    """0 for what was before, 1 for the style's, up to 1.5 to exaggerate."""
     undo: FlagCreatePairsOff[bool] = False
     """Write the scene as it was before it was styled, to the bit, to the --output folder; with
     --object only these are as before."""

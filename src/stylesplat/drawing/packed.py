@@ -1,4 +1,4 @@
-"""Splats in two colourings, as few bytes as look the same: what a page that shows them holds.
+"""Splats before and after, as few bytes as look the same: what a page that shows them holds.
 
 The numbers are rounded so that pictures of two scenes (a still life and a fox, 100,000 Gaussians)
 differ by 58 dB or more for any one of them; only the higher bands of colour are coarser, 37 dB.
@@ -45,10 +45,11 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
 
     Args:
         splats: At least one Gaussian that shows.
-        before: The same Gaussians in other colours, or the same.
+        before: The same Gaussians in other colours and opacities, or the same.
         sh_degree: Up to which degree colours depend on where they are seen from.
     """
-    rows = (torch.sigmoid(splats.opacities) >= MIN_ALPHA).nonzero()[:, 0]
+    shown = torch.maximum(splats.opacities, before.opacities)
+    rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
     rows = rows[morton_order(splats.means[rows])]
     splats, before = splats[rows], before[rows]
     degree = min(sh_degree, max(needed_degree(splats), needed_degree(before)))
@@ -59,7 +60,7 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
     about["bands"] = splats.shN.shape[1]
     columns = [
         *_shapes(splats, about),
-        *_colors(splats, before, painted, about),
+        *_looks(splats, before, painted, about),
         *_bands(splats, before, about),
     ]
     content = b"".join(column.contiguous().numpy().tobytes() for column in columns)
@@ -91,7 +92,7 @@ def _turns(quats: Float[Tensor, "N 4"]) -> Iterator[Column]:
     yield _rounded(quats.gather(1, OTHERS[largest]).T, -(0.5**0.5), 0.5**0.5)
 
 
-def _colors(
+def _looks(
     splats: Splats, before: Splats, painted: Bool[Tensor, " N"], about: dict[str, Any]
 ) -> Iterator[Column]:
     after, earlier = (rgb_from_sh0(each.sh0[:, 0]).clamp(*COLORS) for each in (splats, before))
@@ -99,6 +100,7 @@ def _colors(
     yield _rounded(after.T, *bounds)
     yield painted.byte()
     yield _rounded(earlier.T, *bounds)
+    yield _rounded(torch.sigmoid(before.opacities), 0.0, 1.0)
 
 
 def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Column]:
@@ -122,7 +124,8 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
 
 def _differ(splats: Splats, before: Splats) -> Bool[Tensor, " N"]:
     mean = splats.sh0.ne(before.sh0).flatten(1).any(dim=1)
-    return mean | splats.shN.ne(before.shN).flatten(1).any(dim=1)
+    bands = splats.shN.ne(before.shN).flatten(1).any(dim=1)
+    return mean | bands | splats.opacities.ne(before.opacities)
 
 
 def _range(about: dict[str, Any], name: str, values: Tensor) -> tuple[float, float]:

@@ -56,7 +56,7 @@ def write_page(
 def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) -> str:
     """A page that shows splats, from the first photo or from where all is in sight.
 
-    Of a scene that is painted, a handle lies between the colours before and after; buttons bring
+    Of a scene that is painted, a handle lies between before and after; buttons bring
     each object into sight.
 
     Args:

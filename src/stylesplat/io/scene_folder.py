@@ -124,7 +124,7 @@ def _read(path: Path) -> Scene:
         held_out=declared.test_views,
         downscale=declared.settings.downscale,
         objects=_read_objects(folder / OBJECTS, picks),
-        painted=read_painted(folder, picks, len(splats)),
+        painted=read_painted(folder, picks, splats),
         path=folder,
         capture=_found_capture(declared, folder),
         info=info,

@@ -64,12 +64,12 @@ class Gone:
 
 @dataclass(frozen=True)
 class Unsplit:
-    """What it takes to undo splits, besides the colours before."""
+    """What it takes to undo splits, besides the looks before."""
 
     count: int
     """How many Gaussians there were; what follows them is new."""
     rows: Int[Tensor, " R"]
-    """Those that were split, or faded beneath a canvas."""
+    """Those that were split."""
     scales: Float[Tensor, "R 3"]
     """Theirs before."""
     opacities: Float[Tensor, " R"]
@@ -80,28 +80,30 @@ class Unsplit:
 
 
 @dataclass(frozen=True)
-class Colors:
-    """The colours of all Gaussians of a scene."""
+class Looks:
+    """The colours and opacities of all Gaussians of a scene."""
 
     sh0: Float[Tensor, "N 1 3"]
     """Constant band."""
     shN: Float[Tensor, "N _ 3"]
     """Higher bands."""
+    opacities: Float[Tensor, " N"]
+    """Logits. They differ between two looks where a canvas was laid, and in what it hides."""
 
     def __repr__(self) -> str:
         return one_line(self, f"of {counted(len(self.sh0), 'Gaussian')}")
 
     @classmethod
-    def of(cls, splats: Splats) -> "Colors":
+    def of(cls, splats: Splats) -> "Looks":
         """Those of splats."""
-        return cls(splats.sh0, splats.shN)
+        return cls(splats.sh0, splats.shN, splats.opacities)
 
     def on(self, splats: Splats) -> Splats:
-        """The splats in these colours."""
-        return replace(splats, sh0=self.sh0.to(splats.sh0), shN=self.shN.to(splats.shN))
+        """The splats looking so."""
+        return replace(splats, **{name: each.to(splats.means) for name, each in vars(self).items()})
 
-    def __getitem__(self, rows: Int[Tensor, " M"]) -> "Colors":
-        return Colors(self.sh0[rows], self.shN[rows])
+    def __getitem__(self, rows: Int[Tensor, " M"]) -> "Looks":
+        return Looks(**{name: each[rows] for name, each in vars(self).items()})
 
 
 @dataclass(frozen=True)
@@ -110,9 +112,9 @@ class Painted:
 
     paintings: tuple[Painting, ...]
     """At least one, of Gaussians that no two of them share."""
-    before: Colors
+    before: Looks
     """Without any painting."""
-    full: Colors
+    full: Looks
     """With all of them at intensity 1."""
     unsplit: Unsplit | None = None
     """The shapes of Gaussians that were split; None if none were."""

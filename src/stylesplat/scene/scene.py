@@ -101,7 +101,7 @@ class Scene:
 
     @property
     def unpainted(self) -> Splats:
-        """The Gaussians there are in the colours that they had before anything was painted."""
+        """The Gaussians there are as they looked before anything was painted."""
         return self.painted.before.on(self.splats) if self.painted else self.splats
 
     def with_object(self, name: str, found: SceneObject) -> "Scene":

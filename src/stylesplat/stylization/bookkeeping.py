@@ -9,11 +9,11 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.paintings import Colors, Painted, Painting, Unsplit
+from stylesplat.scene.paintings import Looks, Painted, Painting, Unsplit
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.paint_objects import Styled
 
 
@@ -67,7 +67,7 @@ def with_paintings(scene: Scene, styled: Styled, paintings: Sequence[Painting]) 
     parents, known = styled.parents.cpu(), scene.painted
     mine = torch.stack([painting.picked for painting in paintings]).any(dim=0)[parents]
     splats, base = styled.splats.to("cpu"), styled.base.to("cpu")
-    before, full = Colors.of(base), Colors.of(styled.full.to("cpu"))
+    before, full = Looks.of(base), Looks.of(styled.full.to("cpu"))
     if known is not None:
         before = chosen(mine, before, known.before[parents])
         full = chosen(mine, full, known.full[parents])
@@ -105,8 +105,8 @@ def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
         wanted = intensities.get(each.name, each.intensity)
         if wanted != each.intensity:
             picked = each.picked.to(splats.device)
-            mixed = blend_colors(base, full, picked, wanted)
-            splats = blend_colors(splats, mixed, picked, 1.0)
+            mixed = crossfade(base, full, picked, wanted)
+            splats = crossfade(splats, mixed, picked, 1.0)
         paintings.append(replace(each, intensity=wanted))
     painted = replace(painted, paintings=tuple(paintings))
     return replace(scene, splats=splats, painted=painted, path=None)
@@ -119,10 +119,14 @@ def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
     return SceneObject(picked, {**each.how, **count})
 
 
-def chosen(mine: Bool[Tensor, " N"], one: Colors, other: Colors) -> Colors:
-    """One's colours of some Gaussians, and other ones of the rest."""
+def chosen(mine: Bool[Tensor, " N"], one: Looks, other: Looks) -> Looks:
+    """One's looks of some Gaussians, and other ones of the rest."""
     mask = mine[:, None, None]
-    return Colors(torch.where(mask, one.sh0, other.sh0), torch.where(mask, one.shN, other.shN))
+    return Looks(
+        sh0=torch.where(mask, one.sh0, other.sh0),
+        shN=torch.where(mask, one.shN, other.shN),
+        opacities=torch.where(mine, one.opacities, other.opacities),
+    )
 
 
 def _absolute(path: Path | None) -> Path | None:

@@ -1,4 +1,4 @@
-"""Colours of an object in closed form: a picture's mean and covariance, blends of two states."""
+"""Colours of an object in closed form: a picture's mean and covariance, mixtures by shares."""
 
 import math
 from collections.abc import Sequence
@@ -107,20 +107,6 @@ def map_colors(
 def _matrix_sqrt(matrix: Tensor) -> Tensor:
     values, vectors = torch.linalg.eigh(matrix)
     return vectors @ (values.clamp(min=0).sqrt()[:, None] * vectors.T)
-
-
-def blend_colors(base: Splats, styled: Splats, picked: Tensor, intensity: float) -> Splats:
-    """The base with the colours of picked Gaussians moved towards the styled ones.
-
-    Renders are linear in the colours, so this blends the renders, wherever no colour is clamped.
-
-    Args:
-        base: Colours at intensity 0.
-        styled: The same Gaussians with their colours at intensity 1.
-        picked: Which of them to move.
-        intensity: How far; more than 1 goes beyond.
-    """
-    return mixed_colors(base, styled, intensity * picked.to(base.means))
 
 
 def mixed_colors(base: Splats, paint: Splats, shares: Float[Tensor, " N"]) -> Splats:

@@ -14,6 +14,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
+from stylesplat.stylization.crossfade import UNSEEN
 from stylesplat.stylization.fresh_canvas import fresh_canvas
 from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.object_views import Box, typical_length
@@ -39,8 +40,13 @@ class Ground:
     """The Gaussian of the scene before that each one comes from."""
     places: Sequence[Place]
     """Where the object is in some views, which tells shares; none if all have one of 1."""
-    canvas: bool = False
-    """Whether a fresh canvas lies on it."""
+    bare: Splats | None = None
+    """The same Gaussians without the fresh canvas, which does not show; None if there is none."""
+
+    @property
+    def unpainted(self) -> Splats:
+        """The same Gaussians as the scene looked before."""
+        return self.studio.splats if self.bare is None else self.bare
 
     def handed_down(self, earlier: Splats) -> Splats:
         """The object's Gaussians in the colours that their parents had earlier."""
@@ -89,7 +95,8 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
     places = seen_anew(studio.splats, job.picked, ground.places)
-    return replace(_with_shares(studio, job, split.parents, places), canvas=canvas is not None)
+    finer = _with_shares(studio, job, split.parents, places)
+    return finer if canvas is None else replace(finer, bare=_bare(ground.studio.splats, finer))
 
 
 def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
@@ -122,6 +129,13 @@ def _canvas(
     if split is None:
         say(f"{job.name} has no surface for a fresh canvas: its own Gaussians are split instead.")
     return split
+
+
+def _bare(splats: Splats, ground: Ground) -> Splats:
+    """What lies on a canvas without it."""
+    laid = ground.studio.splats
+    unseen = laid.opacities[len(splats) :] * 0 + UNSEEN
+    return replace(laid, opacities=torch.cat([splats.opacities, unseen]))
 
 
 def _split(

@@ -16,7 +16,7 @@ from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
@@ -39,7 +39,7 @@ class Styled:
     full: Splats
     """The same at full intensity."""
     base: Splats
-    """The same with the colours before."""
+    """The same as it looked before."""
     parents: Int[Tensor, " N"]
     """Which Gaussian of the scene before each one comes from."""
 
@@ -202,9 +202,9 @@ def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
 
 
 def blended(state: Repainted, job: StyleJob) -> Splats:
-    """The state's colours at the intensity that is wanted."""
+    """The state at the intensity that is wanted."""
     mask = job.picked[state.parents]
-    return blend_colors(state.base, state.splats, mask, job.config.intensity)
+    return crossfade(state.base, state.splats, mask, job.config.intensity)
 
 
 def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:

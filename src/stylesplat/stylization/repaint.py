@@ -47,7 +47,7 @@ class Repainted:
     splats: Splats
     """The scene with the object's colours so far, at full intensity."""
     base: Splats
-    """The same Gaussians with the colours before."""
+    """The same Gaussians as they looked before."""
     parents: Int[Tensor, " N"]
     """Which Gaussian of the scene before each one comes from."""
 
@@ -99,7 +99,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             if ground is not before:
                 few = _few_views(ground, boxes, stage, views)
                 current = ground.handed_down(current)
-                if ground.canvas:
+                if ground.bare is not None:
                     aim, plain, _ = _begun(ground, few)
                 else:
                     aim, plain = replace(aim, views=few), ground.handed_down(plain)
@@ -110,7 +110,7 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             done, current, shown = done + 1, step.paint, step.splats
             if step.number == stage.steps:
                 current, shown = _ended(ground, aim, current, last=done == config.all_steps)
-            base, parents = ground.studio.splats, ground.parents
+            base, parents = ground.unpainted, ground.parents
             yield Repainted(done, config.all_steps, step.nnfm, shown, base, parents)
 
 
@@ -205,7 +205,7 @@ def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: S
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
         original=plain,
-        config=replace(config, lr=stage.rate * (CALM if ground.canvas else 1.0) * config.lr),
+        config=replace(config, lr=stage.rate * (1.0 if ground.bare is None else CALM) * config.lr),
         near=aim.near,
         anchor=Anchor(mixed_colors(ground.studio.splats, current, ground.shares)) if fine else None,
     )

@@ -59,7 +59,7 @@ class StyleConfig:
     region: tuple[int, int, int, int] | None = None
     """The part of the style image to use: x0, y0, x1, y1 in its pixels; None takes it all."""
     intensity: float = 1.0
-    """How much of the new colours to blend into the old: 0 changes nothing, 1 takes all.
+    """How much of the style to blend in: 0 changes nothing, 1 takes all.
 
     More, up to 1.5, exaggerates.
     """

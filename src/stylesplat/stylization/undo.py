@@ -8,7 +8,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.paintings import Colors, Gone, Painted, Painting, Unsplit
+from stylesplat.scene.paintings import Gone, Looks, Painted, Painting, Unsplit
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.bookkeeping import chosen, require_painted, taken_rows
@@ -51,7 +51,7 @@ def unpainted(scene: Scene, names: Collection[str] | None = None) -> Scene:
     taken = [p.picked for p in painted.paintings if names is None or p.name in names]
     # All of them, whatever is known of each: scenes of old knew less
     mine = torch.stack(taken).any(dim=0) if left else torch.ones(len(scene.splats)).bool()
-    colored = chosen(mine, painted.before, Colors.of(scene.splats)).on(scene.splats)
+    colored = chosen(mine, painted.before, Looks.of(scene.splats)).on(scene.splats)
     rows = _kept_rows(mine, painted.unsplit)
     objects = {
         name: taken_rows(each, rows)

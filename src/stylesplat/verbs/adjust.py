@@ -23,7 +23,7 @@ def adjust(
 
     Args:
         scene: A styled scene.
-        intensity: 0 for the colours before, 1 for the style's, up to 1.5 to exaggerate.
+        intensity: 0 for what was before, 1 for the style's, up to 1.5 to exaggerate.
         objects: What to adjust; all that were styled by default.
         undo: Give the scene as it was before these objects were styled, to the bit; what else was
             styled stays as it is.

@@ -22,7 +22,7 @@ from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.color import blend_colors
+from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.paint_objects import REPORT_EVERY, check_jobs, moved, open_studio
 from stylesplat.stylization.repaint import Repainted, repaint
 from stylesplat.stylization.style import Picture
@@ -116,7 +116,7 @@ def _painted(
             state = _repainted(studio, job, counted)
             mask = job.picked[state.parents]
             for place in places:
-                splats = blend_colors(state.base, state.splats, mask, place.intensity)
+                splats = crossfade(state.base, state.splats, mask, place.intensity)
                 pictures[place.row, place.column] = _picture(splats, camera)
                 counted.advance()
     return pictures

@@ -3,12 +3,12 @@ precision highp float;
 
 uniform float cut; // pixels from the left, where before ends and after begins
 in vec2 offset;
-flat in vec4 after;
-flat in vec3 before;
+flat in vec4 after, before;
 out vec4 color;
 
 void main() {
-  float alpha = min(after.a * exp(-0.5 * dot(offset, offset)), 0.999);
+  vec4 look = gl_FragCoord.x < cut ? before : after;
+  float alpha = min(look.a * exp(-0.5 * dot(offset, offset)), 0.999);
   if (alpha < 1.0 / 255.0) discard;
-  color = alpha * vec4(gl_FragCoord.x < cut ? before : after.rgb, 1);
+  color = alpha * vec4(look.rgb, 1);
 }

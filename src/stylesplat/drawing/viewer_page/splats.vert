@@ -15,8 +15,7 @@ uniform vec3 eye;
 uniform vec2 focal, centre, size; // pixels
 
 out vec2 offset; // in standard deviations
-flat out vec4 after;
-flat out vec3 before;
+flat out vec4 after, before;
 
 const float LOW_PASS = 0.3; // square pixels
 const float MARGIN = 0.15; // of the size: how far outside, perspective is still exact
@@ -77,8 +76,8 @@ void main() {
   vec2 along = a >= c ? vec2(longest - c, b) : vec2(b, longest - a);
   along = root > 0.0 ? normalize(along) : vec2(1, 0);
 
-  float opacity = float(three.y >> 24) / 255.0;
-  float reach = sqrt(2.0 * log(max(255.0 * opacity, 1.0)));
+  float opacity = float(three.y >> 24) / 255.0, earlier = float(three.z >> 24) / 255.0;
+  float reach = sqrt(2.0 * log(max(255.0 * max(opacity, earlier), 1.0)));
   offset = reach * (2.0 * vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) - 1.0);
   vec2 shift = offset.x * sqrt(longest) * along + offset.y * sqrt(shortest) * vec2(-along.y, along.x);
   vec2 pixel = focal * place.xy / place.z + centre + shift;
@@ -86,5 +85,5 @@ void main() {
 
   set_basis(normalize(ray));
   after = vec4(color(three.y, three.w & 65535u), opacity);
-  before = (three.z >> 24) > 0u ? color(three.z, three.w >> 16) : after.rgb;
+  before = vec4(color(three.z, three.w >> 16), earlier);
 }

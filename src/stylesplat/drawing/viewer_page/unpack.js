@@ -1,7 +1,7 @@
 // The Gaussians as they were packed: see drawing/packed.py. Every column is for all of them, sorted
 // by place; positions have two bytes, high ones first.
 
-const WORDS = 12; // of a Gaussian: centre 3, covariance 6, colours after and before, bands
+const WORDS = 12; // of a Gaussian: centre 3, covariance 6, colour and opacity after and before, bands
 
 async function inflated(base64) {
   const packed = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
@@ -22,7 +22,7 @@ function unpack(bytes, about) {
   const opacities = take(count);
   const colors = times(3, count);
   const painted = take(count);
-  const before = times(3, about.painted);
+  const before = times(4, about.painted); // the last are opacities
   const palettes = times(2, 256 * 3 * about.bands);
   const bands = about.bands ? times(2, count) : [];
   const bandsBefore = about.bands ? times(2, about.painted) : [];
@@ -31,7 +31,7 @@ function unpack(bytes, about) {
   const words = new Uint32Array(floats.buffer);
   const centres = new Float32Array(3 * count);
   const word = (columns, row) => columns.reduce((sum, column, n) => sum | (column[row] << (8 * n)), 0);
-  let canvas = 0; // how many painted ones there were
+  let paintedRow = 0; // how many painted ones there were
   for (let row = 0; row < count; row++) {
     const first = WORDS * row;
     for (let axis = 0; axis < 3; axis++) {
@@ -42,12 +42,12 @@ function unpack(bytes, about) {
     }
     const deviations = scales.map((column) => Math.exp(between(column[row] / 255, about.scales)));
     floats.set(covariance(turn(largest[row], turns.map((column) => column[row])), deviations), first + 3);
-    words[first + 9] = word(colors, row) | (opacities[row] << 24);
-    words[first + 11] = word(bands, row);
+    words[first + 9] = words[first + 10] = word(colors, row) | (opacities[row] << 24);
+    words[first + 11] = word(bands, row) * (1 + (1 << 16));
     if (!painted[row]) continue;
-    words[first + 10] = word(before, canvas) | (1 << 24);
-    words[first + 11] |= word(bandsBefore, canvas) << 16;
-    canvas++;
+    words[first + 10] = word(before, paintedRow);
+    words[first + 11] = word(bands, row) | (word(bandsBefore, paintedRow) << 16);
+    paintedRow++;
   }
   return { count, words, centres, palettes };
 }
