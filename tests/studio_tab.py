@@ -25,7 +25,10 @@ RESTING = """async found => {
         boxes.push([box.x, box.y, box.width, box.height]);
         await new Promise(requestAnimationFrame);
     }
-    return boxes.every(box => String(box) === String(boxes[0])) ? boxes[0] : null;
+    const [x, y, width, height] = boxes[0];
+    // In a folder that is not open yet it has a place as well
+    const hit = found.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+    return hit && boxes.every(box => String(box) === String(boxes[0])) ? boxes[0] : null;
 }"""
 BUTTON = """(() => {
     const folders = '.mantine-Paper-root:not(:has(.mantine-Paper-root))';
