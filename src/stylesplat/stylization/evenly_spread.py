@@ -22,8 +22,11 @@ def pooled(size: float, points: Float[Tensor, "P 3"], values: Sequence[Tensor]) 
         points: Where they are.
         values: What is known, each [P, _].
     """
-    keys = (points / size).floor().long()
-    _, index, counts = keys.unique(dim=0, return_inverse=True, return_counts=True)
+    cells = (points / size).floor().long()
+    cells -= cells.amin(dim=0)
+    across, along, _ = (cells.amax(dim=0) + 1).tolist()
+    keys = cells @ torch.tensor([1, across, across * along])
+    _, index, counts = keys.unique(return_inverse=True, return_counts=True)
     means = []
     for value in (points, *values):
         sums = value.new_zeros(len(counts), value.shape[1]).index_add_(0, index, value)

@@ -23,7 +23,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.evenly_spread import POOLED, flattened, pooled, thinned
 from stylesplat.stylization.object_views import Box, around, typical_length
-from stylesplat.stylization.overflow import Untouched, beside, untouched
+from stylesplat.stylization.overflow import NONE, Untouched, beside, cut_to, reached, untouched
 from stylesplat.stylization.refit import fit
 from stylesplat.stylization.seen_surface import LENGTH, Surface, seen_surface
 from stylesplat.stylization.split import Split
@@ -35,11 +35,12 @@ OPACITY = 0.8
 RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}
 STEPS = 60
 BENEATH = (0.5, 0.9)  # part of what a Gaussian paints that discs hide: none of it fades, and all
-VIEWS = 12  # in which is looked for what discs hide
+VIEWS = 12  # in which is looked for what discs hide, and first for those that are too large
 SMALLER = 0.6  # of a disc that shows where nothing of the object showed
 FEW = 500  # pixels of all views that show no surface
 CHECKED = 48  # views in which nothing may show beside the object: discs lie on its very outline
-SPARE = 0.95  # share of the room that is aimed at
+MARGIN = 16  # pixels around what the object may reach in them
+SPARE = 0.9  # share of the room that is aimed at
 
 
 @torch.no_grad()
@@ -73,8 +74,9 @@ def fresh_canvas(
         return None
     distance = CLOSE * surface.pixel * LENGTH / length
     split = _laid(splats, picked, _discs(surface, distance, room, seed=seed))
-    pixels = untouched(splats, picked, cameras, views=CHECKED)
-    split = _smaller(split, _overflowing(splats, split, picked, pixels))
+    checked = cameras[[*evenly(range(len(cameras)), CHECKED)]]
+    pixels = untouched(splats, picked, cut_to(splats[picked], checked, MARGIN))
+    split, _ = _smaller(splats, split, picked, evenly(pixels, VIEWS))
     split = _hiding(splats, split, picked, boxes)
     fitted = torch.arange(len(split.splats)) >= len(splats)
     split = fit(splats, split, picked, boxes, fitted, RATES, steps=STEPS, seed=seed)
@@ -149,22 +151,33 @@ def _hiding(splats: Splats, split: Split, picked: Tensor, boxes: Sequence[Box]) 
 
 def _within(splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]) -> Split:
     """The same with smaller discs, or none, where they show beside the object."""
-    split = _smaller(split, _overflowing(splats, split, picked, pixels))
-    while len(rows := _overflowing(splats, split, picked, pixels)):
+    split, pixels = _smaller(splats, split, picked, pixels)
+    while pixels:
+        rows, pixels = _overflowing(splats, split, picked, pixels)
         kept = torch.ones_like(split.parents, dtype=torch.bool).index_fill(0, rows, False)
-        split = Split(split.splats[kept], split.parents[kept])  # which may uncover others
+        split = Split(split.splats[kept], split.parents[kept])
     return split
+
+
+def _smaller(
+    splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]
+) -> tuple[Split, Sequence[Untouched]]:
+    """The same with smaller discs where they show beside the object, and the pixels in which."""
+    rows, pixels = _overflowing(splats, split, picked, pixels)
+    scales = split.splats.scales.clone()
+    scales[rows] += math.log(SMALLER)
+    return replace(split, splats=replace(split.splats, scales=scales)), pixels
 
 
 def _overflowing(
     splats: Splats, split: Split, picked: Tensor, pixels: Sequence[Untouched]
-) -> Int[Tensor, " M"]:
-    """The discs that show where nothing may."""
-    rows = beside(split.splats, picked[split.parents], pixels)
-    return rows[rows >= len(splats)]
-
-
-def _smaller(split: Split, rows: Int[Tensor, " M"]) -> Split:
-    scales = split.splats.scales.clone()
-    scales[rows] += math.log(SMALLER)
-    return replace(split, splats=replace(split.splats, scales=scales))
+) -> tuple[Int[Tensor, " M"], Sequence[Untouched]]:
+    """The discs that show where nothing may, and the pixels in which they may uncover others."""
+    found = beside(split.splats, picked[split.parents], pixels)
+    discs = [rows[rows >= len(splats)] for rows in found]
+    shown = [
+        (camera, nothing & reached(split.splats[rows], camera))
+        for (camera, nothing), rows in zip(pixels, discs, strict=True)
+        if len(rows)
+    ]
+    return torch.cat([NONE, *discs]).unique(), shown

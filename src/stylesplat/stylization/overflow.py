@@ -18,11 +18,12 @@ from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.split import Split, unsplit
 
-CHECKED_VIEWS = 16
+VIEWS = 16  # that are checked
 Untouched = tuple[Cameras, Tensor]  # one camera, and some of its pixels [H, W]
 NONE = torch.zeros(0, dtype=torch.long)
 
@@ -40,36 +41,56 @@ def without_overflow(
         cameras: Views in which the object may cover no pixel that it did not cover before; of
             many some are checked.
     """
-    rows = beside(split.splats, picked[split.parents], untouched(splats, picked, cameras))
-    return unsplit(splats, split, split.parents[rows].unique())
+    pixels = untouched(splats, picked, [cameras[r] for r in evenly(range(len(cameras)), VIEWS)])
+    found = beside(split.splats, picked[split.parents], pixels)
+    return unsplit(splats, split, split.parents[torch.cat([NONE, *found])].unique())
 
 
 @torch.no_grad()
 def untouched(
-    splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras, *, views: int = CHECKED_VIEWS
+    splats: Splats, picked: Bool[Tensor, " N"], cameras: Sequence[Cameras]
 ) -> list[Untouched]:
-    """Some cameras, and the pixels of each in which nothing of an object shows.
+    """The pixels of each camera in which nothing of an object shows.
 
     Args:
         splats: The scene, on the CPU.
         picked: The object's Gaussians.
-        cameras: To choose from.
-        views: How many, at most.
+        cameras: One by one.
     """
     bare = without_looks(splats)
 
-    def look(row: int) -> Untouched:
-        return cameras[row], coverage(bare, cameras[row], picked) == 0
+    def look(camera: Cameras) -> Untouched:
+        return camera, coverage(bare, camera, picked) == 0
 
-    rows = evenly(range(len(cameras)), views)
-    return [*track(at_once(look, rows), "looking where nothing shows", total=len(rows))]
+    return [*track(at_once(look, cameras), "looking where nothing shows", total=len(cameras))]
+
+
+@torch.no_grad()
+def cut_to(splats: Splats, cameras: Cameras, margin: int) -> list[Cameras]:
+    """The part of each camera's image that Gaussians may reach; none of one that sees none.
+
+    Args:
+        splats: The Gaussians, on the CPU.
+        cameras: All of them.
+        margin: Pixels around that part.
+    """
+    cuts = []
+    for index in range(len(cameras)):
+        camera = cameras[index]
+        low, high = _bounds(splats, camera)
+        low, high = (low - margin).clamp(min=0), torch.minimum(high + margin, camera.sizes[0])
+        found = (low < high).all(dim=1)
+        if found.any():
+            low, high = low[found].amin(dim=0), high[found].amax(dim=0)
+            cuts.append(crop(camera, low.tolist(), (high - low).tolist()))
+    return cuts
 
 
 @torch.no_grad()
 def beside(
     splats: Splats, picked: Bool[Tensor, " N"], pixels: Sequence[Untouched]
-) -> Int[Tensor, " M"]:
-    """Which of an object's Gaussians show where nothing of it may show.
+) -> list[Int[Tensor, " M"]]:
+    """Which of an object's Gaussians show where nothing of it may show, in each view.
 
     Args:
         splats: The scene, on the CPU.
@@ -81,8 +102,7 @@ def beside(
     def overflowing(where: Untouched) -> Tensor:
         return _showing(bare, where[0], picked, where[1])
 
-    found = track(at_once(overflowing, pixels), "looking beside the object", total=len(pixels))
-    return torch.cat([NONE, *found]).unique()
+    return [*track(at_once(overflowing, pixels), "looking beside the object", total=len(pixels))]
 
 
 def _showing(
@@ -91,9 +111,7 @@ def _showing(
     """Which picked Gaussians show in some pixels of one camera; only what lies there is drawn."""
     suspects = picked.nonzero()[:, 0]
     suspects = suspects[_touching(splats[suspects], camera, pixels)]
-    alone = splats[suspects]
-    reached = coverage(alone, camera, torch.ones_like(suspects, dtype=torch.bool)) > 0
-    pixels = pixels & reached
+    pixels = pixels & reached(splats[suspects], camera)
     if not pixels.any():
         return suspects[:0]
     there = _touching(splats, camera, pixels).nonzero()[:, 0]
@@ -101,15 +119,26 @@ def _showing(
     return there[drawn.gaussians[drawn.weights(pixels) > 0]]
 
 
+def reached(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
+    """The pixels in which some Gaussians would show if there were no others."""
+    everyone = torch.ones(len(splats), dtype=torch.bool)
+    return coverage(without_looks(splats), camera, everyone) > 0
+
+
 def _touching(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Bool[Tensor, " N"]:
     """Which Gaussians may reach some pixels: the boxes around them hold some."""
-    projected = cpu.project_gaussians(
-        rasterize.activated(splats), views_of(rasterize.beside(splats, camera))[0]
-    )
+    low, high = (c.clamp(min=0).minimum(camera.sizes[0]) for c in _bounds(splats, camera))
     sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
-    size = torch.tensor(camera.size)
-    low = (projected.means2d - projected.radii).floor().long().clamp(min=0).minimum(size)
-    high = (projected.means2d + projected.radii).ceil().long().clamp(min=0).minimum(size)
     (left, top), (right, bottom) = low.unbind(1), high.unbind(1)
     held = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    return (held > 0) & (projected.radii > 0).all(dim=1)
+    return held > 0
+
+
+def _bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
+    """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
+    views = views_of(rasterize.beside(splats, camera))
+    projected = cpu.project_gaussians(rasterize.activated(splats), views[0])
+    drawn = (projected.radii > 0).all(dim=1, keepdim=True)
+    low = (projected.means2d - projected.radii).floor() * drawn
+    high = (projected.means2d + projected.radii).ceil() * drawn
+    return low.long(), high.long()
