@@ -49,6 +49,7 @@ def _between(
     appeared = min(1.0, math.log(1 - share) / math.log(THROUGH))
     faded = max(0.0, 2 * share - 1)
     part = torch.where(after > before, appeared, faded)
-    through = torch.lerp(-F.softplus(before), -F.softplus(after), part)  # log(1 - sigmoid(x))
-    mixed = torch.log(torch.expm1(-through))
-    return torch.where(before == after, before, mixed.clamp(min=UNSEEN))
+    # in double precision: logarithms of floats differ in their last bit by the place in a tensor
+    start, end = (-F.softplus(each.double()) for each in (before, after))  # log(1 - sigmoid(x))
+    mixed = torch.log(torch.expm1(-torch.lerp(start, end, part.double()))).clamp(min=UNSEEN)
+    return torch.where(before == after, before, mixed.to(before))
