@@ -6,7 +6,8 @@ import pytest
 
 from stylesplat.cli import main
 
-QUICK = ("--features", "compact", "--pattern", "large", "--max-growth", 2, "--device", "cpu")
+QUICK = ("--features", "compact", "--pattern", "large", "--max-growth", 2, "--canvas", "own")
+QUICK += ("--device", "cpu")
 
 
 def run(*arguments: object) -> int:

@@ -22,7 +22,8 @@ from stylesplat.verbs.load import load
 @pytest.fixture(scope="module")
 def styled(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     scene = replace(TRAINED, cameras=enlarged(CAMERAS, 2))
-    return painted(scene, "red", write_pictures(tmp_path_factory.mktemp("pictures")), intensity=1.0)
+    pictures = write_pictures(tmp_path_factory.mktemp("pictures"))
+    return painted(scene, "red", pictures, intensity=1.0, layers=(2,))
 
 
 def test_before_and_after_at_the_photos_size(styled: Scene):

@@ -96,7 +96,6 @@ def check_finite(what: str, tensor: Tensor) -> None:
 def use_row_labels(folder: Path, out: Path) -> None:
     for path in sorted(folder.iterdir()):
         scene = ss.import_(random_splats(seeds.COUNT), labels=path, device="cpu")
-        ss.objects(scene)
         ss.save(scene, out / path.suffix)
 
 

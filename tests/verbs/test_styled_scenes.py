@@ -123,7 +123,11 @@ def test_the_recipe_of_a_styled_scene_makes_it_again(folder: Path, tmp_path: Pat
     styled = folder / "twice"
     recipe = read_recipe(styled / "recipe.json", defaults=StyleConfig(steps=999, seed=9))
     _, green = recipe.objects
-    assert (green.name, green.style.config, green.features) == ("green", FAST, "compact")
+    assert (green.name, green.style.config, green.features) == (
+        "green",
+        replace(FAST, canvas="fresh"),
+        "compact",
+    )
     assert green.style.pictures == (folder / "night.png", folder / "wave.png")
     source = Path(json.loads((styled / "recipe.json").read_text())["scene"])
     assert source == folder / "trained"
