@@ -7,13 +7,14 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from studio_balls import QUICK, stripes
-from stylesplat.atelier.keeping import AUTOSAVE
+from stylesplat.atelier.keeping import AUTOSAVE, exported
 from stylesplat.atelier.opening import studio
 from stylesplat.atelier.picking import pick_names, renamed
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
+from unprivileged import as_nobody, public_folder
 
 LONG = replace(QUICK, steps=5000)  # longer than any test
 
@@ -57,6 +58,39 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
     kept = open(folder / AUTOSAVE)
     assert kept.painted is not None and kept.painted.names == ("3",)
     assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
+
+
+def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, block=False)
+    opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert opened.session.worker.settle()
+    opened.close()
+    (folder / AUTOSAVE / "splats.ply").write_bytes(b"ply")
+    again = studio(folder, port=0, block=False)
+    try:
+        assert not again.session.unsaved
+        assert "Nothing of the last time is recovered" in said[-1] and "splats.ply" in said[-1]
+    finally:
+        again.close()
+
+
+def test_where_nothing_can_be_written_save_says_so_and_all_else_works(said: list[str]):
+    with public_folder() as public:
+        save(Scene(SPLATS, CAMERAS), public / "balls")
+        (public / "balls").chmod(0o555)
+        with as_nobody():
+            opened = studio(public / "balls", port=0, block=False)
+            opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+            assert opened.session.worker.settle()
+            assert [*opened.session.state.scene.objects] == ["red"]
+            with pytest.raises(StyleSplatError, match="Cannot write"):
+                opened.place.save(opened.session)
+            with pytest.raises(StyleSplatError, match="Cannot write"):
+                opened.place.save_as(opened.session, "other")
+            assert exported(opened.session.state.scene, ".splat")
+            opened.close()
+        assert "Nothing is kept against crashes" in said[-1]
+        assert not open(public / "balls").objects
 
 
 def test_of_what_is_thinned_every_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):

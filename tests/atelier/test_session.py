@@ -13,12 +13,12 @@ from stylesplat.atelier.history import History
 from stylesplat.atelier.keeping import AUTOSAVE, FORMATS, Place, exported, still
 from stylesplat.atelier.picking import pick_names, renamed
 from stylesplat.atelier.session import Session
-from stylesplat.atelier.studio_state import State
+from stylesplat.atelier.studio_state import State, with_scene
 from stylesplat.drawing.client_camera import browser_camera
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.rendering.sh import rgb_from_sh0
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.bookkeeping import strengths
@@ -131,6 +131,15 @@ def test_what_cannot_be_painted_is_told_and_changes_nothing(session: Session, sa
     painted(session, "nobody")
     assert session.state is before and not session.painting
     assert "Nothing is picked" in said[0] and "nobody" in said[1]
+
+
+def test_an_object_of_three_gaussians_is_told_to_be_too_small(session: Session, said: list[str]):
+    three = {"few": SceneObject(torch.arange(len(SPLATS)) < 3, {})}
+    scene = replace(session.state.scene, objects=three)
+    session.do(lambda state: with_scene(state, scene, "named"))
+    painted(session, "few")
+    assert session.state.scene is scene and not session.painting
+    assert "3 Gaussians, too few" in said[-1]
 
 
 def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(session: Session):

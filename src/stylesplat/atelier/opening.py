@@ -1,6 +1,5 @@
 """`studio`: choose, paint and compare in the browser."""
 
-import contextlib
 import secrets
 import threading
 from pathlib import Path
@@ -126,11 +125,7 @@ def studio(
     server = private_server(port, "StyleSplat studio", host=host, token=token)
     session = Session(scene, folder=scene.path)
     place = Place(scene.path)
-    with contextlib.suppress(StyleSplatError):
-        kept = place.recovered(session.state)
-        if kept is not None:
-            session.history.add(kept)
-            say("Recovered what was not saved the last time. Undo goes back to what was saved.")
+    _recover(session, place)
     page = Page(server, session, Easel(session, **options), gallery, place)
     bound_uploads(server, MOST_BYTES, lambda size: session.tell(too_large(size), failure=True))
     warm_up_for_the_first(server, session.worker, **options)
@@ -144,3 +139,15 @@ def studio(
     if block:
         opened.wait()
     return opened
+
+
+def _recover(session: Session, place: Place) -> None:
+    """Go on with what an earlier run left unsaved."""
+    try:
+        kept = place.recovered(session.state)
+    except StyleSplatError as error:
+        say(f"Nothing of the last time is recovered. {error}")
+        return
+    if kept is not None:
+        session.history.add(kept)
+        say("Recovered what was not saved the last time. Undo goes back to what was saved.")
