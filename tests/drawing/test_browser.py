@@ -40,6 +40,12 @@ def test_serves_on_loopback_until_stopped(free_port):
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
 
+@pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 70_000), ("203.0.113.7", 0)])
+def test_where_nothing_can_be_served_it_is_told_at_once(host: str, port: int):
+    with pytest.raises(StyleSplatError, match=rf"Cannot serve at {host}:{port}: .*Choose another"):
+        private_server(port, "balls", host=host, token="secret")
+
+
 def test_starts_without_cameras(free_port):
     server = serve(SPLATS, port=free_port, block=False)
     try:

@@ -5,8 +5,10 @@ point here (DNS rebinding), which `Host` then tells; and over websockets, which 
 everywhere, telling the site as `Origin`. Either could read the splat.
 """
 
+import errno
 import hmac
 import re
+import socket
 from collections.abc import Callable
 from functools import partial
 from http import HTTPStatus
@@ -51,7 +53,8 @@ def private_server(
         token: What everybody is asked for before anything is sent; None asks nobody.
 
     Raises:
-        StyleSplatError: If viser is not installed, or does not let others be refused.
+        StyleSplatError: If viser is not installed, or does not let others be refused, or there is
+            no such address or port, or none that may be taken.
     """
     try:
         import viser
@@ -62,6 +65,7 @@ def private_server(
     from websockets.asyncio import server as library
 
     assert token or host == ADDRESS  # never to a network without one
+    _refuse_address(host, port)
     serve, guarded = library.serve, list[bool]()
     guard = _own_only if token is None else partial(_with_token, token)
 
@@ -81,6 +85,22 @@ def private_server(
             f"viser {viser.__version__} answers to other sites too. Run `pip install viser==1.1.1`."
         )
     return server
+
+
+def _refuse_address(host: str, port: int) -> None:
+    """Raise a StyleSplatError where nothing can be served; viser would wait for ever."""
+    try:
+        family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+    except (OSError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "ports are from 0 to 65535"
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            return  # viser takes the next one
+        raise StyleSplatError(
+            f"Cannot serve at {host}:{port}: {reason}. Choose another address or port."
+        ) from error
 
 
 def is_own(hosts: list[str], origins: list[str]) -> bool:
