@@ -16,7 +16,6 @@ from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
-from stylesplat.drawing.needs_webgl import explained
 from stylesplat.errors import StyleSplatError
 
 if TYPE_CHECKING:
@@ -115,7 +114,7 @@ def _own_only(process_request: Callable[..., Any] | None) -> Callable[..., Any]:
         headers = request.headers
         if not is_own(headers.get_all("Host"), headers.get_all("Origin")):
             return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
-        return _answer(process_request, connection, request)
+        return None if process_request is None else process_request(connection, request)
 
     return checked
 
@@ -147,17 +146,9 @@ def _with_token(token: str, process_request: Callable[..., Any] | None) -> Calla
             cookie = f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
             response.headers["Set-Cookie"] = cookie
             return response
-        return _answer(process_request, connection, request)
+        return None if process_request is None else process_request(connection, request)
 
     return checked
-
-
-def _answer(
-    process_request: Callable[..., Any] | None, connection: "ServerConnection", request: "Request"
-) -> "Response | None":
-    """viser's own; None lets a websocket in."""
-    response = None if process_request is None else process_request(connection, request)
-    return None if response is None else explained(response)
 
 
 def _page(connection: "ServerConnection", status: HTTPStatus, text: str) -> "Response":

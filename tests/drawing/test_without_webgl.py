@@ -2,20 +2,17 @@ from balls import CAMERAS, SPLATS
 from chromium import launched, needs_chromium
 from stylesplat.drawing.browser import serve
 
-SAID = "document.body && document.body.innerText"
+SAID = "(document.body && document.body.innerText) || ''"
 
 
 @needs_chromium
 def test_a_browser_without_webgl_is_told_what_helps():
+    """By viser's own page."""
     server = serve(SPLATS, cameras=CAMERAS, port=0, block=False)
     try:
         with launched(600, 400, "--disable-3d-apis") as page:
             page.open(f"http://localhost:{server.get_port()}")
-            page.until(f"({SAID} || '').includes('WebGL 2 is missing')")
+            page.until(f"({SAID}).includes('WebGL is unavailable')")
             assert "hardware acceleration" in page.evaluate(SAID)
-        with launched(600, 400) as page:
-            page.open(f"http://localhost:{server.get_port()}")
-            page.until("document.querySelector('canvas')")
-            assert "WebGL 2 is missing" not in page.evaluate(SAID)
     finally:
         server.stop()
