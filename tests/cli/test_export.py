@@ -1,5 +1,6 @@
 """The verb `export`."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -29,3 +30,17 @@ def test_export_makes_a_page(scene: Path, tmp_path: Path, capsys: pytest.Capture
     with pytest.raises(SystemExit):
         run("export", "--help")
     assert ".html" in capsys.readouterr().out
+
+
+def test_export_cuts_objects_out(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run("export", scene, tmp_path / "red.ply", "--object", 3, "--object", 7, "--json") == 0
+    count = json.loads(capsys.readouterr().out)["gaussians"]
+    assert 0 < count < len(SPLATS) and len(read_splat_ply(tmp_path / "red.ply")) == count
+    assert run("export", scene, tmp_path / "others.ply", "--without", 3, "--without", 7) == 0
+    assert len(read_splat_ply(tmp_path / "others.ply")) == len(SPLATS) - count
+    capsys.readouterr()
+    assert run("export", scene, "--each", tmp_path / "parts") == 0
+    assert "parts: 3.ply, 7.ply" in capsys.readouterr().err
+    assert "Name one file" in complaint(capsys, "export", scene)
+    both = ("--each", tmp_path / "more", "--object", 3)
+    assert "--each writes every object" in complaint(capsys, "export", scene, *both)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.next_steps import next_lines, pasted, size_of, unused
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
@@ -19,7 +19,7 @@ class Export:
     Example: stylesplat export garden-wave garden.html
     """
 
-    first: ClassVar = ("output",)
+    first: ClassVar = ("output", "object")
     scene: Positional[Path]
     """Folder of the scene."""
     file: Positional[Path | None] = None
@@ -27,6 +27,12 @@ class Export:
     page for any browser, with before and after. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """Write this object alone, where it lies in the scene. May be repeated."""
+    without: UseAppendAction[tuple[str, ...]] = ()
+    """Leave this object out. May be repeated."""
+    each: Path | None = None
+    """Folder to make instead of a file: each object in a .ply of its name, the rest in rest.ply."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     overwrite: Overwrite = False
@@ -37,18 +43,31 @@ class Export:
         """Do it."""
         from stylesplat.io.places import refuse_file
         from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.export import export
+        from stylesplat.verbs.export import export, export_each
 
-        file = self.file or self.output
-        if file is None or (self.file and self.output):
-            raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
+        file, options = self._place(), {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
+        if self.each is not None:
+            files = export_each(open(self.scene), self.each, **options)
+            return {"files": files}
         refuse_file(file, overwrite=self.overwrite)
         scene = open(self.scene)
-        export(scene, file, overwrite=self.overwrite, sh_degree=self.sh_degree)
-        return {"file": file, "gaussians": len(scene.splats)}
+        count = export(scene, file, objects=self.object, without=self.without, **options)
+        return {"file": file, "gaussians": count}
+
+    def _place(self) -> Path:
+        """The file or the folder to make."""
+        places = [each for each in (self.file, self.output, self.each) if each is not None]
+        if len(places) != 1:
+            raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
+        if self.each is not None and (self.object or self.without):
+            raise StyleSplatError("--each writes every object. Leave --object and --without out.")
+        return places[0]
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
+        if "files" in result:
+            yield f"{self.each}: {', '.join(path.name for path in result['files'])}."
+            return
         file = result["file"]
         count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
         plain = file.suffix == ".ply" and not file.name.endswith(".compressed.ply")

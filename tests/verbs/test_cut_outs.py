@@ -1,0 +1,71 @@
+"""Objects exported alone, left out, or each into a file of its own."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from painted_balls import BLUE, PICKS, RED, TRAINED, paint_of, write_painted
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import open
+from stylesplat.io.splats.splat_ply import read_splat_ply
+from stylesplat.scene.scene import SceneObject
+from stylesplat.stylization.scene_parts import part_of
+from stylesplat.verbs.export import export, export_each
+
+
+def test_parts_fit_together_again(tmp_path: Path):
+    whole = TRAINED.splats
+    assert export(TRAINED, tmp_path / "two.ply", objects=["red", "blue"]) == 160
+    assert export(TRAINED, tmp_path / "others.ply", without=["red", "blue"]) == len(whole) - 160
+    two, others = (read_splat_ply(tmp_path / f"{name}.ply") for name in ("two", "others"))
+    mine = RED | BLUE
+    assert torch.equal(two.means, whole.means[mine]) and torch.equal(two.shN, whole.shN[mine])
+    assert torch.equal(others.means, whole.means[~mine])
+    export(TRAINED, tmp_path / "red.ply", objects=["both"], without=["green"])
+    assert torch.equal(read_splat_ply(tmp_path / "red.ply").means, whole.means[RED])
+
+
+def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
+    plain = replace(TRAINED.splats, identities=None, classifier=None)
+    one = replace(TRAINED, splats=plain, objects={"red": TRAINED.objects["red"]})
+    files = export_each(one, tmp_path / "parts", suffix=".splat")
+    assert [path.name for path in files] == ["red.splat", "rest.splat"]
+    assert {*(tmp_path / "parts").iterdir()} == {*files}
+    files = export_each(TRAINED, tmp_path / "four")
+    assert [path.stem for path in files] == [*PICKS, "3", "7", "300", "rest"]
+    found = {path.stem: read_splat_ply(path).means for path in files}
+    assert torch.equal(found["blue"], TRAINED.splats.means[BLUE])
+    (tmp_path / "four" / "mine.txt").write_text("mine")
+    with pytest.raises(StyleSplatError, match="something else"):
+        export_each(TRAINED, tmp_path / "four")
+    export_each(one, tmp_path / "four", overwrite=True)
+    assert (tmp_path / "four" / "mine.txt").read_text() == "mine"
+
+
+def test_a_part_of_a_painted_scene_knows_what_was_before(tmp_path: Path):
+    folder = write_painted(tmp_path, "blue", lambda wave, night: night)
+    scene = open(folder / "twice")
+    part = part_of(scene, ["blue"])
+    picked = scene.objects["blue"].picked
+    assert torch.equal(part.unpainted.sh0, scene.unpainted.sh0[picked])
+    assert [int(each.picked.sum()) for each in paint_of(part).paintings] == [0, len(part.splats)]
+    export(scene, tmp_path / "blue.html", objects=["blue"])
+    assert (tmp_path / "blue.html").stat().st_size > 10_000
+
+
+def test_what_cannot_be_cut_out_is_told(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match="no object 'vase'"):
+        export(TRAINED, tmp_path / "a.ply", objects=["vase"])
+    with pytest.raises(StyleSplatError, match="Nothing is left"):
+        export(TRAINED, tmp_path / "a.ply", objects=["red"], without=["both"])
+    with pytest.raises(StyleSplatError, match="Splats alone have no objects"):
+        export(TRAINED.splats, tmp_path / "a.ply", objects=["red"])
+    plain = replace(TRAINED.splats, identities=None, classifier=None)
+    with pytest.raises(StyleSplatError, match="has no objects"):
+        export_each(replace(TRAINED, splats=plain, objects={}), tmp_path / "parts")
+    called = replace(TRAINED, objects={"rest": SceneObject(RED)})
+    with pytest.raises(StyleSplatError, match="An object is called 'rest'"):
+        export_each(called, tmp_path / "parts")
+    assert not [*tmp_path.iterdir()]
