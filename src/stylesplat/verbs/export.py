@@ -22,8 +22,9 @@ def export(
         what: A scene, or splats alone.
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
             SuperSplat compresses, four times smaller; in `.spz`, about ten times smaller; in
-            `.splat`, one colour per Gaussian; or in `.html`, a page that any browser opens from
-            the disk, without a network, and that compares a styled scene with what it was before.
+            `.sog`, seven to sixteen times; in `.splat`, one colour per Gaussian; or in `.html`, a
+            page that any browser opens from the disk, without a network, and that compares a
+            styled scene with what it was before.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as

@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-FIRST = 256  # groups that all rows are parted in; more are found within these
-GROWTH = 16  # entries to one of the groups before
+FIRST = 64  # groups that all rows are parted in; more are found within these
+GROWTH = 32  # entries to one of the groups before
 SAMPLE = 2**16  # rows that show how to part them first
-ROUNDS = 5  # of k-means; more change little
+ROUNDS = 3  # of k-means; more change little
 AT_ONCE = 2**14  # rows whose distances from all entries are in memory
 
 Rows = Float[np.ndarray, "M D"]

@@ -1,6 +1,7 @@
 """Bytes as the pixels of lossless WebP pictures, whose sizes are known before they are decoded."""
 
 import io
+import struct
 import warnings
 
 import numpy as np
@@ -9,6 +10,7 @@ from PIL import Image
 
 METHOD, QUALITY = 1, 0  # of the search: more take three times as long for a fiftieth of the size
 HEADER = 30  # bytes that tell the size
+CHUNK = struct.Struct("<4sI")  # a part's name and size
 SIDE_BITS = 14  # of a side of a plain picture
 LONGEST = 2**SIDE_BITS - 1  # side
 
@@ -35,9 +37,9 @@ def webp_size(content: bytes) -> tuple[int, int]:
     if head[12:16] == b"VP8L":
         sides = int.from_bytes(head[21:25], "little")
         return 1 + (sides & LONGEST), 1 + (sides >> SIDE_BITS & LONGEST)
-    if head[12:16] == b"VP8X":
+    if head[12:16] == b"VP8X" and _is_lossless(content):
         return 1 + int.from_bytes(head[24:27], "little"), 1 + int.from_bytes(head[27:30], "little")
-    raise ValueError("its pixels are rounded: it is a lossy picture")
+    raise ValueError("it is a lossy or moving picture, whose pixels are no numbers")
 
 
 def webp_pixels(content: bytes) -> Pixels:
@@ -54,3 +56,14 @@ def webp_pixels(content: bytes) -> Pixels:
         raise
     except Exception as error:  # Pillow raises all kinds
         raise ValueError(f"it is damaged ({error})") from error
+
+
+def _is_lossless(content: bytes) -> bool:
+    """Whether the first part of a file that is about pixels is of a single lossless picture."""
+    place = HEADER
+    while place + CHUNK.size <= len(content):
+        name, size = CHUNK.unpack_from(content, place)
+        if name in (b"VP8L", b"VP8 ", b"ALPH", b"ANIM", b"ANMF"):
+            return name == b"VP8L"
+        place += CHUNK.size + size + size % 2
+    return False
