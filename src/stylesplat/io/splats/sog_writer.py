@@ -33,7 +33,7 @@ Texels = UInt8[np.ndarray, "M D"]
 
 
 def write_sog(splats: Splats, path: Path | str) -> None:
-    """Write a bundle, in Morton order: seven to sixteen times smaller than PLY, its numbers rounded.
+    """Write a bundle, its rows in Morton order and its numbers rounded.
 
     Places have 16 bits along each axis, finest near the origin; rotations and opacities 8; sizes
     and colours are one of 256 values that fit these splats best; higher bands of colour are one
