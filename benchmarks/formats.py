@@ -40,7 +40,11 @@ SAME = {
 def errors(found: Splats, wanted: Splats) -> dict[str, float]:
     """The largest of each kind, row by row: relative places, logarithms, degrees and so on."""
     normal = torch.nn.functional.normalize
-    turns = (normal(found.quats, dim=1) * normal(wanted.quats, dim=1)).double().sum(dim=1).abs()
+    turns = (
+        (normal(found.quats.double(), dim=1) * normal(wanted.quats.double(), dim=1))
+        .sum(dim=1)
+        .abs()
+    )
     bands = min(found.shN.shape[1], wanted.shN.shape[1])
     missing = wanted.shN[:, bands:].abs()
     return {

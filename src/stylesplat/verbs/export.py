@@ -21,7 +21,7 @@ def export(
     Args:
         what: A scene, or splats alone.
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
-            SuperSplat compresses, four times smaller; in `.spz`, about ten times smaller; in
+            SuperSplat compresses, four times smaller; in `.spz`, about six times smaller; in
             `.sog`, seven times or more; in `.splat`, one colour per Gaussian; or in `.html`, a
             page that any browser opens from the disk, without a network, and that compares a
             styled scene with what it was before.

@@ -65,7 +65,7 @@ def write_splats(
 ) -> None:
     """Write splats for a viewer, in the format that the file's suffix names.
 
-    `.ply` keeps every bit. `.spz` is about ten times smaller, `.sog` seven times or more,
+    `.ply` keeps every bit. `.spz` is about six times smaller, `.sog` seven times or more,
     `.compressed.ply` about four times: positions, colours and rotations are rounded. `.splat` has
     one colour per Gaussian, seen the same from everywhere.
 

@@ -49,7 +49,7 @@ def read_spz(path: Path | str) -> Splats:
 
 
 def write_spz(splats: Splats, path: Path | str) -> None:
-    """Write SPZ of version 4: about ten times smaller than PLY, its numbers rounded.
+    """Write SPZ of version 4: six times smaller than PLY, or more, its numbers rounded.
 
     Raises:
         StyleSplatError: If the splats reach farther than SPZ can express.
