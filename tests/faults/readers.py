@@ -80,6 +80,11 @@ def use_splats(folder: Path, out: Path) -> None:
         use_one_splat(read_splats(path), out)
 
 
+def use_sog(folder: Path, out: Path) -> None:
+    for name in ("a.sog", "meta.json"):
+        use_one_splat(read_splats(folder / name), out)
+
+
 def use_one_splat(splats: Splats, out: Path) -> None:
     image, _, _ = rasterize(splats, two_cameras().at_most(TINY))
     check_finite("image", image)
@@ -174,6 +179,7 @@ def use_weights(folder: Path, out: Path) -> None:
 READERS = {
     "scene": Reader(seeds.scene, ("scene/*",), use_scene),
     "splats": Reader(seeds.splats, ("*",), use_splats),
+    "sog": Reader(seeds.sog, ("*",), use_sog),
     "labels": Reader(seeds.row_labels, ("*",), use_row_labels),
     "colmap": Reader(seeds.colmap, ("sparse/0/*", "images/*", "object_mask/*"), use_capture),
     "colmap_text": Reader(seeds.colmap_text, ("sparse/0/*",), use_capture),

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zipfile
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -82,6 +83,14 @@ def splats(folder: Path) -> None:
     )
     gsply.plywrite(folder / "b.ply", data, compressed=True)
     (folder / "b.compressed.ply").replace(folder / "b.ply")
+
+
+def sog(folder: Path) -> None:
+    """A bundle, and the same as a folder."""
+    folder.mkdir(parents=True)
+    export(random_splats(COUNT), folder / "a.sog")
+    with zipfile.ZipFile(folder / "a.sog") as bundle:
+        bundle.extractall(folder)
 
 
 def row_labels(folder: Path) -> None:

@@ -127,7 +127,7 @@ def test_splat_rows(tmp_path: Path):
     np.testing.assert_allclose(rows["quat"] / 128.0 - 1, quats, atol=1 / 128)
 
 
-@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "splat"])
+@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "splat", "sog"])
 def test_empty_splats(tmp_path: Path, suffix: str):
     export(random_splats(0), tmp_path / f"a.{suffix}")
     assert (tmp_path / f"a.{suffix}").is_file()
@@ -136,7 +136,7 @@ def test_empty_splats(tmp_path: Path, suffix: str):
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.ply.gz"])
 def test_unknown_suffix(tmp_path: Path, name: str):
     with pytest.raises(
-        StyleSplatError, match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat, or \.html"
+        StyleSplatError, match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat, \.sog, or \.html"
     ):
         export(random_splats(), tmp_path / name)
 
@@ -153,7 +153,7 @@ def test_files_are_replaced_only_if_told_so(tmp_path: Path):
     assert len(read_splat_ply(path)) == 50
 
 
-@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz"])
+@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "sog"])
 @pytest.mark.parametrize("degree", range(4))
 def test_degrees_that_are_asked_for(tmp_path: Path, suffix: str, degree: int):
     splats, path = random_splats(), tmp_path / f"a.{suffix}"

@@ -23,8 +23,8 @@ class Export:
     scene: Positional[Path]
     """Folder of the scene."""
     file: Positional[Path | None] = None
-    """File to make: .ply keeps every bit; .compressed.ply, .spz and .splat are smaller; .html is a
-    page for any browser, with before and after. Or name it with -o."""
+    """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .html
+    is a page for any browser, with before and after. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
     object: UseAppendAction[tuple[str, ...]] = ()

@@ -24,7 +24,8 @@ class Import:
 
     first: ClassVar = ("up", "frame")
     splat: Positional[Path]
-    """A .ply (also SuperSplat's compressed one), .spz or .splat file."""
+    """A .ply (also SuperSplat's compressed one), .spz, .splat or .sog file, or the meta.json of a
+    SOG folder."""
     output: Output
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None

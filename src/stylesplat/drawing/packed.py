@@ -15,6 +15,7 @@ from torch import Tensor
 
 from stylesplat.drawing.palettes import meant, nearest, palette_of
 from stylesplat.io.splats.morton import morton_order
+from stylesplat.io.splats.smallest_three import LARGEST, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.constants import MIN_ALPHA
@@ -24,7 +25,6 @@ from stylesplat.scene.splats import Splats
 SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
 COLORS = (-1.0, 2.0)  # mean colours beyond are drawn as these
 TINY = 1e-12  # length, of splats that are all in one place
-OTHERS = torch.tensor([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # but the largest of four
 LEVELS = 2  # palettes: the entry of the second is added to that of the first
 
 Column = UInt8[Tensor, "..."]
@@ -85,11 +85,9 @@ def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:
 
 def _turns(quats: Float[Tensor, "N 4"]) -> Iterator[Column]:
     """Which part of a rotation is largest, and the others; it follows from them."""
-    quats = torch.nn.functional.normalize(quats, dim=1)
-    largest = quats.abs().argmax(dim=1)
-    quats = quats * quats.gather(1, largest[:, None]).sign()
+    largest, others = smallest_three(quats)
     yield largest.byte()
-    yield _rounded(quats.gather(1, OTHERS[largest]).T, -(0.5**0.5), 0.5**0.5)
+    yield _rounded(others.T, -LARGEST, LARGEST)
 
 
 def _looks(

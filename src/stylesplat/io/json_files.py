@@ -35,19 +35,32 @@ def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
     Raises:
         StyleSplatError: If the file is missing, unreadable or holds anything else.
     """
+    return json_object(read_bytes(path, most=most), path)
+
+
+def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
+    """The object that a JSON file holds.
+
+    Args:
+        content: Of the file.
+        path: What to call it.
+
+    Raises:
+        StyleSplatError: If it holds anything else.
+    """
     try:
-        content = json.loads(read_bytes(path, most=most).decode("utf-8"))
+        found = json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise StyleSplatError(
             f"Cannot read {path}: it is not valid JSON ({error}). {RESTORE}"
         ) from error
-    if not isinstance(content, dict):
+    if not isinstance(found, dict):
         raise StyleSplatError(f"Cannot read {path}: expected a JSON object. {RESTORE}")
-    if _is_deep(content):
+    if _is_deep(found):
         raise StyleSplatError(
             f"Cannot read {path}: it is nested more than {MAX_DEPTH} deep. {RESTORE}"
         )
-    return content
+    return found
 
 
 def read_json_as(path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON) -> T:

@@ -14,7 +14,8 @@ PHOTOS = (
     *(".bmp", ".dib", ".gif", ".ppm", ".pgm", ".pnm", ".tga", *HEIC),
 )
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".3gp", ".mts", ".m2ts", ".mpg", ".wmv")
-SPLATS = (".ply", ".spz", ".splat")
+SPLATS = (".ply", ".spz", ".splat", ".sog")
+SOG_META = "meta.json"  # of a SOG that is a folder
 
 Kind = Literal[
     "nothing",
@@ -44,7 +45,7 @@ def kind_of(path: Path) -> Kind:
     if _is_scene(path.parent):
         return "part of a scene"
     suffix = path.suffix.lower()
-    if suffix in SPLATS:
+    if suffix in SPLATS or path.name == SOG_META:
         return "splat"
     if suffix in VIDEOS:
         return "video"

@@ -27,9 +27,10 @@ def export(
     Args:
         what: A scene, or splats alone.
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
-            SuperSplat compresses, four times smaller; in `.spz`, about ten times smaller; in
-            `.splat`, one colour per Gaussian; or in `.html`, a page that any browser opens from
-            the disk, without a network, and that compares a styled scene with what it was before.
+            SuperSplat compresses, four times smaller; in `.spz`, about six times smaller; in
+            `.sog`, seven times or more; in `.splat`, one colour per Gaussian; or in `.html`, a
+            page that any browser opens from the disk, without a network, and that compares a
+            styled scene with what it was before.
         objects: Names or label ids of what to write alone; by default everything. It lies where
             it does in the scene, so that parts fit together again.
         without: Names or label ids of what to leave out.

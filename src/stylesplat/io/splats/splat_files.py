@@ -5,7 +5,7 @@ from pathlib import Path
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.files import REPLACING, is_there, read_bytes
-from stylesplat.io.kinds import no_splat
+from stylesplat.io.kinds import SOG_META, no_splat
 from stylesplat.io.splats.compressed_ply import (
     MAX_HEADER,
     is_compressed,
@@ -13,6 +13,8 @@ from stylesplat.io.splats.compressed_ply import (
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import read_dot_splat, write_dot_splat
+from stylesplat.io.splats.sog_reader import read_sog
+from stylesplat.io.splats.sog_writer import write_sog
 from stylesplat.io.splats.splat_ply import (
     needed_degree,
     of_degree,
@@ -27,6 +29,7 @@ SMALLER: dict[str, Callable[[Splats, Path], None]] = {
     COMPRESSED: write_compressed_ply,
     ".spz": write_spz,
     ".splat": write_dot_splat,
+    ".sog": write_sog,
 }
 MAX_DEGREE = 3
 
@@ -34,8 +37,9 @@ MAX_DEGREE = 3
 def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
-    PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ and
-    .splat. No memory is taken for a count in a header before it was checked against the file.
+    PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
+    .splat, and SOG, be it a bundle or the meta.json of a folder. No memory is taken for a count
+    in a header before it was checked against the file.
 
     Raises:
         StyleSplatError: If the file is missing, of another kind, damaged or empty.
@@ -45,8 +49,9 @@ def read_splats(path: Path | str) -> Splats:
         ".ply": _read_ply,
         ".spz": read_spz,
         ".splat": read_dot_splat,
+        ".sog": read_sog,
     }
-    reader = readers.get(path.suffix.lower())
+    reader = read_sog if path.name == SOG_META else readers.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
         raise no_splat(path)
     splats = reader(path)
@@ -60,13 +65,13 @@ def write_splats(
 ) -> None:
     """Write splats for a viewer, in the format that the file's suffix names.
 
-    `.ply` keeps every bit. `.spz` is about ten times smaller, `.compressed.ply` about four times:
-    positions, colours and rotations are rounded. `.splat` has one colour per Gaussian, seen the
-    same from everywhere.
+    `.ply` keeps every bit. `.spz` is about six times smaller, `.sog` seven times or more,
+    `.compressed.ply` about four times: positions, colours and rotations are rounded. `.splat` has
+    one colour per Gaussian, seen the same from everywhere.
 
     Args:
         splats: What to write.
-        path: A file name ending in `.ply`, `.compressed.ply`, `.spz` or `.splat`.
+        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat` or `.sog`.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as

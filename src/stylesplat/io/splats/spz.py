@@ -14,6 +14,7 @@ from stylesplat.io.files import atomic_path, read_bytes
 from stylesplat.io.splats.gsply_data import from_gsply, to_gsply
 from stylesplat.scene.splats import Splats
 
+WRITTEN = 4  # version; 3 is larger by a twelfth
 POSITION = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
 SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
@@ -48,7 +49,7 @@ def read_spz(path: Path | str) -> Splats:
 
 
 def write_spz(splats: Splats, path: Path | str) -> None:
-    """Write SPZ: about ten times smaller than PLY, its numbers rounded.
+    """Write SPZ of version 4: six times smaller than PLY, or more, its numbers rounded.
 
     Raises:
         StyleSplatError: If the splats reach farther than SPZ can express.
@@ -63,7 +64,7 @@ def write_spz(splats: Splats, path: Path | str) -> None:
     flipped = _flipped(splats)
     data = to_gsply(replace(flipped, opacities=flipped.opacities.clamp(-SURE, SURE)))
     with atomic_path(path) as temporary:
-        gsply.write_spz(temporary, data, fractional_bits=max(bits))
+        gsply.write_spz(temporary, data, version=WRITTEN, fractional_bits=max(bits))
 
 
 def _flipped(splats: Splats) -> Splats:

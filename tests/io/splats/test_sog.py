@@ -1,0 +1,218 @@
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from scenes import random_splats
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.splats.lossless_webp import webp_of
+from stylesplat.io.splats.morton import morton_order
+from stylesplat.io.splats.splat_files import read_splats, write_splats
+
+COUNT = 100
+Files = dict[str, bytes]
+PLAIN = replace(random_splats(COUNT), identities=None)
+ORDER = morton_order(PLAIN.means)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
+    path = tmp_path_factory.mktemp("sog") / "a.sog"
+    write_splats(PLAIN, path)
+    with zipfile.ZipFile(path) as bundle:
+        return {name: bundle.read(name) for name in bundle.namelist()}
+
+
+def bundled(files: Files, path: Path, **options: Any) -> Path:
+    with zipfile.ZipFile(path, "w", **options) as bundle:
+        for name, content in files.items():
+            bundle.writestr(name, content)
+    return path
+
+
+def laid_out(files: Files, folder: Path) -> Path:
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    return folder / "meta.json"
+
+
+def declaring(files: Files, change: Callable[[dict[str, Any]], object]) -> Files:
+    meta = json.loads(files["meta.json"])
+    change(meta)
+    return {**files, "meta.json": json.dumps(meta).encode()}
+
+
+def webp(width: int, height: int, **options: Any) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGBA", (width, height)).save(file, "WEBP", **options)
+    return file.getvalue()
+
+
+def test_every_number_is_as_near_as_its_bits_allow(tmp_path: Path):
+    write_splats(PLAIN, tmp_path / "a.sog")
+    found, wanted = read_splats(tmp_path / "a.sog"), PLAIN[ORDER]
+    logs = [m.sign() * m.abs().log1p() for m in (found.means, wanted.means)]
+    step = (logs[1].amax(dim=0) - logs[1].amin(dim=0)) / 65535
+    assert ((logs[0] - logs[1]).abs() <= 0.51 * step + 1e-6).all()  # float32 beside the half
+    assert (found.opacities.sigmoid() - wanted.opacities.sigmoid()).abs().max() <= 0.51 / 255
+    quats = torch.nn.functional.normalize(wanted.quats, dim=1)
+    quats = quats * (quats * found.quats).sum(dim=1, keepdim=True).sign()
+    # Half a step of 2 / 255 / sqrt(2) for three parts, and at most the sum of theirs for the last
+    assert (found.quats - quats).abs().max() <= 3 * 0.5 * 2**0.5 / 255
+    for name in ("scales", "sh0"):  # 300 numbers of a normal distribution, 256 values
+        error = (getattr(found, name) - getattr(wanted, name)).abs()
+        assert error.max() < 0.05 and error.square().mean().sqrt() < 0.005
+
+
+def test_a_palette_as_large_as_the_splats_is_exact_but_for_its_bytes(tmp_path: Path):
+    splats = PLAIN[torch.arange(64)]
+    write_splats(splats, tmp_path / "a.sog")
+    found = read_splats(tmp_path / "a.sog")
+    error = (found.shN - splats[morton_order(splats.means)].shN).abs()
+    assert error.square().mean().sqrt() < 0.01 * splats.shN.std()
+
+
+def test_what_was_read_is_written_again_as_it_was(tmp_path: Path):
+    """Rounded numbers are on the grid; only the codebooks of so few numbers are found anew."""
+    write_splats(PLAIN, tmp_path / "a.sog")
+    once = read_splats(tmp_path / "a.sog")
+    write_splats(once, tmp_path / "b.sog")
+    twice = read_splats(tmp_path / "b.sog")
+    order = morton_order(once.means)
+    torch.testing.assert_close(twice.means, once.means[order], rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(twice.opacities, once.opacities[order], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(twice.sh0, once.sh0[order], rtol=0, atol=0.01)
+
+
+def test_extremes(tmp_path: Path):
+    """WebP drops colours that opacities of 0 hide, unless told not to; one place has no size."""
+    splats = replace(
+        PLAIN, opacities=torch.full((COUNT,), -40.0), means=torch.full((COUNT, 3), -7.5)
+    )
+    write_splats(splats, tmp_path / "a.sog")
+    found = read_splats(tmp_path / "a.sog")
+    torch.testing.assert_close(found.means, splats.means)
+    assert (found.sh0 - splats.sh0).abs().max() < 0.05
+    assert (found.opacities < -10).all()
+
+
+def test_the_same_splats_make_the_same_file(tmp_path: Path):
+    for name in ("a.sog", "b.sog"):
+        write_splats(PLAIN, tmp_path / name)
+    assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
+
+
+def test_a_folder_is_the_same(files: Files, tmp_path: Path):
+    found = read_splats(laid_out(files, tmp_path / "folder"))
+    bundle = read_splats(bundled(files, tmp_path / "a.sog", compression=zipfile.ZIP_DEFLATED))
+    for name, tensor in found.tensors().items():
+        assert torch.equal(tensor, bundle.tensors()[name])
+
+
+def test_numbers_that_cannot_be_written(tmp_path: Path):
+    means = PLAIN.means.clone()
+    means[3, 1] = float("nan")
+    with pytest.raises(StyleSplatError, match=r"Cannot export .*1 values of means are not finite"):
+        write_splats(replace(PLAIN, means=means), tmp_path / "a.sog")
+    assert not any(tmp_path.iterdir())
+
+
+def refused(path: Path, match: str) -> None:
+    with pytest.raises(StyleSplatError, match=match) as caught:
+        read_splats(path)
+    assert "\n" not in str(caught.value)
+
+
+DECLARATIONS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "version 1": (lambda m: m.pop("version"), "SOG of version 1, only 2 is read"),
+    "version 3": (lambda m: m.update(version=3), "SOG of version 3, only 2 is read"),
+    "too many": (lambda m: m.update(count=200_000_000), "claims 200000000 Gaussians, which"),
+    "more than pixels": (lambda m: m.update(count=145), "pictures of 144 pixels for 145"),
+    "negative": (lambda m: m.update(count=-1), "Cannot read .*count"),
+    "no codebook": (lambda m: m["scales"].pop("codebook"), "Cannot read .*codebook"),
+    "short codebook": (lambda m: m["sh0"].update(codebook=[0.5]), "beyond a codebook of 1"),
+    "words": (lambda m: m["means"].update(mins=["a", 0, 0]), r"Cannot read .*mins"),
+    "far away": (lambda m: m["means"].update(maxs=[29, 0, 0]), "values of means are out of range"),
+    "palette": (lambda m: m["shN"].update(count=1), r"colours beyond the palette's 1"),
+    "bands": (lambda m: m["shN"].update(bands=2), r"960 x 1 pixels, where 512 x 1 are due"),
+    "missing": (lambda m: m["quats"].update(files=["no.webp"]), "no.webp"),
+}
+
+
+@pytest.mark.parametrize("case", [*DECLARATIONS])
+@pytest.mark.parametrize("place", ["bundle", "folder"])
+def test_declarations_that_do_not_fit(files: Files, tmp_path: Path, case: str, place: str):
+    change, expected = DECLARATIONS[case]
+    changed = declaring(files, change)
+    if case == "palette":  # whose picture would be of one row as it is
+        changed = declaring(changed, lambda m: m["shN"].update(count=1))
+    make = bundled if place == "bundle" else laid_out
+    refused(make(changed, tmp_path / "a.sog"), expected)
+
+
+PICTURES: dict[str, tuple[bytes, str]] = {
+    "smaller": (webp(4, 4, lossless=True), r"'quats.webp' has 4 x 4 pixels, where 12 x 12 are"),
+    "as large as can be": (webp(16383, 16383, lossless=True, method=0), "has 16383 x 16383 pixels"),
+    "lossy": (webp(12, 12, quality=50), "'quats.webp': it is a lossy or moving picture"),
+    "no picture": (b"no picture", "'quats.webp': it is no WebP picture"),
+    "empty": (b"", "'quats.webp': it is no WebP picture"),
+    "no rotations": (webp_of(np.zeros((12, 12, 4), np.uint8)), "100 rotations do not tell"),
+}
+
+
+@pytest.mark.parametrize("case", [*PICTURES])
+def test_pictures_that_do_not_fit(files: Files, tmp_path: Path, case: str):
+    content, expected = PICTURES[case]
+    refused(bundled({**files, "quats.webp": content}, tmp_path / "a.sog"), expected)
+
+
+def test_a_picture_that_is_cut_off(files: Files, tmp_path: Path):
+    cut = {**files, "scales.webp": files["scales.webp"][:-20]}
+    refused(bundled(cut, tmp_path / "a.sog"), "'scales.webp': it is damaged")
+
+
+def test_what_is_no_bundle(files: Files, tmp_path: Path):
+    path = tmp_path / "a.sog"
+    path.write_bytes(b"ply\nformat binary")
+    refused(path, "it is no zip file")
+    bundled({}, path)
+    refused(path, "there is no 'meta.json' in it")
+    bundled(files, path)
+    path.write_bytes(path.read_bytes()[:-30])
+    refused(path, "Cannot read")
+    (tmp_path / "meta.json").write_text("[]")
+    refused(tmp_path / "meta.json", "expected a JSON object")
+
+
+def test_bombs(files: Files, tmp_path: Path):
+    """What would unpack to more than pictures can, is not."""
+    path = tmp_path / "a.sog"
+    bomb = {**files, "quats.webp": bytes(10**8)}
+    bundled(bomb, path, compression=zipfile.ZIP_DEFLATED)
+    refused(path, "'quats.webp': it would unpack to 100000000 bytes")
+    bundled({**files, "meta.json": b" " * 10**8}, path, compression=zipfile.ZIP_DEFLATED)
+    refused(path, "'meta.json': it would unpack to 100000000 bytes")
+    bundled(files, path, compression=zipfile.ZIP_LZMA)
+    refused(path, "packed in a way that the format has not")
+
+
+@pytest.mark.parametrize("name", ["../secret.webp", "/etc/passwd", "..", "a/../../secret.webp"])
+def test_names_that_lead_elsewhere(files: Files, tmp_path: Path, name: str):
+    changed = declaring(files, lambda m: m["quats"].update(files=[name]))
+    (tmp_path / "secret.webp").write_bytes(files["quats.webp"])
+    refused(laid_out(changed, tmp_path / "folder"), "leads out of the folder")
+    refused(bundled(changed, tmp_path / "a.sog"), "there is no")
+
+
+def test_a_bundle_of_nobody(tmp_path: Path):
+    write_splats(PLAIN[torch.arange(0)], tmp_path / "a.sog")
+    refused(tmp_path / "a.sog", "There are no Gaussians")
