@@ -11,8 +11,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.sh import sh_basis
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sh_basis import sh_basis
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 
