@@ -224,6 +224,7 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
         (".ply", b"ply"),
         (".compressed.ply", b"ply"),
         (".spz", b"\x1f\x8b"),
+        (".glb", b"gltf"),
         (".splat", b""),
         (".html", b"<!doctype html>"),
     ],

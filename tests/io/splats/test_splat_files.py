@@ -49,7 +49,7 @@ def compressed(splats: Splats, path: Path) -> Path:
 
 
 @pytest.mark.parametrize("bands", [0, 3, 8, 15])
-@pytest.mark.parametrize("suffix", [".ply", ".spz", ".splat", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".splat", ".compressed.ply", ".glb"])
 def test_what_is_exported_is_read_back(tmp_path: Path, suffix: str, bands: int):
     splats, path = with_bands(bands), tmp_path / f"a{suffix}"
     export(splats, path)
@@ -58,7 +58,7 @@ def test_what_is_exported_is_read_back(tmp_path: Path, suffix: str, bands: int):
     expected = splats if suffix != ".splat" else replace(splats, shN=splats.shN[:, :0])
     # .spz and .splat keep 8 bits of colour, opacity and rotation; in a chunk of .compressed.ply
     # positions have 11 bits of a fifth of the scene
-    assert difference(found, expected) < (1e-6 if suffix == ".ply" else 0.01)
+    assert difference(found, expected) < (1e-6 if suffix in (".ply", ".glb") else 0.01)
 
 
 @pytest.mark.parametrize("bands", [0, 3, 8, 15])
@@ -212,7 +212,7 @@ def test_numbers_that_are_not_finite(tmp_path: Path):
 
 
 def test_nothing_to_read(tmp_path: Path):
-    for name in ("a.ply", "a.spz", "a.splat"):
+    for name in ("a.ply", "a.spz", "a.splat", "a.glb", "a.gltf"):
         with pytest.raises(StyleSplatError, match=f"There is no file .*{name}. Check the name"):
             read_splats(tmp_path / name)
     (tmp_path / "a.obj").touch()

@@ -13,6 +13,7 @@ from stylesplat.io.splats.compressed_ply import (
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import read_dot_splat, write_dot_splat
+from stylesplat.io.splats.read_gltf import read_gltf
 from stylesplat.io.splats.splat_ply import (
     needed_degree,
     of_degree,
@@ -20,6 +21,7 @@ from stylesplat.io.splats.splat_ply import (
     write_splat_ply,
 )
 from stylesplat.io.splats.spz import read_spz, write_spz
+from stylesplat.io.splats.write_glb import write_glb
 from stylesplat.scene.splats import Splats
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
@@ -27,6 +29,7 @@ SMALLER: dict[str, Callable[[Splats, Path], None]] = {
     COMPRESSED: write_compressed_ply,
     ".spz": write_spz,
     ".splat": write_dot_splat,
+    ".glb": write_glb,
 }
 MAX_DEGREE = 3
 
@@ -34,8 +37,9 @@ MAX_DEGREE = 3
 def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
-    PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ and
-    .splat. No memory is taken for a count in a header before it was checked against the file.
+    PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
+    .splat, and glTF. No memory is taken for a count in a header before it was checked against the
+    file.
 
     Raises:
         StyleSplatError: If the file is missing, of another kind, damaged or empty.
@@ -45,6 +49,8 @@ def read_splats(path: Path | str) -> Splats:
         ".ply": _read_ply,
         ".spz": read_spz,
         ".splat": read_dot_splat,
+        ".glb": read_gltf,
+        ".gltf": read_gltf,
     }
     reader = readers.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
@@ -62,15 +68,15 @@ def write_splats(
 
     `.ply` keeps every bit. `.spz` is about ten times smaller, `.compressed.ply` about four times:
     positions, colours and rotations are rounded. `.splat` has one colour per Gaussian, seen the
-    same from everywhere.
+    same from everywhere. `.glb` has all as float32.
 
     Args:
         splats: What to write.
-        path: A file name ending in `.ply`, `.compressed.ply`, `.spz` or `.splat`.
+        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat` or `.glb`.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
-            INRIA's, the smaller ones have as many as are not all zero.
+            INRIA's, the others have as many as are not all zero.
 
     Raises:
         StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
