@@ -24,7 +24,7 @@ class Import:
 
     first: ClassVar = ("up", "frame")
     splat: Positional[Path]
-    """A .ply (also SuperSplat's compressed one), .spz or .splat file."""
+    """A .ply (also SuperSplat's compressed one), .spz, .splat, .glb or .gltf file."""
     output: Output
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None

@@ -22,17 +22,18 @@ def export(
         what: A scene, or splats alone.
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
             SuperSplat compresses, four times smaller; in `.spz`, about ten times smaller; in
-            `.splat`, one colour per Gaussian; or in `.html`, a page that any browser opens from
+            `.splat`, one colour per Gaussian; in `.glb`, glTF with Khronos' KHR_gaussian_splatting,
+            all as float32; or in `.html`, a page that any browser opens from
             the disk, without a network, and that compares a styled scene with what it was before.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
-            INRIA's, the smaller ones have as many as are not all zero.
+            INRIA's, the others have as many as are not all zero.
 
     Raises:
         StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
             may not be replaced, it cannot be written, the splats reach farther than `.spz` can
-            express, or nothing would show on a page.
+            express or are none that a `.glb` can hold, or nothing would show on a page.
     """
     path = Path(path)
     with changing(path):

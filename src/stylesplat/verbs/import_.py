@@ -48,7 +48,7 @@ def import_(
     The splat stays as it is: same frame, same Gaussians, same order.
 
     Args:
-        splat: A .ply, .spz or .splat file, or what was read from one.
+        splat: A .ply, .spz, .splat, .glb or .gltf file, or what was read from one.
         capture: The photos that it was made from. Without them the scene gets views around
             the content, most of which have all of it in their pictures.
         frame: The world frame of the splat, if it is not the capture's.

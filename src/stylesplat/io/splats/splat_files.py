@@ -81,7 +81,7 @@ def write_splats(
     Raises:
         StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
             may not be replaced, it cannot be written, or the splats reach farther than `.spz` can
-            express.
+            express or are none that a `.glb` can hold.
     """
     path = Path(path)
     _refuse_unwritable(path, sh_degree)
