@@ -168,6 +168,17 @@ def test_hostile_containers(tmp_path: Path):
         read_splats(path.with_suffix(".gltf"))
 
 
+@pytest.mark.parametrize("deep", ["[", '{"a":'])
+def test_json_that_would_take_much_memory(tmp_path: Path, deep: str):
+    path = tmp_path / "a.gltf"
+    path.write_text('{"asset":{"version":"2.0"},"nodes":[' + "{}," * 2**20 + "{}]}")
+    with pytest.raises(StyleSplatError, match="its JSON has 1048577 parts, more than 1048576"):
+        read_splats(path)
+    path.write_text('{"asset":{"version":"2.0"},"extras":' + deep * 10**5)
+    with pytest.raises(StyleSplatError, match="its JSON is none of glTF"):
+        read_splats(path)
+
+
 def test_bytes_too_many_are_told(tmp_path: Path, said: list[str]):
     path = written(tmp_path)
     path.write_bytes(path.read_bytes() + b"more")
@@ -181,6 +192,7 @@ def test_bytes_too_many_are_told(tmp_path: Path, said: list[str]):
         ("POSITION", math.nan, "1 values of means are not finite"),
         (f"{NAME}:SH_DEGREE_1_COEF_1", math.inf, "1 values of shN are not finite"),
         (f"{NAME}:SCALE", math.inf, "1 values of scales are not finite"),
+        (f"{NAME}:SCALE", -1e-3, "1 standard deviations are negative"),
         (f"{NAME}:OPACITY", 1.5, "1 opacities are not between 0 and 1"),
         (f"{NAME}:OPACITY", math.nan, "1 values of opacities are not finite"),
     ],

@@ -15,7 +15,6 @@ from msgspec import Meta, Struct
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_bytes
-from stylesplat.io.json_files import MAX_JSON
 from stylesplat.io.ply import say_left_over
 
 SPLATTING = "KHR_gaussian_splatting"
@@ -25,6 +24,7 @@ HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
 CHUNK = struct.Struct("<I4s")  # bytes of the chunk, kind
 JSON, BINARY = b"JSON", b"BIN\0"
 VERSION = 2
+MAX_PARTS = 2**20  # of the JSON, by its commas: "{}" becomes 200 bytes; buffers have one comma
 AGAIN = "Export it again."
 
 Natural = Annotated[int, Meta(ge=0, le=2**53)]
@@ -179,7 +179,7 @@ def open_gltf(path: Path) -> Gltf:
     if packed != (path.suffix.lower() == ".glb"):
         held = "a GLB, whose name ends in .glb" if packed else "no GLB"
         raise refusal(path, f"it is {held}", "Check the name.")
-    text, binary = _chunks(path, content) if packed else (memoryview(content), None)
+    text, binary = _chunks(path, content) if packed else (content, None)
     document = _document(path, text)
     if document.asset.version.split(".")[0] != str(VERSION):
         fault = f"it is of version {document.asset.version!r:.20}, not {VERSION}.0"
@@ -187,7 +187,7 @@ def open_gltf(path: Path) -> Gltf:
     return Gltf(path, document, binary)
 
 
-def _chunks(path: Path, content: bytes) -> tuple[memoryview, memoryview | None]:
+def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
     """The JSON of a GLB, and its bytes if it has some."""
     if len(content) < HEADER.size + CHUNK.size:
         raise refusal(path, f"it is cut off after {len(content)} bytes")
@@ -208,12 +208,14 @@ def _chunks(path: Path, content: bytes) -> tuple[memoryview, memoryview | None]:
         rest = rest[CHUNK.size + size :]
     if not chunks or chunks[0][0] != JSON:
         raise refusal(path, "it does not begin with a chunk of JSON")
-    return chunks[0][1], chunks[1][1] if chunks[1:] and chunks[1][0] == BINARY else None
+    binary = chunks[1][1] if chunks[1:] and chunks[1][0] == BINARY else None
+    return bytes(chunks[0][1]), binary
 
 
-def _document(path: Path, text: memoryview) -> Document:
-    if len(text) > MAX_JSON:
-        raise refusal(path, f"its JSON has {len(text)} bytes, more than {MAX_JSON}")
+def _document(path: Path, text: bytes) -> Document:
+    parts = text.count(b",")
+    if parts > MAX_PARTS:
+        raise refusal(path, f"its JSON has {parts} parts, more than {MAX_PARTS}")
     try:
         return msgspec.json.decode(text, type=Document)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:

@@ -69,6 +69,8 @@ def _splats(numbers: Numbers, primitive: Primitive) -> Splats:
     means = _column(numbers, primitive, "POSITION", 3)
     quats = _column(numbers, primitive, named("ROTATION"), 4)
     scales = _column(numbers, primitive, named("SCALE"), 3)
+    if (scales < 0).any():
+        raise gltf.refusal(f"{int((scales < 0).sum())} standard deviations are negative")
     shN = torch.empty(len(means), BANDS[degree], 3)
     for band, name in enumerate(higher_bands(degree)):
         shN[:, band] = _column(numbers, primitive, name, 3)
