@@ -83,7 +83,7 @@ def _matrix(gltf: Gltf, node: Node) -> Float[np.ndarray, "4 4"]:
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T  # columns follow each other
     matrix = np.eye(4)
-    if not 0 < float(np.abs(node.rotation).max()) < 1e100:
+    if not 1e-100 < float(np.abs(node.rotation).max()) < 1e100:  # squares are of float64
         raise gltf.refusal("a node's rotation is none", SPLIT)
     matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
     matrix[:3, 3] = node.translation
