@@ -233,6 +233,7 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
         (".ply", b"ply"),
         (".compressed.ply", b"ply"),
         (".spz", b"ngsp"),
+        (".glb", b"gltf"),
         (".splat", b""),
         (".sog", b"pk"),
         (".html", b"<!doctype html>"),

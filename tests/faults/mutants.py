@@ -103,7 +103,16 @@ def _place(content: bytes | bytearray, random_: random.Random) -> int:
 
 
 BLIND: tuple[Mutator, ...] = (flip, flip, truncate, insert, duplicate, remove, run, integer)
-BYTEWISE = {".json": 0.1, ".yaml": 0.1, ".safetensors": 0.3, ".pt": 0.2, ".txt": 0.3, ".ply": 0.3}
+BYTEWISE = {
+    ".json": 0.1,
+    ".yaml": 0.1,
+    ".safetensors": 0.3,
+    ".pt": 0.2,
+    ".txt": 0.3,
+    ".ply": 0.3,
+    ".glb": 0.2,
+    ".gltf": 0.1,
+}
 """The share of mutants that are blind changes; by default half."""
 STRUCTURAL: dict[str, tuple[Mutator, ...]] = {
     ".json": (json_mutants.json_mutant,),
@@ -112,6 +121,8 @@ STRUCTURAL: dict[str, tuple[Mutator, ...]] = {
     ".pt": (tensor_mutants.checkpoint_mutant,),
     ".ply": (table_mutants.ply_mutant,),
     ".txt": (table_mutants.text_mutant,),
+    ".glb": (table_mutants.glb_mutant,),
+    ".gltf": (json_mutants.json_mutant,),
     ".png": (picture_mutants.png_size_mutant,),
     ".jpg": (picture_mutants.jpeg_size_mutant,),
     ".tif": (picture_mutants.tiff_tag_mutant,),

@@ -76,8 +76,8 @@ def look_at(scene: Scene) -> None:
 
 
 def use_splats(folder: Path, out: Path) -> None:
-    for path in (folder / name for name in ("a.ply", "b.ply", "a.spz", "a.splat")):
-        use_one_splat(read_splats(path), out)
+    for name in ("a.ply", "b.ply", "a.spz", "a.splat", "a.glb", "a.gltf"):
+        use_one_splat(read_splats(folder / name), out)
 
 
 def use_sog(folder: Path, out: Path) -> None:

@@ -14,6 +14,7 @@ from PIL import Image
 import stylesplat as ss
 from ball_photos import write_ball_capture
 from balls import CAMERAS, CLASSIFIER
+from glb_files import as_gltf, glb_parts
 from pictures_of_walks import walk
 from scenes import random_splats, two_cameras
 from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
@@ -71,8 +72,11 @@ def splats(folder: Path) -> None:
     """A file of each format."""
     folder.mkdir(parents=True)
     whole = random_splats(COUNT)
-    for name in ("a.ply", "a.spz", "a.splat"):
+    for name in ("a.ply", "a.spz", "a.splat", "a.glb"):
         export(whole, folder / name)
+    _, binary = glb_parts(folder / "a.glb")
+    (folder / "a.bin").write_bytes(binary)
+    as_gltf(folder / "a.glb", "a.bin")
     data = gsply.GSData(
         means=whole.means.numpy(),
         scales=whole.scales.numpy(),

@@ -1,7 +1,9 @@
-"""PLY, COLMAP's binary files and its texts, with other headers, counts and numbers."""
+"""PLY, GLB, COLMAP's binary files and its texts, with other headers, counts and numbers."""
 
 import random
 import struct
+
+import json_mutants
 
 NUMBERS = ("nan", "inf", "-inf", "1e38", "-1e308", "0", "-1", "x", "", "1e400", "9" * 400, "0x10")
 WORDS = (*NUMBERS, "4294967295", "9223372036854775807", "-9223372036854775808", "../../x.png", "é")
@@ -26,6 +28,19 @@ def ply_mutant(content: bytes, random_: random.Random) -> bytes:
         [line if "element" not in line else _words(line, random_) for line in lines],
     )
     return "\n".join([*random_.choice(changes), ""]).encode("utf-8") + end + body
+
+
+def glb_mutant(content: bytes, random_: random.Random) -> bytes:
+    """Another JSON in chunks that fit, or numbers that no Gaussian has."""
+    (size,) = struct.unpack_from("<I", content, 12)
+    text, rest = content[20 : 20 + size], content[20 + size :]
+    if random_.random() < 0.3:
+        rest = rest[:8] + _floats(rest[8:], random_)
+    else:
+        text = json_mutants.json_mutant(text, random_)
+        text += b" " * (-len(text) % 4)
+    head = content[:8] + struct.pack("<II", 20 + len(text) + len(rest), len(text))
+    return head + content[16:20] + text + rest
 
 
 def counts_mutant(content: bytes, random_: random.Random) -> bytes:

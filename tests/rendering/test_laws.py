@@ -10,9 +10,10 @@ from scenes import BACKENDS, random_splats, two_cameras
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb, sh_basis, sh_colors
+from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb, sh_colors
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
+from stylesplat.scene.sh_basis import sh_basis
 from stylesplat.scene.splats import Splats
 
 ANY = ["reference", *BACKENDS]

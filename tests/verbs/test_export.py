@@ -11,8 +11,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.sh import sh_basis
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sh_basis import sh_basis
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 
@@ -136,7 +136,8 @@ def test_empty_splats(tmp_path: Path, suffix: str):
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.ply.gz"])
 def test_unknown_suffix(tmp_path: Path, name: str):
     with pytest.raises(
-        StyleSplatError, match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat, \.sog, or \.html"
+        StyleSplatError,
+        match=r"unknown suffix .*Use \.ply, .*\.spz, \.splat, \.sog, \.glb, or \.html",
     ):
         export(random_splats(), tmp_path / name)
 
@@ -153,7 +154,7 @@ def test_files_are_replaced_only_if_told_so(tmp_path: Path):
     assert len(read_splat_ply(path)) == 50
 
 
-@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "sog"])
+@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "sog", "glb"])
 @pytest.mark.parametrize("degree", range(4))
 def test_degrees_that_are_asked_for(tmp_path: Path, suffix: str, degree: int):
     splats, path = random_splats(), tmp_path / f"a.{suffix}"
@@ -171,7 +172,12 @@ def test_degrees_that_are_asked_for(tmp_path: Path, suffix: str, degree: int):
 def test_bands_of_zeros_are_left_out_where_space_counts(tmp_path: Path, used: int, degree: int):
     splats = random_splats()
     splats.shN[:, used:] = 0
-    for name, expected in (("a.spz", degree), ("a.compressed.ply", degree), ("a.ply", 3)):
+    for name, expected in (
+        ("a.spz", degree),
+        ("a.compressed.ply", degree),
+        ("a.glb", degree),
+        ("a.ply", 3),
+    ):
         export(splats, tmp_path / name)
         assert read_splats(tmp_path / name).sh_degree == expected
 

@@ -10,9 +10,9 @@ from jaxtyping import Bool
 from balls import SPLATS
 from painted_balls import FAST, TRAINED, painted, write_pictures
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.sh import sh_basis
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sh_basis import sh_basis
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust

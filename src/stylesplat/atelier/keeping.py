@@ -31,7 +31,7 @@ from stylesplat.verbs.export import export
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
 COMMANDS = "commands.json"  # in that folder
-FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", SUFFIX)
+FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", ".glb", SUFFIX)
 FRAMES = 120  # of a turntable: four seconds
 TURNTABLE = 960  # pixels along its longer side
 MOST_PIXELS = 8192  # along a side of a still picture

@@ -23,8 +23,8 @@ class Export:
     scene: Positional[Path]
     """Folder of the scene."""
     file: Positional[Path | None] = None
-    """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .html
-    is a page for any browser, with before and after. Or name it with -o."""
+    """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .glb
+    is glTF; .html is a page for any browser, with before and after. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
     object: UseAppendAction[tuple[str, ...]] = ()
@@ -72,6 +72,8 @@ class Export:
         count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
         plain = file.suffix == ".ply" and not file.name.endswith(".compressed.ply")
         opened_by = "SuperSplat opens it"
+        if file.suffix.lower() == ".glb":
+            opened_by = "What knows KHR_gaussian_splatting opens it, the rest shows points"
         if file.suffix.lower() == ".html":
             opened_by = "Any browser opens it, without a network"
         if plain and self.sh_degree is None:

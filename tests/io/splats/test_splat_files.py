@@ -49,7 +49,7 @@ def compressed(splats: Splats, path: Path) -> Path:
 
 
 @pytest.mark.parametrize("bands", [0, 3, 8, 15])
-@pytest.mark.parametrize("suffix", [".ply", ".spz", ".splat", ".sog", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".splat", ".sog", ".compressed.ply", ".glb"])
 def test_what_is_exported_is_read_back(tmp_path: Path, suffix: str, bands: int):
     splats, path = with_bands(bands), tmp_path / f"a{suffix}"
     export(splats, path)
@@ -59,7 +59,7 @@ def test_what_is_exported_is_read_back(tmp_path: Path, suffix: str, bands: int):
     # .spz, .splat and .sog keep 8 bits of colour, opacity and rotation; in a chunk of
     # .compressed.ply positions have 11 bits of a fifth of the scene; of 440 random bands, .sog
     # has a palette of 256
-    most = {".ply": 1e-6, ".sog": 0.02}.get(suffix, 0.01)
+    most = {".ply": 1e-6, ".glb": 1e-6, ".sog": 0.02}.get(suffix, 0.01)
     assert difference(found, expected) < most
 
 
@@ -214,7 +214,7 @@ def test_numbers_that_are_not_finite(tmp_path: Path):
 
 
 def test_nothing_to_read(tmp_path: Path):
-    for name in ("a.ply", "a.spz", "a.splat", "a.sog", "meta.json"):
+    for name in ("a.ply", "a.spz", "a.splat", "a.glb", "a.gltf", "a.sog", "meta.json"):
         with pytest.raises(StyleSplatError, match=f"There is no file .*{name}. Check the name"):
             read_splats(tmp_path / name)
     (tmp_path / "a.obj").touch()

@@ -13,6 +13,7 @@ from stylesplat.io.splats.compressed_ply import (
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import read_dot_splat, write_dot_splat
+from stylesplat.io.splats.read_gltf import read_gltf
 from stylesplat.io.splats.sog_reader import read_sog
 from stylesplat.io.splats.sog_writer import write_sog
 from stylesplat.io.splats.splat_ply import (
@@ -22,6 +23,7 @@ from stylesplat.io.splats.splat_ply import (
     write_splat_ply,
 )
 from stylesplat.io.splats.spz import read_spz, write_spz
+from stylesplat.io.splats.write_glb import write_glb
 from stylesplat.scene.splats import Splats
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
@@ -30,6 +32,7 @@ SMALLER: dict[str, Callable[[Splats, Path], None]] = {
     ".spz": write_spz,
     ".splat": write_dot_splat,
     ".sog": write_sog,
+    ".glb": write_glb,
 }
 MAX_DEGREE = 3
 
@@ -38,8 +41,8 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
-    .splat, and SOG, be it a bundle or the meta.json of a folder. No memory is taken for a count
-    in a header before it was checked against the file.
+    .splat, glTF, and SOG, be it a bundle or the meta.json of a folder. No memory is taken for a
+    count in a header before it was checked against the file.
 
     Raises:
         StyleSplatError: If the file is missing, of another kind, damaged or empty.
@@ -50,6 +53,8 @@ def read_splats(path: Path | str) -> Splats:
         ".spz": read_spz,
         ".splat": read_dot_splat,
         ".sog": read_sog,
+        ".glb": read_gltf,
+        ".gltf": read_gltf,
     }
     reader = read_sog if path.name == SOG_META else readers.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
@@ -67,20 +72,20 @@ def write_splats(
 
     `.ply` keeps every bit. `.spz` is about six times smaller, `.sog` seven times or more,
     `.compressed.ply` about four times: positions, colours and rotations are rounded. `.splat` has
-    one colour per Gaussian, seen the same from everywhere.
+    one colour per Gaussian, seen the same from everywhere. `.glb` has all as float32.
 
     Args:
         splats: What to write.
-        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat` or `.sog`.
+        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog` or `.glb`.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
-            INRIA's, the smaller ones have as many as are not all zero.
+            INRIA's, the others have as many as are not all zero.
 
     Raises:
         StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
             may not be replaced, it cannot be written, or the splats reach farther than `.spz` can
-            express.
+            express or are none that a `.glb` can hold.
     """
     path = Path(path)
     _refuse_unwritable(path, sh_degree)

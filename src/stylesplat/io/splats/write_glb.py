@@ -1,0 +1,165 @@
+"""Splats as GLB: glTF 2.0 in one file, with Khronos' KHR_gaussian_splatting.
+
+Programs that do not know the extension show a cloud of coloured points. The splats are written as
+they are, in their own frame; that glTF's y is up is stated by the node that places them.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import atomic_path
+from stylesplat.io.splats.gltf_document import (
+    BINARY,
+    CHUNK,
+    DISPLAYED,
+    HEADER,
+    JSON,
+    MAGIC,
+    SPLATTING,
+    VERSION,
+    harmonic,
+    higher_bands,
+    named,
+)
+from stylesplat.io.splats.gltf_places import HALF_TURN_XYZW
+from stylesplat.io.splats.read_gltf import POINTS, SMALLEST
+from stylesplat.io.splats.splat_ply import REMEDY, splat_fault
+from stylesplat.scene.splats import SH_C0, Splats
+
+FLOAT, SHORT = 5126, 5123
+SIZES = {FLOAT: 4, SHORT: 2}  # bytes
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+VERTICES = 34962  # what a stretch of bytes is for: attributes
+MAX_SIZE = 2**32 - 1  # bytes of a GLB
+GENERATOR = "StyleSplat"
+
+
+class Column(NamedTuple):
+    """An attribute, whose numbers are made when they are written."""
+
+    name: str
+    kind: str
+    component: int
+    values: Callable[[], Tensor]
+
+    def size(self, count: int) -> int:
+        """Bytes of so many rows."""
+        return count * WIDTHS[self.kind] * SIZES[self.component]
+
+
+def write_glb(splats: Splats, path: Path | str) -> None:
+    """Write a GLB: float32 throughout, rotations as unit quaternions, colours of all degrees.
+
+    Opacities and standard deviations are stored themselves, not their logits and logarithms, so
+    opacities are within 1e-7 and sizes within 1e-6 of themselves when they are read again.
+
+    Raises:
+        StyleSplatError: If there are no Gaussians, a number is not finite, or it does not fit into
+            the 4 GiB that a GLB can have.
+    """
+    path, count = Path(path), len(splats)
+    fault = splat_fault(splats) if count else None
+    if fault:
+        raise StyleSplatError(f"Cannot export to {path}: {fault}. {REMEDY}")
+    if not count:
+        raise StyleSplatError(
+            f"Cannot export to {path}: there are no Gaussians, and a GLB has one at least. "
+            "Export a .ply."
+        )
+    columns = _columns(splats)
+    text = json.dumps(_document(columns, splats), separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = sum(column.size(count) for column in columns)
+    whole = HEADER.size + 2 * CHUNK.size + len(text) + size
+    if whole > MAX_SIZE:
+        raise StyleSplatError(
+            f"Cannot export to {path}: it would have {whole} bytes, a GLB has {MAX_SIZE} at most. "
+            "Export a .ply, or leave out degrees of colour (`--sh-degree 0`)."
+        )
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        file.write(HEADER.pack(MAGIC, VERSION, whole) + CHUNK.pack(len(text), JSON) + text)
+        file.write(CHUNK.pack(size, BINARY))
+        for column in columns:
+            file.write(np.ascontiguousarray(column.values().numpy()).data)
+
+
+def _columns(splats: Splats) -> list[Column]:
+    """What is written, in its order; every size is a multiple of four, as the format wants."""
+    colors = [splats.sh0[:, 0], *splats.shN.unbind(dim=1)]
+    names = [harmonic(0, 0), *higher_bands(splats.sh_degree)]
+    return [
+        Column("POSITION", "VEC3", FLOAT, lambda: splats.means),
+        Column("COLOR_0", "VEC4", SHORT, lambda: _fallback(splats)),
+        Column(named("ROTATION"), "VEC4", FLOAT, lambda: _unit(splats.quats)[:, [1, 2, 3, 0]]),
+        Column(named("SCALE"), "VEC3", FLOAT, lambda: splats.scales.exp().clamp_(min=SMALLEST)),
+        Column(named("OPACITY"), "SCALAR", FLOAT, splats.opacities.sigmoid),
+        *(
+            Column(name, "VEC3", FLOAT, lambda color=color: color)
+            for name, color in zip(names, colors, strict=True)
+        ),
+    ]
+
+
+def _unit(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
+    """The same rotations of norm 1, also those whose squares float32 cannot hold."""
+    return torch.nn.functional.normalize(quats.double(), dim=1).float()
+
+
+def _fallback(splats: Splats) -> Shaped[Tensor, "N 4"]:
+    """The colours of points: linear, as glTF wants them, and what is seen through them."""
+    shown = (SH_C0 * splats.sh0[:, 0] + 0.5).clamp_(0, 1)
+    linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)  # sRGB
+    rgba = torch.cat([linear, splats.opacities.sigmoid()[:, None]], dim=1)
+    return (rgba * 65535).round_().to(torch.uint16)
+
+
+def _document(columns: list[Column], splats: Splats) -> dict[str, Any]:
+    """The JSON."""
+    views, accessors, offset = [], [], 0
+    for index, column in enumerate(columns):
+        size = column.size(len(splats))
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": size, "target": VERTICES})
+        accessors.append(
+            {
+                "bufferView": index,
+                "componentType": column.component,
+                "count": len(splats),
+                "type": column.kind,
+            }
+        )
+        offset += size
+    accessors[0] |= {  # of the places, as the format demands
+        "min": splats.means.amin(dim=0).tolist(),
+        "max": splats.means.amax(dim=0).tolist(),
+    }
+    accessors[1]["normalized"] = True
+    splatting = {
+        "kernel": "ellipse",
+        "colorSpace": DISPLAYED,
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+    primitive = {
+        "attributes": {column.name: index for index, column in enumerate(columns)},
+        "mode": POINTS,
+        "extensions": {SPLATTING: splatting},
+    }
+    return {
+        "asset": {"version": f"{VERSION}.0", "generator": GENERATOR},
+        "extensionsUsed": [SPLATTING],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "rotation": HALF_TURN_XYZW}],
+        "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": offset}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }

@@ -1,0 +1,263 @@
+import base64
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from glb_files import NAME, as_gltf, attributes, changed_glb, extension, glb_of, glb_parts
+from scenes import random_splats
+from stylesplat.io.splats.splat_files import read_splats, write_splats
+from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.scene.frames import Frame
+from stylesplat.scene.splats import Splats
+from stylesplat.scene.turned import moved
+
+COUNT = 40
+HALF_TURN = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
+
+
+def some(degree: int = 1) -> Splats:
+    splats = replace(random_splats(COUNT, sh_degree=degree), identities=None)
+    return replace(splats, quats=torch.nn.functional.normalize(splats.quats, dim=1))
+
+
+def written(folder: Path, splats: Splats | None = None) -> Path:
+    path = folder / "a.glb"
+    write_splats(some() if splats is None else splats, path)
+    return path
+
+
+def assert_same(found: Splats, expected: Splats, tolerance: float = 1e-6) -> None:
+    """All but rotations as numbers, opacities as what is seen; quaternions up to their sign."""
+    for name in ("means", "scales", "sh0", "shN"):
+        torch.testing.assert_close(
+            getattr(found, name), getattr(expected, name), atol=tolerance, rtol=tolerance
+        )
+    alphas = [splats.opacities.sigmoid() for splats in (found, expected)]
+    torch.testing.assert_close(*alphas, atol=1e-7, rtol=0)  # float32 near 1
+    cosines = (found.quats * expected.quats).sum(dim=1).abs()
+    torch.testing.assert_close(cosines, torch.ones(len(found)), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_what_is_written_is_read_back(tmp_path: Path, degree: int):
+    splats = some(degree)
+    found = read_splats(written(tmp_path, splats))
+    assert found.sh_degree == degree
+    assert_same(found, splats)
+    for name in ("means", "sh0", "shN"):  # stored as they are, and not turned
+        assert torch.equal(getattr(found, name), getattr(splats, name))
+    assert (found.quats - splats.quats).abs().max() < 1e-6
+
+
+def test_extremes_are_read_back(tmp_path: Path):
+    splats = some()
+    splats.opacities[:4] = torch.tensor([40.0, -40.0, 16.0, -80.0])
+    splats.scales[0] = torch.tensor([15.0, -30.0, -80.0])
+    splats.quats[0] = torch.tensor([1e-9, 0.0, 0.0, -1e-9])  # squares that float32 has not
+    found = read_splats(written(tmp_path, splats))
+    torch.testing.assert_close(found.scales, splats.scales)
+    torch.testing.assert_close(found.opacities[[1, 3]], splats.opacities[[1, 3]])
+    assert found.opacities[0] > 16  # as near to 1 as float32 comes
+    torch.testing.assert_close(found.quats[0], torch.tensor([1.0, 0, 0, -1]) / math.sqrt(2))
+
+
+def test_the_json_is_what_the_specification_says(tmp_path: Path):
+    splats = some(3)
+    document, binary = glb_parts(written(tmp_path, splats))
+    (primitive,) = document["meshes"][0]["primitives"]
+    assert document["asset"]["version"] == "2.0" and document["extensionsUsed"] == [NAME]
+    assert "extensionsRequired" not in document  # others show points
+    assert primitive["mode"] == 0
+    assert primitive["extensions"][NAME] == {
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+    kinds = {"POSITION": "VEC3", "COLOR_0": "VEC4", f"{NAME}:ROTATION": "VEC4"}
+    kinds |= {f"{NAME}:SCALE": "VEC3", f"{NAME}:OPACITY": "SCALAR"}
+    for degree in range(4):
+        kinds |= {f"{NAME}:SH_DEGREE_{degree}_COEF_{n}": "VEC3" for n in range(2 * degree + 1)}
+    accessors = document["accessors"]
+    found = {name: accessors[i]["type"] for name, i in primitive["attributes"].items()}
+    assert found == kinds
+    for name, index in primitive["attributes"].items():
+        accessor, view = accessors[index], document["bufferViews"][accessors[index]["bufferView"]]
+        assert accessor["count"] == COUNT
+        assert accessor["componentType"] == (5123 if name == "COLOR_0" else 5126)
+        assert view["byteOffset"] % 4 == 0 and view["target"] == 34962
+    places = accessors[primitive["attributes"]["POSITION"]]
+    assert places["min"] == splats.means.amin(dim=0).tolist()
+    assert places["max"] == splats.means.amax(dim=0).tolist()
+    assert document["buffers"] == [{"byteLength": len(binary)}]
+    assert document["nodes"] == [{"mesh": 0, "rotation": [0.0, 0.0, 1.0, 0.0]}]
+
+
+def column(path: Path, name: str) -> np.ndarray:
+    """The numbers of an attribute, by hand."""
+    document, binary = glb_parts(path)
+    (primitive,) = document["meshes"][0]["primitives"]
+    accessor = document["accessors"][primitive["attributes"][name]]
+    view = document["bufferViews"][accessor["bufferView"]]
+    stretch = binary[view["byteOffset"] :][: view["byteLength"]]
+    return np.frombuffer(stretch, {5126: "<f4", 5123: "<u2"}[accessor["componentType"]])
+
+
+def test_the_numbers_are_what_the_specification_says(tmp_path: Path):
+    splats = some(2)
+    path = written(tmp_path, splats)
+    quats = column(path, f"{NAME}:ROTATION").reshape(COUNT, 4)
+    np.testing.assert_allclose(quats[:, [3, 0, 1, 2]], splats.quats, atol=1e-6)  # xyzw
+    scales = column(path, f"{NAME}:SCALE").reshape(COUNT, 3)
+    np.testing.assert_allclose(scales, splats.scales.exp(), rtol=1e-6)
+    np.testing.assert_allclose(column(path, f"{NAME}:OPACITY"), splats.opacities.sigmoid())
+    band = column(path, f"{NAME}:SH_DEGREE_2_COEF_1").reshape(COUNT, 3)
+    np.testing.assert_array_equal(band, splats.shN[:, 4])
+
+
+def test_points_have_linear_colours_for_who_knows_no_splats(tmp_path: Path):
+    splats = some(0)
+    path = written(tmp_path, splats)
+    rgba = column(path, "COLOR_0").reshape(COUNT, 4) / 65535
+    shown = rgb_from_sh0(splats.sh0[:, 0]).clamp(0, 1).numpy()
+    again = np.where(  # the inverse of sRGB's decoding, from its standard
+        rgba[:, :3] <= 0.0031308, 12.92 * rgba[:, :3], 1.055 * rgba[:, :3] ** (1 / 2.4) - 0.055
+    )
+    np.testing.assert_allclose(again, shown, atol=12.92 / 65535)  # half a step, at its steepest
+    np.testing.assert_allclose(rgba[:, 3], splats.opacities.sigmoid(), atol=0.5 / 65535 + 1e-7)
+
+
+def turned_by(transform: dict[str, list[float]], path: Path) -> None:
+    """Put the splats of a file under a node of another transform."""
+    changed_glb(path, lambda d: d.update(nodes=[{"mesh": 0, **transform}]))
+
+
+def test_files_of_others_have_y_up(tmp_path: Path):
+    path, splats = written(tmp_path), some()
+    turned_by({}, path)
+    found = read_splats(path)
+    assert_same(found, moved(splats, Frame(HALF_TURN)))
+    assert torch.equal(found.means, splats.means * torch.tensor([-1.0, -1, 1]))
+    assert torch.equal(found.shN.abs(), splats.shN.abs())
+
+
+QUARTER = [math.sqrt(0.5), 0.0, 0.0, -math.sqrt(0.5)]  # y up from z up, as most exporters have it
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_nodes_turn_scale_and_shift(tmp_path: Path, degree: int):
+    splats = some(degree)
+    path = written(tmp_path, splats)
+    rotation = Rotation.from_euler("xyz", [20, 130, -70], degrees=True)
+    above = {"rotation": rotation.as_quat().tolist(), "scale": [2.0, 2.0, 2.0], "children": [1]}
+    below = {"mesh": 0, "translation": [1.0, 2.0, 3.0]}
+    changed_glb(path, lambda d: d.update(nodes=[above, below]))
+    turn = HALF_TURN @ torch.from_numpy(rotation.as_matrix())
+    shift = 2 * turn @ torch.tensor([1.0, 2.0, 3.0]).double()
+    assert_same(read_splats(path), moved(splats, Frame(turn, 2.0, shift)), 1e-5)
+    # The same as one matrix, column by column
+    matrix = np.eye(4)
+    matrix[:3, :3] = 2 * rotation.as_matrix()
+    matrix[:3, 3] = matrix[:3, :3] @ [1, 2, 3]
+    turned_by({"matrix": matrix.T.flatten().tolist()}, path)
+    assert_same(read_splats(path), moved(splats, Frame(turn, 2.0, shift)), 1e-5)
+
+
+def test_a_quarter_turn_changes_axes_and_nothing_else(tmp_path: Path):
+    path, splats = written(tmp_path), some()
+    turned_by({"rotation": [round(float(each), 6) for each in QUARTER]}, path)
+    x, y, z = splats.means.unbind(dim=1)
+    assert torch.equal(read_splats(path).means, torch.stack([-x, -z, -y], dim=1))
+
+
+def test_several_sets_become_one(tmp_path: Path):
+    path, splats = written(tmp_path), some()
+    nodes = [{"mesh": 0, "rotation": [0, 0, 1, 0]}, {"mesh": 0, "translation": [0, 0, 5]}]
+    changed_glb(path, lambda d: d.update(nodes=nodes, scenes=[{"nodes": [0, 1]}]))
+    found = read_splats(path)
+    assert len(found) == 2 * COUNT
+    assert torch.equal(found.means[:COUNT], splats.means)
+    assert torch.equal(found.means[COUNT:, 2], splats.means[:, 2] + 5)
+
+
+def test_splats_that_no_node_shows_are_found(tmp_path: Path):
+    path, splats = written(tmp_path), some()
+    changed_glb(path, lambda d: [d.pop(name) for name in ("nodes", "scene", "scenes")])
+    assert torch.equal(read_splats(path).means[:, 2], splats.means[:, 2])
+
+
+INTEGERS = {  # what the extension allows for each attribute, and what a whole number stands for
+    "ROTATION": [("<i1", 5120, 127), ("<i2", 5122, 32767)],
+    "SCALE": [("<u1", 5121, 255), ("<u2", 5123, 65535), ("<u1", 5121, 0), ("<u2", 5123, 0)],
+    "OPACITY": [("<u1", 5121, 255), ("<u2", 5123, 65535)],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype", "component", "whole"),
+    [(name, *kind) for name, kinds in INTEGERS.items() for kind in kinds],
+)
+def test_integers_are_fractions_where_the_file_says_so(
+    tmp_path: Path, name: str, dtype: str, component: int, whole: int
+):
+    """Rows lie 4 bytes apart or more, as the format demands."""
+    path, width = written(tmp_path), {"ROTATION": 4, "SCALE": 3, "OPACITY": 1}[name]
+    generator = np.random.default_rng(0)
+    values = generator.integers(1, np.iinfo(dtype).max, (COUNT, width)).astype(dtype)
+    stride = -(-width * values.itemsize // 4) * 4
+    rows = np.zeros((COUNT, stride), np.uint8)
+    rows[:, : width * values.itemsize] = values.view(np.uint8).reshape(COUNT, -1)
+    document, binary = glb_parts(path)
+    index = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:{name}"]
+    view = {"byteOffset": len(binary), "byteLength": rows.size, "byteStride": stride}
+    document["bufferViews"][index] |= view
+    document["accessors"][index] |= {"componentType": component, "normalized": bool(whole)}
+    document["buffers"][0]["byteLength"] += rows.size
+    path.write_bytes(glb_of(document, binary + rows.tobytes()))
+    found, expected = read_splats(path), torch.from_numpy(values.astype(np.float64) / (whole or 1))
+    if name == "ROTATION":
+        torch.testing.assert_close(found.quats, expected[:, [3, 0, 1, 2]].float())
+    elif name == "SCALE":
+        torch.testing.assert_close(found.scales, expected.log().float())
+    else:
+        torch.testing.assert_close(found.opacities, expected[:, 0].logit().float())
+
+
+def test_opacities_of_a_byte_that_is_0_or_full_are_half_a_step_from_there(tmp_path: Path):
+    path = written(tmp_path)
+    document, binary = glb_parts(path)
+    index = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:OPACITY"]
+    view = {"byteOffset": len(binary), "byteLength": 4 * COUNT, "byteStride": 4}
+    document["bufferViews"][index] |= view
+    document["accessors"][index] |= {"componentType": 5121, "normalized": True}
+    document["buffers"][0]["byteLength"] += 4 * COUNT
+    rows = b"\xff\0\0\0" + b"\0\0\0\0" * (COUNT - 1)
+    path.write_bytes(glb_of(document, binary + rows))
+    alphas = read_splats(path).opacities.sigmoid() * 255
+    assert alphas[0].item() == pytest.approx(254.5, abs=1e-3)
+    assert alphas[1].item() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_buffers_in_files_beside_it_and_within_it(tmp_path: Path):
+    path, splats = written(tmp_path), some()
+    _, binary = glb_parts(path)
+    (tmp_path / "my data.bin").write_bytes(binary)
+    assert_same(read_splats(as_gltf(path, "my%20data.bin")), splats)
+    embedded = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+    assert_same(read_splats(as_gltf(path, embedded)), splats)
+
+
+def test_other_colours_are_told(tmp_path: Path, said: list[str]):
+    path = written(tmp_path)
+    changed_glb(path, lambda d: extension(d).update(colorSpace="lin_rec709_display"))
+    read_splats(path)
+    assert len(said) == 1 and "'lin_rec709_display': they are taken for srgb" in said[0]
+    changed_glb(path, lambda d: extension(d).update(colorSpace="srgb_rec709_display"))
+    changed_glb(path, lambda d: attributes(d).update({f"{NAME}:SH_DEGREE_4_COEF_0": 0}))
+    assert read_splats(path).sh_degree == 1
+    assert len(said) == 2 and "higher degree than 3" in said[1]
