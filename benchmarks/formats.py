@@ -19,8 +19,7 @@ from pathlib import Path
 import torch
 from bench import machine, table
 
-from stylesplat.io.splats.morton import morton_order
-from stylesplat.io.splats.splat_files import read_splats, write_splats
+from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
 from stylesplat.scene.splats import Splats
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".glb")
@@ -66,16 +65,6 @@ def reach(splats: Splats) -> torch.Tensor:
     return away.clamp(min=float(away.median()))
 
 
-def ordered(splats: Splats, suffix: str) -> Splats:
-    """The rows as a format has them."""
-    if suffix in (".compressed.ply", ".sog"):
-        return splats[morton_order(splats.means)]
-    if suffix == ".splat":
-        sizes = splats.scales.sum(dim=1).exp() * torch.sigmoid(splats.opacities)
-        return splats[sizes.argsort(descending=True, stable=True)]
-    return splats
-
-
 def told(name: str, values: dict[str, float]) -> list[str]:
     return [name, *(f"{value:.3g}" for value in values.values())]
 
@@ -90,7 +79,9 @@ def kept(splats: Splats, folder: Path) -> None:
         found = read_splats(path)
         seconds = f"{written - start:.1f} / {time.perf_counter() - written:.1f}"
         each = path.stat().st_size / len(splats)
-        rows.append([*told(suffix, errors(found, ordered(splats, suffix))), f"{each:.1f}", seconds])
+        rows.append(
+            [*told(suffix, errors(found, splats[row_order(splats, path)])), f"{each:.1f}", seconds]
+        )
     print(table(["format", *SAME, "bytes each", "write / read, s"], rows))
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from balls import SPLATS
-from command_line import complaint, run
+from command_line import complaint, result, run
 from stylesplat.io.splats.splat_ply import read_splat_ply
 
 
@@ -44,3 +44,31 @@ def test_export_cuts_objects_out(scene: Path, tmp_path: Path, capsys: pytest.Cap
     assert "Name one file" in complaint(capsys, "export", scene)
     both = ("--each", tmp_path / "more", "--object", 3)
     assert "--each writes every object" in complaint(capsys, "export", scene, *both)
+
+
+def test_objects_go_out_and_come_back(scene: Path, tmp_path: Path, capsys):
+    assert run("export", scene, tmp_path / "a.spz", "--sidecar") == 0
+    assert "Objects: " in capsys.readouterr().err
+    labels = ("--labels", tmp_path / "a.spz.objects.npz")
+    found = result(capsys, "import", tmp_path / "a.spz", *labels, "-o", tmp_path / "b", "--up", "z")
+    assert found["label_ids"] == 3
+    assert result(capsys, "export", scene, tmp_path / "picks.json", "--object", 7)["objects"] == 1
+    rows = ("--rows", tmp_path / "picks.json")
+    picked = result(capsys, "select", tmp_path / "b", "--name", "it", *rows, "--no-picture")
+    assert picked["rows"] == [str(tmp_path / "picks.json")] and picked["gaussians"] > 70
+    idle = ("export", scene, tmp_path / "c.json", "--sidecar")
+    assert "takes --object alone" in complaint(capsys, *idle)
+    assert "Leave --object" in complaint(capsys, "export", scene, "--each", tmp_path, "--columns")
+
+
+def test_what_another_program_made_of_a_scene(scene: Path, tmp_path: Path, capsys):
+    assert run("export", scene, tmp_path / "part.ply", "--without", 3) == 0
+    capsys.readouterr()
+    again = ("import", tmp_path / "part.ply", "--like", scene)
+    assert run(*again, "-o", tmp_path / "again") == 0
+    said = capsys.readouterr().err
+    assert f"of {scene}, 0 are new" in said and "Objects: " not in said
+    assert result(capsys, "select", tmp_path / "again", "--name", "it", "--id", 7)["gaussians"] > 70
+    assert "Leave the capture" in complaint(capsys, *again, "--labels", scene, "-o", tmp_path / "c")
+    folder = ("import", tmp_path / "part.ply", "--like", tmp_path)
+    assert "not a scene" in complaint(capsys, *folder, "-o", tmp_path / "c")

@@ -104,6 +104,15 @@ def use_row_labels(folder: Path, out: Path) -> None:
         ss.save(scene, out / path.suffix)
 
 
+def use_object_lists(folder: Path, out: Path) -> None:
+    splats = replace(random_splats(seeds.COUNT), identities=None)
+    for path in sorted(folder.iterdir()):
+        labels = path if path.stem == "a" else None
+        scene = ss.import_(splats, labels=labels, device="cpu")
+        scene = ss.select(scene, "vase", rows=path)
+        ss.save(scene, out / path.name)
+
+
 def use_capture(folder: Path, out: Path) -> None:
     look_through(ss.load(folder))
     look_through(ss.load(folder, downscale=2), out)
@@ -181,6 +190,7 @@ READERS = {
     "splats": Reader(seeds.splats, ("*",), use_splats),
     "sog": Reader(seeds.sog, ("*",), use_sog),
     "labels": Reader(seeds.row_labels, ("*",), use_row_labels),
+    "objects": Reader(seeds.object_lists, ("*",), use_object_lists),
     "colmap": Reader(seeds.colmap, ("sparse/0/*", "images/*", "object_mask/*"), use_capture),
     "colmap_text": Reader(seeds.colmap_text, ("sparse/0/*",), use_capture),
     "sfm": Reader(seeds.sfm, ("sfm.json",), use_sfm),

@@ -19,10 +19,12 @@ from pictures_of_walks import walk
 from scenes import random_splats, two_cameras
 from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
 from stylesplat.io.label_maps import write_label_map
+from stylesplat.io.object_files import SUFFIXES, write_objects
 from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State
 from stylesplat.posing.prepare import prepare
+from stylesplat.scene.listed import Listed, ListedObjects
 from stylesplat.scene.paintings import Gone, Looks, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.features.weights import PACKAGED
@@ -107,6 +109,24 @@ def row_labels(folder: Path) -> None:
     table = np.zeros(COUNT, [("x", "f4"), ("label", "u1")])
     table["label"] = labels
     write_ply_table(table, folder / "a.ply")
+
+
+def object_lists(folder: Path) -> None:
+    """Two objects of six Gaussians in each format, and rows of one alone."""
+    folder.mkdir(parents=True)
+    shares = torch.tensor([1.0, 0.5])
+    objects = {
+        "vase": Listed(torch.tensor([0, 4]), shares, (3,)),
+        "pot": Listed(torch.tensor([1]), None, ()),
+    }
+    for suffix in SUFFIXES:
+        listed = ListedObjects(COUNT, objects, 3 * (torch.arange(COUNT) % 2))
+        write_objects(listed, folder / f"a{suffix}")
+    np.save(folder / "b.npy", np.array([1, 2]))
+    (folder / "b.json").write_text("[1, 2, 5]")
+    table = np.zeros(COUNT, [("x", "f4"), ("state", "u1")])
+    table["state"] = 1
+    write_ply_table(table, folder / "b.ply")
 
 
 def colmap(folder: Path) -> None:

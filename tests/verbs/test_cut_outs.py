@@ -11,7 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.scene.scene import SceneObject
-from stylesplat.stylization.scene_parts import part_of
+from stylesplat.stylization.scene_parts import cut_out, rows_of_part
 from stylesplat.verbs.export import export, export_each
 
 
@@ -47,7 +47,7 @@ def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
 def test_a_part_of_a_painted_scene_knows_what_was_before(tmp_path: Path):
     folder = write_painted(tmp_path, "blue", lambda wave, night: night)
     scene = open(folder / "twice")
-    part = part_of(scene, ["blue"])
+    part = cut_out(scene, rows_of_part(scene, ["blue"]))
     picked = scene.objects["blue"].picked
     assert torch.equal(part.unpainted.sh0, scene.unpainted.sh0[picked])
     assert [int(each.picked.sum()) for each in paint_of(part).paintings] == [0, len(part.splats)]

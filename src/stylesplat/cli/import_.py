@@ -22,7 +22,7 @@ class Import:
     Example: stylesplat import garden.ply garden -o garden-scene
     """
 
-    first: ClassVar = ("up", "frame")
+    first: ClassVar = ("up", "frame", "like")
     splat: Positional[Path]
     """A .ply (also SuperSplat's compressed one), .spz, .splat, .sog, .glb or .gltf file, or the
     meta.json of a SOG folder."""
@@ -35,7 +35,11 @@ class Import:
     """Folder of label maps; by default the capture's object_mask/."""
     labels: Path | None = None
     """File of one label id per Gaussian, in the splat's order: .npy, .npz, .json, or a .ply with
-    the column label or object_id. It takes the place of label maps."""
+    the column label or object_id; or of objects, as `export` writes them. It takes the place of
+    label maps."""
+    like: Path | None = None
+    """Folder of the scene that another program made this splat of, by removing, adding, reordering
+    or moving Gaussians: its views, objects and paintings are carried over."""
     frame: Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"] = "capture"
     """World frame of the splat; an import that does not fit says which one does."""
     up: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
@@ -54,6 +58,10 @@ class Import:
             raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
         if self.labels is not None and self.masks is not None:
             raise StyleSplatError("--labels and --masks both say what is what. Pass one of them.")
+        if self.like is not None and (self.capture is not None or self.labels is not None):
+            raise StyleSplatError(
+                "--like has views and labels. Leave the capture and --labels out."
+            )
         with changing(self.output):
             return self._import()
 
@@ -62,7 +70,9 @@ class Import:
         close = f", {result['psnr']:.1f} dB from the photos" if "psnr" in result else ""
         yield f"{self.output}: {result['gaussians']:,} Gaussians{close}."
         yield from look_lines(result)
-        photos = self.capture is not None
+        if self.like is not None:
+            yield from self._carried(result)
+        photos = self.capture is not None or self.like is not None
         if not photos and self.up is None:
             labels = ("--labels", self.labels) if self.labels else ()
             again = pasted("import", self.splat, *labels, "-o", self.output, "--up", "z")
@@ -71,9 +81,19 @@ class Import:
         commands = object_commands(self.output, result["objects"], labelled=labelled, photos=photos)
         yield from next_lines(*commands)
 
+    def _carried(self, result: dict[str, Any]) -> Iterator[str]:
+        """What became of the scene's Gaussians."""
+        yield (
+            f"{result['matched']:,} of them are of {self.like}, {result['new_gaussians']:,} are "
+            f"new; {result['lost_gaussians']:,} of its Gaussians are gone."
+        )
+        for part in result["moved"]:
+            turn = f"turned by {part['degrees']:.4g} degrees, scaled by {part['scale']:.4g}"
+            yield f"Moved: {part['gaussians']:,} Gaussians, {turn}."
+
     def _import(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE
+        from stylesplat.io.scene_folder import SCENE, open
         from stylesplat.verbs.import_ import import_
         from stylesplat.verbs.load import load
 
@@ -87,6 +107,7 @@ class Import:
             frame=self.frame,
             up=self.up,
             labels=self.labels,
+            like=self.like and open(self.like),
             device=self.device,
         )
         save_or_rescue(scene, self.output, overwrite=self.overwrite)

@@ -66,6 +66,9 @@ class Select:
     sphere: UseAppendAction[tuple[str, ...]] = ()
     """x,y,z,RADIUS in world units; or VIEW:x,y,RADIUS around what shows at that pixel. May be
     repeated."""
+    rows: UseAppendAction[tuple[Path, ...]] = ()
+    """File of row numbers or a mask (.npz, .npy, .json), as `export` writes objects, or a .ply in
+    which SuperSplat has a selection. May be repeated."""
     plus: tuple[str, ...] = ()
     """Names of earlier selections that belong to it, several or one at a time."""
     minus: tuple[str, ...] = ()
@@ -133,6 +136,7 @@ class Select:
                 (view, *numbers) if view else numbers
                 for view, numbers in map(parse_sphere, self.sphere)
             ],
+            rows=self.rows,
             plus=self.plus,
             minus=self.minus,
             all=self.all,

@@ -16,7 +16,7 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
-PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar"}
+PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 ASCII, LITTLE_ENDIAN, BIG_ENDIAN = "ascii", "binary_little_endian", "binary_big_endian"
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
 REMEDY = "Copy or export it again, as a PLY of vertices."

@@ -5,12 +5,9 @@ Nothing is unpickled, and what a header claims is checked before memory is taken
 
 import io
 import math
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
 
 import msgspec
 import numpy as np
@@ -20,16 +17,12 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import read_bytes, reason
+from stylesplat.io.npy import DAMAGED, WHOLE, read_member, read_npy
 from stylesplat.io.ply import read_ply_table
 from stylesplat.scene.labels import MAX_ID
 
 NAMES = ("labels", "label", "object_ids", "object_id", "ids", "id")  # of arrays and columns
 MAX_FILE = 2**30  # bytes: a hundred million labels
-WHOLE = "iu"  # kinds of numpy's types that are integers
-DAMAGED = (
-    *(ValueError, EOFError, OSError, RuntimeError, KeyError, TypeError, SyntaxError),
-    *(OverflowError, MemoryError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
-)
 
 
 class _Labels(msgspec.Struct):
@@ -54,7 +47,7 @@ def read_row_labels(path: Path | str, count: int) -> Int[Tensor, " N"]:
     """
     path = Path(path)
     readers: dict[str, Callable[[Path, int], np.ndarray]] = {
-        ".npy": lambda path, count: _read_array(io.BytesIO(_content(path)), count),
+        ".npy": _read_npy,
         ".npz": _read_npz,
         ".json": _read_json,
         ".ply": _read_ply,
@@ -77,33 +70,15 @@ def _content(path: Path) -> bytes:
     return read_bytes(path, most=MAX_FILE)
 
 
-def _read_array(stream: io.BufferedIOBase, count: int) -> Shaped[np.ndarray, "..."]:
-    """An array of numpy's format, whose header is believed only where the content agrees."""
-    version = np.lib.format.read_magic(stream)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError("it is of a later version of numpy's format. Save plain integers")
-    read = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, _, dtype = read(stream)
-    if dtype.hasobject:
-        raise ValueError("it holds pickled Python objects, which are never loaded. Save integers")
-    if dtype.kind not in WHOLE:
-        raise ValueError(f"it holds {dtype}, not integers. Save it with .astype(int)")
-    _check_count(shape, count)
-    content = stream.read(count * dtype.itemsize + 1)
-    if len(content) != count * dtype.itemsize:
-        raise ValueError("it is cut off, or holds more than its header says")
-    return np.frombuffer(content, dtype)
+def _read_npy(path: Path, count: int) -> Shaped[np.ndarray, "..."]:
+    return read_npy(io.BytesIO(_content(path)), lambda shape: _check_count(shape, count))
 
 
 def _read_npz(path: Path, count: int) -> Shaped[np.ndarray, "..."]:
     with zipfile.ZipFile(io.BytesIO(_content(path))) as archive:
         names = {Path(name).stem: name for name in archive.namelist() if name.endswith(".npy")}
-        with archive.open(names[_meant([*names], "array")]) as stream:
-            return _read_array(cast("io.BufferedIOBase", stream), count)
+        name = names[_meant([*names], "array")]
+        return read_member(archive, name, lambda shape: _check_count(shape, count))
 
 
 def _read_json(path: Path, count: int) -> Shaped[np.ndarray, "..."]:

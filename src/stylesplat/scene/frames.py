@@ -29,6 +29,11 @@ class Frame:
         moved = self.scale * points @ self.rotation.to(points).T
         return moved if self.shift is None else moved + self.shift.to(points)
 
+    def inverse(self) -> "Frame":
+        """The way back."""
+        shift = None if self.shift is None else -(self.shift @ self.rotation) / self.scale
+        return Frame(self.rotation.T, 1 / self.scale, shift)
+
 
 SAME = Frame(torch.eye(3))
 

@@ -21,7 +21,9 @@ from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 from stylesplat.selection.text import clear_winner, rank_objects
 
 # Selections with these are not the whole object
-SHAPING = frozenset({"plus", "minus", "box3d", "sphere", "all", "background", "grow", "shrink"})
+SHAPING = frozenset(
+    {"plus", "minus", "box3d", "sphere", "rows", "all", "background", "grow", "shrink"}
+)
 ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where there is one
 
 
@@ -43,6 +45,8 @@ class Choice:
     """Two corners in the world, the lower one first."""
     sphere: tuple[tuple[str, tuple[float, ...]], ...] = ()
     """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
+    rows: tuple[tuple[str, Bool[Tensor, " N"]], ...] = ()
+    """Gaussians that somebody listed, and where."""
     plus: tuple[str, ...] = ()
     """Earlier names that are part of it."""
     minus: tuple[str, ...] = ()
@@ -114,7 +118,7 @@ def choose(
     if not masks:
         raise StyleSplatError(
             "Nothing says which Gaussians. Say it with --id, --point, --box, --text, --box3d, "
-            "--sphere, --plus, --all or --background; --not-point only takes away."
+            "--sphere, --rows, --plus, --all or --background; --not-point only takes away."
         )
     mask = torch.stack(masks).any(dim=0)
     for each in _taken_away(scene, choice, without, rules.threshold):
@@ -210,6 +214,8 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
     splats = scene.splats
     if choice.all:
         yield torch.ones_like(splats.opacities, dtype=torch.bool)
+    for _, mask in choice.rows:
+        yield mask.to(splats.means.device)
     for corners in choice.box3d:
         low, high = torch.tensor(corners).view(2, 3)
         yield in_box(splats, low, high)
@@ -224,6 +230,8 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
 
 def _said(key: str, value: Any) -> Any:
     """What is written down of a choice."""
+    if key == "rows":
+        return [where for where, _ in value]
     return value[0] if key in ALONE and len(value) == 1 else value
 
 

@@ -4,21 +4,23 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object, names_of
-from stylesplat.selection.identities import object_ids
+from stylesplat.selection.choose import find_object
+from stylesplat.selection.listing import no_objects, picks_of
 from stylesplat.stylization.bookkeeping import taken_rows
 
 REST = "rest"  # what the part is called that belongs to no object
 
 
-def part_of(scene: Scene, objects: Sequence[str] = (), without: Sequence[str] = ()) -> Scene:
-    """Some objects alone, or all but some: to be shown, as nothing can be taken back from it.
+def rows_of_part(
+    scene: Scene, objects: Sequence[str] = (), without: Sequence[str] = ()
+) -> Int[Tensor, " M"]:
+    """The Gaussians of some objects, or of all but some.
 
     Args:
         scene: Where they are.
@@ -38,7 +40,7 @@ def part_of(scene: Scene, objects: Sequence[str] = (), without: Sequence[str] = 
             f"Nothing is left of {scene.path or 'the scene'} without {', '.join(without)}. Leave "
             "out less."
         )
-    return _cut_out(scene, kept)
+    return kept.nonzero()[:, 0]
 
 
 def every_part(scene: Scene) -> dict[str, Scene]:
@@ -49,24 +51,24 @@ def every_part(scene: Scene) -> dict[str, Scene]:
     Raises:
         StyleSplatError: If the scene has no objects, or one is called like the rest.
     """
-    ids = object_ids(scene.splats) if scene.splats.classifier is not None else ()
-    names = [*scene.objects, *(str(id) for id in ids if not names_of(scene, id))]
-    if not names:
-        raise StyleSplatError(
-            f"{scene.path or 'The scene'} has no objects. Name one with `stylesplat select`."
-        )
-    if REST in names:
+    picks = picks_of(scene)
+    if not picks:
+        raise no_objects(scene)
+    if REST in picks:
         raise StyleSplatError(
             f"An object is called {REST!r}, as what belongs to no object will be. Call it "
             "something else with `stylesplat rename`."
         )
-    picks = {name: find_object(scene, name).cpu() for name in names}
     picks[REST] = ~torch.stack([*picks.values()]).any(dim=0)
-    return {name: _cut_out(scene, picked) for name, picked in picks.items() if picked.any()}
+    return {
+        name: cut_out(scene, picked.nonzero()[:, 0])
+        for name, picked in picks.items()
+        if picked.any()
+    }
 
 
-def _cut_out(scene: Scene, kept: Bool[Tensor, " N"]) -> Scene:
-    rows = kept.nonzero()[:, 0]
+def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
+    """Some Gaussians alone: to be shown, as nothing can be taken back from them."""
     objects = {
         name: taken_rows(each, rows)
         for name, each in scene.objects.items()

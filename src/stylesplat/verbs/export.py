@@ -3,14 +3,25 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from stylesplat.drawing.web_page import SUFFIX, write_page
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.folders import claim_directory
+from stylesplat.io.object_files import SIDECAR, write_objects
+from stylesplat.io.places import refuse_file
 from stylesplat.io.recovery import changing
-from stylesplat.io.splats.splat_files import write_splats
+from stylesplat.io.row_lists import STATE
+from stylesplat.io.splats.splat_files import row_order, write_splats
+from stylesplat.scene.listed import ListedObjects
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.scene_parts import every_part, part_of
+from stylesplat.selection.choose import find_object
+from stylesplat.selection.listing import listed_objects
+from stylesplat.stylization.scene_parts import cut_out, every_part, rows_of_part
+
+LABEL, SHARE = "label", "share"  # columns of a .ply; the first is one that `import` reads
 
 
 def export(
@@ -19,6 +30,9 @@ def export(
     *,
     objects: Sequence[str] = (),
     without: Sequence[str] = (),
+    selected: Sequence[str] = (),
+    columns: bool = False,
+    sidecar: bool = False,
     overwrite: bool = False,
     sh_degree: int | None = None,
 ) -> int:
@@ -35,6 +49,10 @@ def export(
         objects: Names or label ids of what to write alone; by default everything. It lies where
             it does in the scene, so that parts fit together again.
         without: Names or label ids of what to leave out.
+        selected: Names or label ids of what a `.ply` marks as selected in SuperSplat.
+        columns: Whether a `.ply` has `label` and `share` of each Gaussian besides.
+        sidecar: Whether a file beside it, of its name and `.objects.npz`, lists the objects in
+            the order of its rows.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
@@ -50,15 +68,53 @@ def export(
             left, or nothing would show on a page.
     """
     path = Path(path)
+    beside = path.with_name(path.name + SIDECAR)
+    page = path.suffix.lower() == SUFFIX
+    if page and (selected or columns or sidecar):
+        raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
+    if sidecar:
+        refuse_file(beside, overwrite=overwrite)
+    listed = listed_objects(_scene(what)) if columns or sidecar else None
+    besides = _besides(what, selected, listed if columns else None)
+    part = what
     if objects or without:
-        what = part_of(_scene(what), objects, without)
-    splats = what if isinstance(what, Splats) else what.splats
+        rows = rows_of_part(_scene(what), objects, without)
+        part, listed = cut_out(_scene(what), rows), listed and listed.ordered(rows)
+        besides = {name: column[rows] for name, column in besides.items()}
+    splats = part if isinstance(part, Splats) else part.splats
     with changing(path):
-        if path.suffix.lower() == SUFFIX:
-            write_page(what, path, overwrite=overwrite, sh_degree=sh_degree)
+        if page:
+            write_page(part, path, overwrite=overwrite, sh_degree=sh_degree)
         else:
-            write_splats(splats, path, overwrite=overwrite, sh_degree=sh_degree)
+            write_splats(splats, path, overwrite=overwrite, sh_degree=sh_degree, besides=besides)
+        if listed is not None and sidecar:
+            write_objects(listed.ordered(row_order(splats, path)), beside)
     return len(splats)
+
+
+def export_objects(
+    scene: Scene, path: Path | str, *, objects: Sequence[str] = (), overwrite: bool = False
+) -> int:
+    """Write which Gaussians of a scene are what object, and how much of them is.
+
+    Args:
+        scene: With objects; its `.ply` has the same rows.
+        path: A file name ending in `.npz` or `.json`; see `read_objects`.
+        objects: Names or label ids; by default all objects.
+        overwrite: Whether a file of that name may be replaced.
+
+    Returns:
+        How many objects were written.
+
+    Raises:
+        StyleSplatError: If the scene has no objects, or not these; or the file exists and may not
+            be replaced, or cannot be written.
+    """
+    refuse_file(path, overwrite=overwrite)
+    listed = listed_objects(_scene(scene), objects)
+    with changing(path):
+        write_objects(listed, path)
+    return len(listed.objects)
 
 
 def export_each(
@@ -90,6 +146,19 @@ def export_each(
         for name, part in zip(names, parts.values(), strict=True):
             export(part, new / name, sh_degree=sh_degree)
     return [Path(folder) / name for name in names]
+
+
+def _besides(
+    what: Scene | Splats, selected: Sequence[str], listed: ListedObjects | None
+) -> dict[str, Tensor]:
+    """Columns of a `.ply` that say what is what."""
+    columns = dict[str, Tensor]()
+    if listed is not None:
+        columns |= {LABEL: listed.numbered().to(torch.int32), SHARE: listed.shares()}
+    if selected:
+        picked = [find_object(_scene(what), name).cpu() for name in selected]
+        columns[STATE] = torch.stack(picked).any(dim=0).byte()
+    return columns
 
 
 def _scene(what: Scene | Splats) -> Scene:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
-from stylesplat.io.row_labels import read_row_labels
+from stylesplat.io.object_files import read_objects
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
@@ -20,12 +20,14 @@ from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames, posed_as, seen_from
 from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.listed import ListedObjects
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.ring import ring_cameras
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.naming import with_names
+from stylesplat.stylization.carried_over import carried_over
 from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
@@ -41,6 +43,7 @@ def import_(
     frame: FrameName = "capture",
     up: Up | None = None,
     labels: Path | str | Int[Tensor, " N"] | None = None,
+    like: Scene | None = None,
     device: str = "auto",
 ) -> Scene:
     """Make a scene of a splat, with the cameras and label maps of a capture if there is one.
@@ -54,15 +57,17 @@ def import_(
             the content, most of which have all of it in their pictures.
         frame: The world frame of the splat, if it is not the capture's.
         up: Which way is up, for these views; by default -y, as COLMAP has it.
-        labels: The label id of every Gaussian, or a file of them (see `read_row_labels`); they
-            take the place of the capture's label maps.
+        labels: The label id of every Gaussian, or a file of them or of objects (see
+            `read_objects`); they take the place of the capture's label maps.
+        like: The scene that the splat was made of by another program: its views, objects and
+            paintings are carried over (see `carried_over`).
         device: Where to render.
 
     Returns:
         The scene. Its metrics are `seconds`, `gaussians`, and with photos `psnr` and `ssim`, with
         label maps `confidence` (mean share of a Gaussian's pixels that have its label),
         `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps; with
-        labels `label_ids` and `unlabelled_gaussians`.
+        labels `label_ids` and `unlabelled_gaussians`; or what `carried_over` says.
 
     Raises:
         StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
@@ -72,14 +77,18 @@ def import_(
     if up is not None:
         check_choice(up, "direction", get_args(Up))
     _refuse_idle_options(capture, frame, up)
+    if like is not None and (capture is not None or up is not None or labels is not None):
+        raise StyleSplatError("--like has views and labels. Leave the capture, --up, --labels out.")
     start = time.perf_counter()
     splats = splat if isinstance(splat, Splats) else read_splats(splat)
     file = None if isinstance(splat, Splats) else Path(splat)
-    counts = {}
+    counts, listed = dict[str, int](), ListedObjects(len(splats))
     if labels is not None:
-        splats, counts = _labelled(splats, labels)
+        splats, listed, counts = _labelled(splats, labels)
         capture = capture and replace(capture, label_maps=None, object_names={})
-    if capture is None:
+    if like is not None:
+        scene = carried_over(splats, like, name=str(file or "The splat"))
+    elif capture is None:
         scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
         say(
             f"No photos: {len(scene.cameras)} views around the content. `stylesplat render` shows "
@@ -89,6 +98,7 @@ def import_(
         splats = splats.to(pick_device(device))
         _check_fit(splats, str(file or "The splat"), at_most(capture, CHECK_SIZE), frame)
         scene = _with_photos(splats, capture, frame)
+    scene = _with_listed(scene, listed)
     libraries = {"stylesplat": version("stylesplat")}
     info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
     seconds = round(time.perf_counter() - start, 2)
@@ -98,14 +108,29 @@ def import_(
 
 def _labelled(
     splats: Splats, labels: Path | str | Int[Tensor, " N"]
-) -> tuple[Splats, dict[str, int]]:
-    """The splats with labels that are known, and how many objects these make."""
-    if not isinstance(labels, Tensor):
-        labels = read_row_labels(labels, len(splats))
-    splats = labelled(splats, labels)
-    assert splats.classifier is not None
-    unlabelled = int((labels == BACKGROUND).sum())
-    return splats, {"label_ids": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
+) -> tuple[Splats, ListedObjects, dict[str, int]]:
+    """The splats with labels that are known, objects that have names, and how many these make."""
+    if isinstance(labels, Tensor):
+        listed = ListedObjects(len(splats), labels=labels)
+    else:
+        listed = read_objects(labels, len(splats))
+    if listed.labels is None:
+        return splats, listed, {}
+    splats = labelled(splats, listed.labels)
+    unlabelled = int((listed.labels == BACKGROUND).sum())
+    counts = {"label_ids": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
+    return splats, listed, counts
+
+
+def _with_listed(scene: Scene, listed: ListedObjects) -> Scene:
+    """The scene with the objects of a list that have names."""
+    for name, each in listed.objects.items():
+        if not is_id(name):
+            picked = torch.zeros(listed.count, dtype=torch.bool)
+            picked[each.rows] = True
+            how = {"ids": list(each.ids), "gaussians": len(each.rows)}
+            scene = scene.with_object(name, SceneObject(picked, how))
+    return scene
 
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:

@@ -1,9 +1,14 @@
 """`select`: name some Gaussians of a scene."""
 
 from collections.abc import Sequence, Sized
+from pathlib import Path
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.row_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.scene import Scene, check_name
@@ -27,6 +32,7 @@ def select(
     text: str | Sequence[str] | None = None,
     box3d: Sequence[Any] = (),
     sphere: Places | None = None,
+    rows: Path | str | Tensor | Sequence[Path | str] = (),
     plus: str | Sequence[str] = (),
     minus: str | Sequence[str] = (),
     all: bool = False,
@@ -54,6 +60,7 @@ def select(
             it is.
         sphere: `(x, y, z, radius)` in world units; or `(view, x, y, radius)` around what shows at
             that pixel. Or several.
+        rows: A file of row numbers, or several (see `read_rows`); or a mask of all Gaussians.
         plus: Names of earlier selections that belong to it.
         minus: Names of earlier selections that do not.
         all: Everything.
@@ -83,6 +90,7 @@ def select(
         text=texts,
         box3d=tuple(map(_box3d, _several(box3d))),
         sphere=tuple(map(_sphere, _several(sphere))),
+        rows=_listed(scene, name, rows),
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),
         all=all,
@@ -114,6 +122,22 @@ def _in_views(places: Places, count: int, what: str) -> Any:
             )
         found.append((view, tuple(map(float, numbers))))
     return tuple(found)
+
+
+def _listed(
+    scene: Scene, name: str, rows: Path | str | Tensor | Sequence[Path | str]
+) -> tuple[tuple[str, Tensor], ...]:
+    """Masks, and where each came from."""
+    count = len(scene.splats)
+    if isinstance(rows, Tensor):
+        if rows.dtype != torch.bool or rows.shape != (count,):
+            raise StyleSplatError(
+                f"Cannot select by rows of {rows.dtype} and shape {tuple(rows.shape)}. Give a mask "
+                f"of {count:,} Gaussians."
+            )
+        return (("a mask", rows),)
+    files = (rows,) if isinstance(rows, Path | str) else rows
+    return tuple((str(file), read_rows(file, count, name)) for file in files)
 
 
 def _several(shapes: Sequence[Any] | None) -> Sequence[Any]:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, read_bytes
@@ -42,8 +44,7 @@ def read_dot_splat(path: Path | str) -> Splats:
 
 def write_dot_splat(splats: Splats, path: Path | str) -> None:
     """Write a .splat file, the largest and most opaque Gaussians first."""
-    alphas = torch.sigmoid(splats.opacities)
-    order = torch.argsort(splats.scales.sum(dim=1).exp() * alphas, descending=True, stable=True)
+    alphas, order = torch.sigmoid(splats.opacities), dot_splat_order(splats)
     colors = 0.5 + SH_C0 * splats.sh0[:, 0]
     rows = np.empty(len(splats), ROW)
     rows["mean"] = splats.means[order].numpy()
@@ -53,6 +54,12 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     rows["quat"] = _bytes(128 + 128 * quats)[order]
     with atomic_path(path) as temporary:
         temporary.write_bytes(rows.tobytes())
+
+
+def dot_splat_order(splats: Splats) -> Int[Tensor, " N"]:
+    """Which Gaussian each row is."""
+    sizes = splats.scales.sum(dim=1).exp() * torch.sigmoid(splats.opacities)
+    return torch.argsort(sizes, descending=True, stable=True)
 
 
 def _bytes(values: torch.Tensor) -> np.ndarray:

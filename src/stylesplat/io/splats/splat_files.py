@@ -1,7 +1,11 @@
 """Any file of splats, read and written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.files import REPLACING, is_there, read_bytes
@@ -12,7 +16,8 @@ from stylesplat.io.splats.compressed_ply import (
     read_compressed_ply,
     write_compressed_ply,
 )
-from stylesplat.io.splats.dot_splat import read_dot_splat, write_dot_splat
+from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
+from stylesplat.io.splats.morton import morton_order
 from stylesplat.io.splats.read_gltf import read_gltf
 from stylesplat.io.splats.sog_reader import read_sog
 from stylesplat.io.splats.sog_writer import write_sog
@@ -65,8 +70,21 @@ def read_splats(path: Path | str) -> Splats:
     return splats
 
 
+def row_order(splats: Splats, path: Path | str) -> Int[Tensor, " N"]:
+    """Which Gaussian each row of a file of that name is when it is written."""
+    suffix = _suffix(Path(path))
+    if suffix in (COMPRESSED, ".sog"):
+        return morton_order(splats.means)
+    return dot_splat_order(splats) if suffix == ".splat" else torch.arange(len(splats))
+
+
 def write_splats(
-    splats: Splats, path: Path | str, *, overwrite: bool = True, sh_degree: int | None = None
+    splats: Splats,
+    path: Path | str,
+    *,
+    overwrite: bool = True,
+    sh_degree: int | None = None,
+    besides: Mapping[str, Tensor] | None = None,
 ) -> None:
     """Write splats for a viewer, in the format that the file's suffix names.
 
@@ -81,14 +99,19 @@ def write_splats(
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
             INRIA's, the others have as many as are not all zero.
+        besides: More columns of a `.ply` by name, of float32, int32 or uint8.
 
     Raises:
-        StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
-            may not be replaced, it cannot be written, or the splats reach farther than `.spz` can
-            express or are none that a `.glb` can hold.
+        StyleSplatError: If the suffix is none of these or has no such degree or columns, the file
+            exists and may not be replaced, it cannot be written, or the splats reach farther than
+            `.spz` can express or are none that a `.glb` can hold.
     """
     path = Path(path)
     _refuse_unwritable(path, sh_degree)
+    if besides and _suffix(path) != ".ply":
+        raise StyleSplatError(
+            f"Cannot export to {path}: it has no more columns than its format says. Choose a .ply."
+        )
     if path.exists() and not overwrite:
         raise StyleSplatError(f"{path} exists already. Replace it with {REPLACING}.")
     splats = splats.detach().to("cpu")
@@ -97,7 +120,7 @@ def write_splats(
         sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
     if suffix == ".ply":
-        write_splat_ply(splats, path, bands=splats.shN.shape[1])
+        write_splat_ply(splats, path, bands=splats.shN.shape[1], besides=besides)
     else:
         SMALLER[suffix](splats, path)
 

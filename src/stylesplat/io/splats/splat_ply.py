@@ -1,6 +1,7 @@
 """Splats as PLY files with exactly the columns of the INRIA code, which every viewer opens."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,7 +72,13 @@ def splat_fault(splats: Splats) -> str | None:
     return f"the rotations of {unturned} Gaussians are 0" if unturned else None
 
 
-def write_splat_ply(splats: Splats, path: Path | str, *, bands: int = FULL_BANDS) -> None:
+def write_splat_ply(
+    splats: Splats,
+    path: Path | str,
+    *,
+    bands: int = FULL_BANDS,
+    besides: Mapping[str, Tensor] | None = None,
+) -> None:
     """Write the values as they are, bit by bit, with `shN` padded by zeros.
 
     Args:
@@ -79,6 +86,7 @@ def write_splat_ply(splats: Splats, path: Path | str, *, bands: int = FULL_BANDS
         path: The file to make.
         bands: How many higher bands of colour it has, no fewer than the splats; by default as
             many as INRIA's code demands, those of degree 3.
+        besides: More columns by name, of float32, int32 or uint8, a number for each Gaussian.
 
     Raises:
         StyleSplatError: If the file cannot be written.
@@ -100,8 +108,21 @@ def write_splat_ply(splats: Splats, path: Path | str, *, bands: int = FULL_BANDS
         if columns:
             first = names.index(columns[0])
             rows[:, first : first + len(columns)] = values.detach().float().cpu().numpy()
-    dtype = np.dtype([(name, "<f4") for name in names])
-    write_ply_table(rows.view(dtype)[:, 0], path)
+    table = rows.view(np.dtype([(name, "<f4") for name in names]))[:, 0]
+    write_ply_table(_with_columns(table, besides) if besides else table, path)
+
+
+def _with_columns(
+    table: Shaped[np.ndarray, " N"], besides: Mapping[str, Tensor]
+) -> Shaped[np.ndarray, " N"]:
+    arrays = {name: values.cpu().numpy() for name, values in besides.items()}
+    kinds = [(name, array.dtype.newbyteorder("<")) for name, array in arrays.items()]
+    wider = np.empty(len(table), np.dtype([*table.dtype.descr, *kinds]))
+    for name in table.dtype.names or ():
+        wider[name] = table[name]
+    for name, array in arrays.items():
+        wider[name] = array
+    return wider
 
 
 def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:

@@ -1,0 +1,162 @@
+"""Objects and paintings that go out to other programs, and come back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from painted_balls import BLUE, GREEN, RED, TRAINED, opened, paint_of, write_painted
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import scene_folder
+from stylesplat.io.ply import read_ply_table
+from stylesplat.io.splats.splat_files import row_order
+from stylesplat.scene.frames import Frame
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.turned import moved
+from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.export import export, export_objects
+from stylesplat.verbs.import_ import import_
+from stylesplat.verbs.objects import objects
+from stylesplat.verbs.select import select
+
+FRAME = Frame(
+    torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double(), 2.0, torch.ones(3).double()
+)
+
+
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    folder = write_painted(tmp_path_factory.mktemp("painted"), "blue", lambda wave, night: night)
+    return opened(folder / "twice")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".glb"])
+def test_a_sidecar_keeps_objects(suffix: str, tmp_path: Path):
+    file = tmp_path / f"balls{suffix}"
+    export(TRAINED, file, sidecar=True)
+    back = import_(file, labels=tmp_path / f"balls{suffix}.objects.npz", up="z")
+    order = row_order(TRAINED.splats, file)
+    for name, each in TRAINED.objects.items():
+        assert torch.equal(back.objects[name].picked, each.picked[order])
+    assert [each["id"] for each in objects(back)] == [each["id"] for each in objects(TRAINED)]
+    export(TRAINED, file, objects=["red", "blue"], sidecar=True, overwrite=True)
+    part = import_(file, labels=tmp_path / f"balls{suffix}.objects.npz", up="z")
+    assert int(part.objects["red"].picked.sum()) == 80 and "green" not in part.objects
+
+
+def test_a_sidecar_is_replaced_only_if_told_so(tmp_path: Path):
+    (tmp_path / "a.ply.objects.npz").write_text("mine")
+    with pytest.raises(StyleSplatError, match=r"a\.ply\.objects\.npz exists"):
+        export(TRAINED, tmp_path / "a.ply", sidecar=True)
+    assert not (tmp_path / "a.ply").exists()
+    with pytest.raises(StyleSplatError, match="A page has no rows"):
+        export(TRAINED, tmp_path / "a.html", sidecar=True)
+
+
+def test_columns_for_tools_that_read_them(tmp_path: Path):
+    export(TRAINED, tmp_path / "plain.ply")
+    export(TRAINED, tmp_path / "a.ply", columns=True, selected=["red", "3"], without=["green"])
+    table, plain = read_ply_table(tmp_path / "a.ply"), read_ply_table(tmp_path / "plain.ply")
+    kept = ~GREEN.numpy()
+    for name in plain.dtype.names or ():
+        assert np.array_equal(table[name], plain[name][kept])
+    assert table.dtype.names == (*(plain.dtype.names or ()), "label", "share", "state")
+    assert ((table["label"] == 300) == BLUE.numpy()[kept]).mean() > 0.98
+    assert (table["state"].astype(bool) >= RED.numpy()[kept]).all() and table["state"].max() == 1
+    assert 0 <= table["share"].min() and table["share"].max() <= 1 < table["share"].sum()
+    back = select(import_(tmp_path / "a.ply", up="z"), "red", rows=tmp_path / "a.ply")
+    assert torch.equal(back.objects["red"].picked, torch.from_numpy(table["state"] == 1))
+    labelled = import_(tmp_path / "a.ply", labels=tmp_path / "a.ply", up="z")
+    assert {each["id"] for each in objects(labelled)} <= {3, 7, 300}
+    for bad in (".spz", ".sog"):
+        with pytest.raises(StyleSplatError, match=r"no more columns .* Choose a \.ply"):
+            export(TRAINED, tmp_path / f"b{bad}", columns=True)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".json"])
+def test_picks_go_out_and_come_in(suffix: str, tmp_path: Path):
+    path = tmp_path / f"picks{suffix}"
+    assert export_objects(TRAINED, path, objects=["red", "300"]) == 2
+    bare = replace(TRAINED, objects={})
+    again = select(bare, "red", rows=path)
+    assert torch.equal(again.objects["red"].picked, RED)
+    assert again.objects["red"].how["rows"] == [str(path)]
+    more = select(again, "both", rows=RED | GREEN, minus="red")
+    assert torch.equal(more.objects["both"].picked, GREEN)
+    with pytest.raises(StyleSplatError, match="no object 'vase'"):
+        select(bare, "vase", rows=path)
+    with pytest.raises(StyleSplatError, match="Give a mask of 440"):
+        select(bare, "vase", rows=RED[:5])
+    with pytest.raises(StyleSplatError, match="has no objects"):
+        plain = replace(TRAINED.splats, identities=None, classifier=None)
+        export_objects(replace(bare, splats=plain), tmp_path / "none.json")
+
+
+def edited(scene: Scene, *, frame: Frame | None = None) -> tuple[torch.Tensor, Scene]:
+    """Every third Gaussian is gone, the rest in another order; and what it becomes."""
+    order = torch.randperm(len(scene.splats), generator=torch.Generator().manual_seed(0))
+    order = order[order % 3 != 0]
+    splats = replace(scene.splats[order], identities=None, classifier=None, confidence=None)
+    return order, import_(splats if frame is None else moved(splats, frame), like=scene)
+
+
+def test_a_splat_that_was_edited_keeps_objects(tmp_path: Path):
+    order, found = edited(TRAINED)
+    for name, each in TRAINED.objects.items():
+        assert torch.equal(found.objects[name].picked, each.picked[order])
+    assert found.metrics["lost_gaussians"] == len(TRAINED.splats) - len(order)
+    assert found.metrics["new_gaussians"] == 0 and found.metrics["moved"] == []
+    assert [each["id"] for each in objects(found)] == [each["id"] for each in objects(TRAINED)]
+    assert torch.equal(found.cameras.viewmats, TRAINED.cameras.viewmats)
+    scene_folder.save(found, tmp_path / "scene")
+    assert opened(tmp_path / "scene").objects.keys() == TRAINED.objects.keys()
+
+
+def test_paintings_are_taken_back_from_an_edited_splat(painted: Scene, tmp_path: Path):
+    order, found = edited(painted)
+    assert paint_of(found).names == paint_of(painted).names
+    plain = adjust(found, undo=True)
+    torch.testing.assert_close(plain.splats.sh0, painted.unpainted.sh0[order])
+    scene_folder.save(found, tmp_path / "scene")
+    assert paint_of(opened(tmp_path / "scene")).names == paint_of(painted).names
+
+
+def test_views_and_colours_turn_along(painted: Scene):
+    from stylesplat.rendering.rasterize import rasterize
+
+    _, still = edited(painted)
+    _, found = edited(painted, frame=FRAME)
+    assert found.metrics["moved"] == [
+        {"gaussians": len(found.splats), "scale": 2.0, "degrees": 90.0}
+    ]
+    for undo in (False, True):
+        one, other = (adjust(each, undo=True) if undo else each for each in (still, found))
+        before, _, _ = rasterize(one.splats, one.cameras[0])
+        after, _, _ = rasterize(other.splats, other.cameras[0])
+        torch.testing.assert_close(after, before, atol=2e-3, rtol=0)
+
+
+def test_what_is_new_belongs_to_nothing_and_edited_colours_stay(painted: Scene, said: list[str]):
+    bright = replace(painted.splats, sh0=painted.splats.sh0 + 1, identities=None, classifier=None)
+    bright = replace(bright, confidence=None)
+    far = replace(bright[torch.arange(30)], means=bright.means[:30] * 7 + 50)
+    both = replace(
+        bright,
+        **{name: torch.cat([each, far.tensors()[name]]) for name, each in bright.tensors().items()},
+    )
+    found = import_(both, like=painted)
+    assert found.metrics["new_gaussians"] == 30 and found.painted is None
+    assert not any(each.picked[-30:].any() for each in found.objects.values())
+    assert any("stay as they look" in line for line in said)
+    assert torch.equal(found.splats.sh0, both.sh0)
+
+
+def test_another_scene_is_refused():
+    other = replace(TRAINED.splats[torch.arange(100)], means=torch.rand(100, 3) + 90)
+    other = replace(other, scales=torch.randn(100, 3), opacities=torch.randn(100))
+    with pytest.raises(StyleSplatError, match="shows nothing of the scene"):
+        import_(other, like=TRAINED)
+    with pytest.raises(StyleSplatError, match="--like has views and labels"):
+        import_(other, like=TRAINED, up="z")
