@@ -1,5 +1,6 @@
 from .atelier.opening import studio as studio
 from .errors import StyleSplatError as StyleSplatError
+from .io.camera_paths import read_camera_path as read_camera_path
 from .io.scene_folder import open as open
 from .io.scene_folder import save as save
 from .masks.boxes.grabcut import Stroke as Stroke
@@ -18,6 +19,7 @@ from .verbs.import_ import import_ as import_
 from .verbs.load import load as load
 from .verbs.mask import mask as mask
 from .verbs.objects import objects as objects
+from .verbs.orbit import orbit as orbit
 from .verbs.rename import rename as rename
 from .verbs.render import render as render
 from .verbs.select import select as select

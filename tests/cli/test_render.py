@@ -61,11 +61,63 @@ def test_one_view_into_one_picture(scene: Path, tmp_path: Path, capsys):
 
 
 def test_a_round_trip_as_gif_has_half_the_frames(scene: Path, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("stylesplat.verbs.render.ORBIT_FRAMES", 6)
+    monkeypatch.setattr("stylesplat.verbs.orbit.FRAMES", 6)
     for name, count in (("o.gif", 3), ("o.webm", 6)):
         assert run("render", scene, "-o", tmp_path / name, "--views", "orbit") == 0
         with av.open(str(tmp_path / name)) as video:
             assert sum(1 for _ in video.decode(video=0)) == count
+
+
+def played(path: Path) -> tuple[int, float, tuple[int, int]]:
+    """Frames, frames a second, and size of a video."""
+    with av.open(str(path)) as video:
+        stream = video.streams.video[0]
+        count = sum(1 for _ in video.decode(video=0))
+        return count, float(stream.average_rate or 0), (stream.width, stream.height)
+
+
+def test_length_rate_and_size_of_a_round_trip(scene: Path, tmp_path: Path, capsys):
+    trip = ("render", scene, "-o", tmp_path / "a.mp4", "--seconds", 0.5, "--size", "64x30")
+    assert run(*trip, "--views", "orbit", "--fps", 10) == 0
+    assert played(tmp_path / "a.mp4") == (5, 10, (64, 30))
+    assert "--views orbit" in complaint(capsys, *trip, "--overwrite")
+    wrong = complaint(capsys, *trip, "--overwrite", "--views", "orbit", "--size", "64")
+    assert "WIDTHxHEIGHT" in wrong
+    folder = ("render", scene, "-o", tmp_path / "b", "--views", "orbit")
+    assert "Leave --fps out" in complaint(capsys, *folder, "--fps", 3)
+    assert "0 and 1000" in complaint(capsys, *folder, "--seconds", -1)
+
+
+def test_a_round_trip_about_an_object_shows_it_large(scene: Path, tmp_path: Path, capsys):
+    about = ("render", scene, "--around", "7", "--seconds", 0.2, "--what", "object:7")
+    assert run(*about, "-o", tmp_path / "a") == 0
+    files = sorted((tmp_path / "a").iterdir())
+    assert len(files) == 6
+    for file in files:
+        ball = (read_image(file) < 250).any(dim=2)
+        rows, columns = ball.any(dim=1).nonzero()[:, 0], ball.any(dim=0).nonzero()[:, 0]
+        assert len(rows) > 24, "of 36"
+        assert abs(float(rows.float().mean()) - 17.5) < 3
+        assert abs(float(columns.float().mean()) - 23.5) < 3
+    line = complaint(capsys, *about, "-o", tmp_path / "b", "--view", "0000")
+    assert "--around says which views there are" in line
+    assert "'cat'" in complaint(capsys, "render", scene, "-o", tmp_path / "b", "--around", "cat")
+
+
+def test_a_camera_path(scene: Path, tmp_path: Path, capsys):
+    frames = [{"view": "0000"}, {"view": "0002"}]
+    content = {"keyframes": frames, "seconds": 1, "fps": 5}
+    (tmp_path / "path.json").write_text(json.dumps(content))
+    made = ("render", scene, "--path", tmp_path / "path.json")
+    assert run(*made, "-o", tmp_path / "a.mp4") == 0
+    assert played(tmp_path / "a.mp4") == (5, 5, (48, 36))
+    assert run(*made, "-o", tmp_path / "a") == 0
+    assert run("render", scene, "-o", tmp_path / "b.png", "--view", "0000") == 0
+    first = read_image(min((tmp_path / "a").iterdir()))
+    assert (first.float() - read_image(tmp_path / "b.png").float()).abs().max() <= 1
+    assert "Choose one" in complaint(capsys, *made, "-o", tmp_path / "c", "--around", "7")
+    line = complaint(capsys, *made, "-o", tmp_path / "c", "--views", "orbit")
+    assert line.endswith("--path says which views there are. Leave the others out.")
 
 
 def test_an_object_cut_out(scene: Path, tmp_path: Path, capsys):

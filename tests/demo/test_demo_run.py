@@ -33,7 +33,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     # Labels that are lifted are there after few steps
     monkeypatch.setattr(run, "train", partial(train, segment="lift"))
     monkeypatch.setattr(run, "STYLING", StyleConfig(steps=2, pattern="large", max_growth=1.0))
-    monkeypatch.setattr("stylesplat.verbs.render.ORBIT_FRAMES", 3)
+    monkeypatch.setattr("stylesplat.verbs.orbit.FRAMES", 3)
 
 
 def test_all_of_it_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -113,6 +113,14 @@ def use_object_lists(folder: Path, out: Path) -> None:
         ss.save(scene, out / path.name)
 
 
+def use_paths(folder: Path, out: Path) -> None:
+    for path in sorted(folder.iterdir()):
+        cameras = ss.read_camera_path(path, two_cameras()).cameras
+        check_finite("viewmats", cameras.viewmats)
+        check_finite("Ks", cameras.Ks)
+        assert len(set(cameras.names)) == len(cameras)
+
+
 def use_capture(folder: Path, out: Path) -> None:
     look_through(ss.load(folder))
     look_through(ss.load(folder, downscale=2), out)
@@ -191,6 +199,7 @@ READERS = {
     "sog": Reader(seeds.sog, ("*",), use_sog),
     "labels": Reader(seeds.row_labels, ("*",), use_row_labels),
     "objects": Reader(seeds.object_lists, ("*",), use_object_lists),
+    "paths": Reader(seeds.paths, ("*",), use_paths),
     "colmap": Reader(seeds.colmap, ("sparse/0/*", "images/*", "object_mask/*"), use_capture),
     "colmap_text": Reader(seeds.colmap_text, ("sparse/0/*",), use_capture),
     "sfm": Reader(seeds.sfm, ("sfm.json",), use_sfm),

@@ -111,6 +111,19 @@ def row_labels(folder: Path) -> None:
     write_ply_table(table, folder / "a.ply")
 
 
+def paths(folder: Path) -> None:
+    """Nerfstudio's camera path, and key frames of our own."""
+    folder.mkdir(parents=True)
+    pose = [1.0, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, -3, 0, 0, 0, 1]
+    frames = [{"camera_to_world": pose, "fov": 50.0, "aspect": 1.5}] * 2
+    size = {"render_width": 12, "render_height": 8}
+    theirs = {"camera_path": frames, "camera_type": "perspective", "fps": 24, **size}
+    (folder / "nerfstudio.json").write_text(json.dumps(theirs))
+    place = {"position": [0, 1, -3], "look_at": [0, 0, 0], "fov": 60}
+    ours = {"keyframes": [place, {"view": "first.png"}], "seconds": 1, "fps": 4, "closed": True}
+    (folder / "keys.json").write_text(json.dumps(ours))
+
+
 def object_lists(folder: Path) -> None:
     """Two objects of six Gaussians in each format, and rows of one alone."""
     folder.mkdir(parents=True)

@@ -15,6 +15,8 @@ from stylesplat.io.captures.photos import read_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.view_files import png_names, refuse_taken, write_views
 
+CLEAR = torch.full((4, 6, 4), 128, dtype=torch.uint8)
+
 
 def pictures(count: int) -> list[torch.Tensor]:
     """Each of one colour, which is its number."""
@@ -78,7 +80,7 @@ def test_a_video_that_is_there(tmp_path: Path):
     refuse_taken(tmp_path / "b.mp4", overwrite=False)
 
 
-@pytest.mark.parametrize("name", ["a.avi", "a.EXR", "a.bmp", "a.m4v"])
+@pytest.mark.parametrize("name", ["a.avi", "a.EXR", "a.bmp", "a.m4v", "a.obj", "a.glb", "a.json"])
 def test_no_folder_has_the_name_of_a_picture_or_video(name: str, tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"not among the formats\. Use \.mp4, .*folder"):
         refuse_taken(tmp_path / name, overwrite=False)
@@ -99,6 +101,24 @@ def test_one_view_is_one_picture(suffix: str, tmp_path: Path):
     with pytest.raises(StyleSplatError, match="exists"):
         refuse_taken(tmp_path / f"view{suffix}", overwrite=False)
     refuse_taken(tmp_path / f"view{suffix}", overwrite=True)
+
+
+@pytest.mark.parametrize(("fps", "ticks"), [(None, 33), (8, 125)])
+def test_several_views_are_an_animation(fps: int | None, ticks: int, tmp_path: Path):
+    views = [CLEAR, torch.full((4, 6, 4), 255, dtype=torch.uint8)]
+    write_views(["a", "b"], views, tmp_path / "a.webp", fps=fps)
+    with Image.open(tmp_path / "a.webp") as image:
+        assert getattr(image, "n_frames", 1) == 2 and image.info["loop"] == 0
+        for row, alpha in enumerate((128, 255)):
+            image.seek(row)
+            assert image.convert("RGBA").getchannel("A").getextrema() == (alpha, alpha)
+            assert abs(image.info["duration"] - ticks) <= 1
+
+
+@pytest.mark.parametrize("name", ["views", "a.png"])
+def test_pictures_have_no_rate(name: str, tmp_path: Path):
+    with pytest.raises(StyleSplatError, match=r"Leave --fps out, or name a video\."):
+        write_views(["a"], never(), tmp_path / name, fps=24)
 
 
 def never() -> Iterator[torch.Tensor]:
@@ -133,7 +153,6 @@ def test_depths_are_numbers_in_their_files(tmp_path: Path):
     assert written == {"world_units_per_step": 0.25, "nothing": 0}
 
 
-CLEAR = torch.full((4, 6, 4), 128, dtype=torch.uint8)
 DEPTHS, STEPS = torch.rand(4, 6), torch.zeros(4, 6, dtype=torch.uint16)
 IDS = torch.zeros(4, 6, dtype=torch.int64)
 

@@ -14,7 +14,6 @@ from PIL import Image
 
 from stylesplat.atelier.session import Progress, Session
 from stylesplat.atelier.studio_state import State, with_scene
-from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.drawing.web_page import SUFFIX
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
@@ -24,10 +23,9 @@ from stylesplat.io.recovery import changing
 from stylesplat.io.splats.splat_files import COMPRESSED
 from stylesplat.io.video import write_video
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of
-from stylesplat.scene.ring import FOCAL, has_no_photos
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.verbs.export import export
+from stylesplat.verbs.orbit import orbit
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
 COMMANDS = "commands.json"  # in that folder
@@ -173,11 +171,7 @@ def turntable(
         count: Of frames.
     """
     scene, seen = session.state.scene, replace(session.shown, glowing=None)
-    if has_no_photos(scene):
-        cameras = orbit_around(content_of(scene.splats), scene.cameras, FOCAL, count)
-    else:
-        cameras = orbit_cameras(scene.cameras, count)
-    cameras, frames = cameras.at_most(TURNTABLE), list[torch.Tensor]()
+    cameras, frames = orbit(scene, frames=count).at_most(TURNTABLE), list[torch.Tensor]()
     for row in range(count):
         frames.append(seen.render(cameras[row], behind))
         session.progress = Progress(f"Turntable, frame {row + 1} of {count}", (row + 1) / count)

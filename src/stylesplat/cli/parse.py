@@ -1,10 +1,13 @@
 """Small texts on the command line: places in views and in the world, objects and pictures."""
 
 import math
+import re
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import is_file
+
+MOST_PIXELS = 16_384  # along a picture's side
 
 
 def parse_point(text: str) -> tuple[str, tuple[float, float]]:
@@ -104,6 +107,25 @@ def parse_sphere(text: str) -> tuple[str, tuple[float, ...]]:
             f"Expected x,y,z,RADIUS in world units, or VIEW:x,y,RADIUS, got {text!r}."
         )
     return view, tuple(numbers)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """A width and a height in pixels.
+
+    Raises:
+        StyleSplatError: If the text is no `WIDTHxHEIGHT`, or one is below 2 or above 16,384.
+
+    Example:
+        >>> parse_size("1280x720")
+        (1280, 720)
+    """
+    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if not (2 <= width <= MOST_PIXELS and 2 <= height <= MOST_PIXELS):
+        raise StyleSplatError(
+            f"Expected WIDTHxHEIGHT in pixels, each 2 to {MOST_PIXELS:,}, got {text!r}."
+        )
+    return width, height
 
 
 def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:

@@ -13,12 +13,15 @@ from stylesplat.io.video import frames_differ
 from stylesplat.progress import track
 
 LONGEST_SIDE = 640  # pixels; a GIF of six seconds has some ten megabytes then
-DELAY = 70  # milliseconds a frame, about 14 a second; browsers slow down below 20
+FPS = 1000 / 70
+STEP, LEAST = 10, 20  # milliseconds: what delays are counted in, and below what browsers slow down
 COLORS = 256
 SAMPLES = 16  # frames that the colours are chosen from
 
 
-def write_gif(frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str) -> None:
+def write_gif(
+    frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str, *, fps: float | int = FPS
+) -> None:
     """Write a GIF that plays for ever, its sides 640 pixels at most.
 
     All frames share their 256 colours, or they would flicker.
@@ -26,6 +29,7 @@ def write_gif(frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str) -> Non
     Args:
         frames: All of one size.
         path: The file to make.
+        fps: Frames per second, of which a GIF knows 50, 33.3, 25, 20, ...
 
     Raises:
         StyleSplatError: If there are no frames or they differ in size, or the file cannot be
@@ -39,8 +43,9 @@ def write_gif(frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str) -> Non
     palette = _palette(pictures)
     counted = track(pictures, "reducing colours", unit="frame")
     first, *others = (picture.quantize(palette=palette) for picture in counted)
+    delay = max(LEAST, round(1000 / fps / STEP) * STEP)
     with atomic_path(path) as temporary:
-        first.save(temporary, "GIF", save_all=True, append_images=others, duration=DELAY, loop=0)
+        first.save(temporary, "GIF", save_all=True, append_images=others, duration=delay, loop=0)
 
 
 def _small(frame: UInt8[Tensor, "H W 3"]) -> Image.Image:

@@ -1,6 +1,7 @@
-"""Videos: H.264, which every browser plays, or VP9."""
+"""Videos: H.264, which every browser plays, or VP9; and animated WebP, with transparency."""
 
 from collections.abc import Iterable
+from fractions import Fraction
 from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -18,11 +19,13 @@ class _Kind(NamedTuple):
     """How frames are encoded and put into a file."""
 
     container: str
-    codec: Literal["libx264", "libvpx-vp9"]
+    codec: Literal["libx264", "libvpx-vp9", "libwebp_anim"]
     settings: dict[str, str]
     """Of the codec."""
     options: dict[str, str]
     """Of the container."""
+    pixels: Literal["yuv420p", "bgra"] = "yuv420p"
+    """What the encoder takes."""
 
 
 FASTSTART = {"movflags": "faststart"}  # index first, so that playing starts before the end is read
@@ -34,6 +37,7 @@ KINDS = {
     ".mov": _Kind("mov", "libx264", H264, FASTSTART),
     ".mkv": _Kind("matroska", "libx264", H264, {}),
     ".webm": _Kind("webm", "libvpx-vp9", VP9, {}),
+    ".webp": _Kind("webp", "libwebp_anim", {"quality": "85"}, {"loop": "0"}, "bgra"),
 }
 
 # Colours, of which videos have a quarter as many as pixels, are interpolated between RGB and YUV.
@@ -42,14 +46,16 @@ SMOOTH_COLOR = Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolat
 
 
 def write_video(
-    frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str, *, fps: int = 30
+    frames: Iterable[UInt8[Tensor, "H W C"]], path: Path | str, *, fps: float | int = 30
 ) -> None:
-    """Write a video, in the format that the suffix names: .mp4, .mov, .mkv or .webm.
+    """Write a video, in the format that the suffix names.
 
-    Frames of odd size lose their last row or column, as H.264 demands.
+    It is .mp4, .mov, .mkv, .webm, or .webp, which alone keeps transparency and repeats for ever.
+    Others lose the last row or column of frames of odd size, as H.264 demands.
 
     Args:
-        frames: All of one size; they are taken one by one, so a generator is fine.
+        frames: Three colours and perhaps alpha, all of one size; they are taken one by one, so a
+            generator is fine.
         path: The file to make.
         fps: Frames per second.
 
@@ -63,18 +69,20 @@ def write_video(
         raise StyleSplatError(
             f"Cannot write {path}: it needs frames of 2x2 pixels or more. Render larger ones."
         )
-    kind = KINDS[Path(path).suffix.lower()]
+    kind, rate = KINDS[Path(path).suffix.lower()], Fraction(fps).limit_denominator(1001)
+    encoded = _video_frame(first, kind)
     with atomic_path(path) as temporary:
         with av.open(temporary, "w", format=kind.container, options=kind.options) as container:
-            stream = container.add_stream(kind.codec, rate=fps, options=kind.settings)
-            stream.height, stream.width = (side // 2 * 2 for side in first.shape[:2])
-            stream.pix_fmt = "yuv420p"
-            context = stream.codec_context
-            context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
+            stream = container.add_stream(kind.codec, rate=rate, options=kind.settings)
+            stream.height, stream.width = encoded.height, encoded.width
+            stream.pix_fmt = kind.pixels
+            if kind.pixels == "yuv420p":
+                context = stream.codec_context
+                context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
             for frame in chain([first], rest):
                 if frame.shape != first.shape:
                     raise frames_differ(path)
-                container.mux(stream.encode(_video_frame(frame)))
+                container.mux(stream.encode(_video_frame(frame, kind)))
             container.mux(stream.encode())
 
 
@@ -86,9 +94,13 @@ def frames_differ(path: Path | str) -> StyleSplatError:
     )
 
 
-def _video_frame(frame: UInt8[Tensor, "H W 3"]) -> av.VideoFrame:
-    height, width = (side // 2 * 2 for side in frame.shape[:2])
-    pixels = frame[:height, :width].contiguous().cpu().numpy()
+def _video_frame(frame: UInt8[Tensor, "H W C"], kind: _Kind) -> av.VideoFrame:
+    height, width, colors = frame.shape
+    if kind.pixels == "bgra":
+        pixels = frame.contiguous().cpu().numpy()
+        layout = "rgba" if colors == 4 else "rgb24"
+        return av.VideoFrame.from_ndarray(pixels, format=layout).reformat(format="bgra")
+    pixels = frame[: height // 2 * 2, : width // 2 * 2].contiguous().cpu().numpy()
     return av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(
         format="yuv420p",
         dst_colorspace=Colorspace.ITU709,

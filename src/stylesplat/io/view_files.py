@@ -18,14 +18,16 @@ from stylesplat.io.places import refuse_file
 from stylesplat.io.recovery import changing
 from stylesplat.io.video import KINDS, write_video
 
-GIF, TIFF, PNG = ".gif", (".tif", ".tiff"), ".png"
+GIF, TIFF, PNG, WEBP = ".gif", (".tif", ".tiff"), ".png", ".webp"
 VIDEOS = (*KINDS, GIF)
-COLORS = (PNG, ".jpg", ".jpeg", ".webp")  # one picture
-WITH_ALPHA = (PNG, ".webp")
-# Names of media that nobody means as a folder
+COLORS = (PNG, ".jpg", ".jpeg", WEBP)  # one picture; several make WebP an animation
+WITH_ALPHA = (PNG, WEBP)
+# Names of files that nobody means as a folder
 FOREIGN = (
     *(".avi", ".m4v", ".wmv", ".flv", ".mpg", ".mpeg", ".ogv", ".apng", ".avif", ".bmp", ".exr"),
-    *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip"),
+    *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip", ".ts", ".3gp"),
+    *(".obj", ".ply", ".glb", ".gltf", ".spz", ".sog", ".splat", ".ksplat", ".npy", ".npz"),
+    *(".html", ".json", ".yaml", ".yml", ".txt", ".csv", ".md", ".tar", ".gz", ".7z", ".rar"),
 )
 SCALE = "depth.json"  # beside depths of 16 bits: what a step is
 
@@ -72,6 +74,7 @@ def write_views(
     *,
     overwrite: bool = False,
     scale: float | None = None,
+    fps: float | int | None = None,
 ) -> None:
     """Write each view under the photo's name, sub-folders kept; or all as a video; or one.
 
@@ -83,12 +86,16 @@ def write_views(
         output: A folder; a video, which takes images only; or a picture, if there is one view.
         overwrite: Whether what is there may be replaced.
         scale: World units that depths of 16 bits count in; written beside them.
+        fps: Frames a second of a video; by default 30, and 14 of a GIF.
 
     Raises:
         StyleSplatError: If the place is taken or cannot be written to, or views of this kind, or
             as many, cannot be written in that form.
     """
-    if output.suffix.lower() in (*COLORS, *TIFF) and len(names) != 1:
+    moving = is_video(output, len(names))
+    if fps is not None and not moving:
+        raise StyleSplatError(f"{output} has no frames a second. Leave --fps out, or name a video.")
+    if not moving and output.suffix.lower() in (*COLORS, *TIFF) and len(names) != 1:
         raise StyleSplatError(
             f"{output} is one picture, and there are {len(names)} views. Choose one with "
             "--view NAME, or name a folder."
@@ -100,7 +107,11 @@ def write_views(
     pictures = chain(some, rest)
     if _is_file(output):
         with changing(output):
-            _write_file(pictures, output)
+            if moving:
+                _write_video(pictures, output, {} if fps is None else {"fps": fps})
+            else:
+                for picture in pictures:
+                    _write_picture(picture, output)
         return
     with claim_directory(output, overwrite=overwrite, marker="") as folder:
         suffix = TIFF[0] if some and some[0].is_floating_point() else PNG
@@ -110,9 +121,10 @@ def write_views(
             write_json({"world_units_per_step": scale, "nothing": 0}, folder / SCALE)
 
 
-def is_video(output: Path) -> bool:
-    """Whether views are written as a video there."""
-    return output.suffix.lower() in VIDEOS
+def is_video(output: Path, count: int) -> bool:
+    """Whether so many views are written as a video, or an animation, there."""
+    suffix = output.suffix.lower()
+    return suffix in VIDEOS and (suffix != WEBP or count != 1)
 
 
 def is_gif(output: Path) -> bool:
@@ -122,7 +134,7 @@ def is_gif(output: Path) -> bool:
 
 def _is_file(output: Path) -> bool:
     """Whether views are written into one file there."""
-    return is_video(output) or output.suffix.lower() in (*COLORS, *TIFF)
+    return output.suffix.lower() in (*VIDEOS, *COLORS, *TIFF)
 
 
 def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
@@ -132,7 +144,7 @@ def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
     if transparent and _is_file(output) and suffix not in WITH_ALPHA:
         raise StyleSplatError(
             f"{suffix} has no transparency here. Choose a --background, such as white, or write "
-            "a folder or a .png."
+            "a folder, a .png or a .webp."
         )
     if picture.dtype == torch.uint16 and _is_file(output):
         raise StyleSplatError(
@@ -150,14 +162,13 @@ def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
         raise StyleSplatError(f"{suffix} is for depth-float. Write colours into a .png.")
 
 
-def _write_file(pictures: Iterable[ViewPicture], output: Path) -> None:
+def _write_video(
+    pictures: Iterable[ViewPicture], output: Path, rate: dict[str, float | int]
+) -> None:
     if is_gif(output):
-        write_gif(pictures, output)
-    elif is_video(output):
-        write_video(pictures, output)
+        write_gif(pictures, output, **rate)
     else:
-        for picture in pictures:
-            _write_picture(picture, output)
+        write_video(pictures, output, **rate)
 
 
 def _write_picture(picture: ViewPicture, path: Path) -> None:

@@ -109,6 +109,20 @@ class Cameras:
         Ks[:, :2] *= ratio[:, :, None].to(Ks)
         return replace(self, Ks=Ks, sizes=sizes.to(self.sizes.dtype))
 
+    def resize(self, width: int, height: int) -> "Cameras":
+        """Cameras for images of another size that show all that these show, about their middles.
+
+        Args:
+            width: Pixels.
+            height: Pixels; where this gives another shape, more is seen at two sides.
+        """
+        wanted = torch.tensor([width, height])
+        factor = (wanted / self.sizes).amin(dim=1).to(self.Ks)  # [C]
+        Ks = self.Ks * torch.stack([factor, factor, torch.ones_like(factor)], dim=1)[:, :, None]
+        shift = (wanted.to(Ks) - factor[:, None] * self.sizes.to(Ks)) / 2
+        Ks[:, :2, 2] += shift
+        return replace(self, Ks=Ks, sizes=wanted.to(self.sizes.dtype).repeat(len(self), 1))
+
     def shrink_to(self, length: int) -> float:
         """The factor by which to downscale, so that no side has more than so many pixels."""
         return max(1.0, float(self.sizes.max()) / length)

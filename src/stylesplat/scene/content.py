@@ -1,6 +1,6 @@
 """What a splat is of: without what floats around it, and without a far background."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,17 +92,11 @@ def content_of(splats: Splats) -> Content:
     Args:
         splats: At least one Gaussian, of any splat.
     """
-    rows = _sampled(splats)
-    points = splats.means[rows].detach().cpu().double()
-    weights = torch.sigmoid(splats.opacities[rows]).detach().cpu().double()
+    rows, points, weights, sizes = _sample_of(splats)
     kept = _content(points, weights)
-    sizes = splats.scales[rows].detach().cpu().double().exp().sort(dim=1, descending=True).values
     blur = weighted_quantile(sizes[kept, 0], weights[kept], 0.5)
     extent = _bounds(points[kept], weights[kept], blur)
     inside = ((points >= extent.low) & (points <= extent.high)).all(dim=1)
-    shown = int((torch.sigmoid(splats.opacities) >= FAINT).sum())
-    each = max(1.0, shown / len(rows))  # so many does one of the sample stand for
-    areas = each * 2 * torch.pi * weights * sizes[:, :2].prod(dim=1)
     own, apart = kept & inside, ~kept & ~inside
     return Content(
         points=points[own],
@@ -110,7 +104,32 @@ def content_of(splats: Splats) -> Content:
         blur=float(blur),
         extent=extent,
         others=points[apart],
-        areas=areas[apart],
+        areas=_areas(splats, rows, weights, sizes)[apart],
+        blurs=sizes[apart, 0],
+    )
+
+
+def object_content(splats: Splats, picked: Bool[Tensor, " N"]) -> Content:
+    """The same of an object; all else that lies outside its box is what may hide it.
+
+    Args:
+        splats: The scene.
+        picked: At least one of its Gaussians.
+    """
+    own, rest = content_of(splats[picked]), splats[~picked]
+    if not len(rest):
+        return own
+    extent = extent_of(splats, picked)
+    rows, points, weights, sizes = _sample_of(rest)
+    apart = ~((points >= extent.low) & (points <= extent.high)).all(dim=1)
+    inside = ((own.points >= extent.low) & (own.points <= extent.high)).all(dim=1)
+    return replace(
+        own,
+        points=own.points[inside],
+        weights=own.weights[inside],
+        extent=extent,
+        others=points[apart],
+        areas=_areas(rest, rows, weights, sizes)[apart],
         blurs=sizes[apart, 0],
     )
 
@@ -153,10 +172,29 @@ def _hull(points: Float[Tensor, "M 3"]) -> Float[Tensor, "_ 3"]:
     return points[torch.from_numpy(rows).long()]
 
 
-def _sampled(splats: Splats) -> Int[Tensor, " M"]:
+def _sample_of(
+    splats: Splats,
+) -> tuple[Int[Tensor, " M"], Float[Tensor, "M 3"], Float[Tensor, " M"], Float[Tensor, "M 3"]]:
+    """Rows of some that show, their centres, opacities and sizes, the largest first; 64 bits."""
     everything = torch.ones(len(splats), dtype=torch.bool, device=splats.device)
     rows = solid(splats, everything).nonzero()[:, 0]
-    return rows[:: -(-len(rows) // SAMPLE)]
+    rows = rows[:: -(-len(rows) // SAMPLE)]
+    points = splats.means[rows].detach().cpu().double()
+    weights = torch.sigmoid(splats.opacities[rows]).detach().cpu().double()
+    sizes = splats.scales[rows].detach().cpu().double().exp().sort(dim=1, descending=True).values
+    return rows, points, weights, sizes
+
+
+def _areas(
+    splats: Splats,
+    rows: Int[Tensor, " M"],
+    weights: Float[Tensor, " M"],
+    sizes: Float[Tensor, "M 3"],
+) -> Float[Tensor, " M"]:
+    """How much each of a sample hides, with all that it stands for."""
+    shown = int((torch.sigmoid(splats.opacities) >= FAINT).sum())
+    each = max(1.0, shown / len(rows))  # so many does one of the sample stand for
+    return each * 2 * torch.pi * weights * sizes[:, :2].prod(dim=1)
 
 
 def _content(points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"]) -> Bool[Tensor, " M"]:

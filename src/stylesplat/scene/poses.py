@@ -71,3 +71,13 @@ def look_at(
     viewmats[:, :3, :3] = rotations
     viewmats[:, :3, 3] = -torch.einsum("mij,mj->mi", rotations, positions)
     return viewmats
+
+
+def median_lens(cameras: Cameras) -> tuple[Float[Tensor, "3 3"], tuple[int, int]]:
+    """Intrinsics and even size of the camera whose view is median in width, centred."""
+    widths = cameras.sizes[:, 0] / cameras.Ks[:, 0, 0].cpu()
+    row = int(widths.argsort()[len(cameras) // 2])
+    width, height = (size - size % 2 for size in cameras.sizes[row].tolist())
+    K = cameras.Ks[row].clone()
+    K[0, 2], K[1, 2] = width / 2, height / 2
+    return K, (width, height)

@@ -4,22 +4,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from stylesplat.drawing.orbit import orbit_around, orbit_cameras
 from stylesplat.drawing.pictures import depth_step, render_pictures
 from stylesplat.errors import some
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of
 from stylesplat.scene.one_line import counted, one_line
-from stylesplat.scene.ring import FOCAL, has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
+from stylesplat.verbs.orbit import orbit
 
 Which = Literal["test", "train", "all", "orbit"]
 Names = list[str] | tuple[str, ...]
-ORBIT_FRAMES = 180  # six seconds at 30 frames a second
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class Views:
 
 def render(
     scene: Scene,
-    views: Which | Names = "all",
+    views: Which | Names | Cameras = "all",
     *,
     what: str = "color",
     background: str | None = None,
@@ -57,7 +54,8 @@ def render(
 
     Args:
         scene: What to look at.
-        views: Held-out (test), training or all views, a round trip (orbit); or names of photos.
+        views: Held-out (test), training or all views, a round trip (orbit); names of photos; or
+            any cameras, such as those of `orbit` and `read_camera_path`.
         what: `color`; `labels`, the ids of label maps; `label-colors`, a colour for each;
             `identities`, their principal components as colours; `depth` as colours, near is
             bright; `depth-float`, along the view in world units, 0 where nothing is;
@@ -65,7 +63,7 @@ def render(
         background: What is behind: `transparent`, which gives images an alpha channel, `black`,
             `white` or `#rrggbb`. By default black behind `color`, white behind other images.
         downscale: How many times smaller than the photos.
-        frames: How many a round trip has, 180 by default.
+        frames: How many a round trip has; see `orbit`.
         device: Where to render.
 
     Returns:
@@ -79,7 +77,7 @@ def render(
         >>> for name, picture in render(scene, "test"):  # doctest: +SKIP
         ...     Image.fromarray(picture.numpy()).save(name)
     """
-    cameras = _cameras(scene, views, frames).downscale(downscale)
+    cameras = cameras_of(scene, views, frames).downscale(downscale)
     splats = scene.splats.to(pick_device(device))
     picked = None
     if what.startswith("object:"):
@@ -90,16 +88,16 @@ def render(
     return Views(cameras.names, counted, scale)
 
 
-def _cameras(scene: Scene, views: Which | Names, frames: int | None) -> Cameras:
+def cameras_of(scene: Scene, views: Which | Names | Cameras, frames: int | None = None) -> Cameras:
+    """The cameras that `render` takes.
+
+    Raises:
+        StyleSplatError: If the scene has no such views.
+    """
+    if isinstance(views, Cameras):
+        return views
     if views == "orbit":
-        return _orbit(scene, ORBIT_FRAMES if frames is None else frames)
+        return orbit(scene, frames=frames)
     if isinstance(views, str):
         return scene.views(views)
     return scene.cameras[[scene.cameras.index(name) for name in views]]
-
-
-def _orbit(scene: Scene, frames: int) -> Cameras:
-    """Around what the photos show, where they were taken; without photos around the content."""
-    if has_no_photos(scene):
-        return orbit_around(content_of(scene.splats), scene.cameras, FOCAL, frames)
-    return orbit_cameras(scene.cameras, frames)

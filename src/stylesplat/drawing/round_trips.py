@@ -1,7 +1,7 @@
 """A camera path for videos: around the scene, where the photos were taken."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -17,11 +17,12 @@ from stylesplat.scene.framing import (
     focal_at,
     level_axes,
 )
-from stylesplat.scene.poses import focus_point, look_at, up_vector
+from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
 RADIUS_RANK = 0.75  # of the photos' distances: close-ups would cut off what the others show whole
 SWAY = 0.5  # height varies along the path by this share of the captures' own deviation
+LENS = 1.0  # focal length over a picture's longer side around content, where there is room enough
 TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
 EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
 
@@ -41,7 +42,7 @@ class _Frame:
         return (world - self.focus) @ self.axes.T
 
 
-def orbit_cameras(cameras: Cameras, count: int) -> Cameras:
+def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None = None) -> Cameras:
     """A smooth closed path around what the cameras look at, looking at it.
 
     The path stays where photos were taken: a full circle if they surround the scene, else a swing
@@ -51,6 +52,7 @@ def orbit_cameras(cameras: Cameras, count: int) -> Cameras:
     Args:
         cameras: The capture's cameras.
         count: Number of frames; the one after the last would be the first again.
+        focus: What to look at instead.
 
     Returns:
         Cameras of one even size, with the intrinsics of the photo whose view is median in width
@@ -59,14 +61,15 @@ def orbit_cameras(cameras: Cameras, count: int) -> Cameras:
     Raises:
         StyleSplatError: If the view axes do not meet in front of the cameras.
     """
-    frame = _Frame(focus := focus_point(cameras), _axes(cameras, focus))
+    focus = focus_point(cameras) if focus is None else focus.double()
+    frame = _Frame(focus, _axes(cameras, focus))
     local = frame.to_local(cameras.positions.double())
     radius = local[:, :2].norm(dim=-1).quantile(RADIUS_RANK)
     phase = 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
     azimuth = _azimuths(torch.atan2(local[:, 1], local[:, 0]), phase)
     height = local[:, 2].mean() + SWAY * local[:, 2].std(correction=0) * phase.sin()
     path = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), height], dim=-1)
-    K, size = _median_lens(cameras)
+    K, size = median_lens(cameras)
     return Cameras(
         viewmats=look_at(frame.to_world(path), focus, frame.axes[2]).to(cameras.viewmats),
         Ks=K.expand(count, 3, 3).to(cameras.Ks),
@@ -75,16 +78,34 @@ def orbit_cameras(cameras: Cameras, count: int) -> Cameras:
     )
 
 
-def orbit_around(content: Content, views: Cameras, focal: float, count: int) -> Cameras:
+def filled(path: Cameras, content: Content) -> Cameras:
+    """The same path with the lens with which content fills the pictures, all of it in every frame.
+
+    Args:
+        path: Cameras of one size that look at the content's centre.
+        content: What to show.
+    """
+    centre, tops = content.extent.centre, -path.viewmats[:, 1, :3].double()
+    outward = path.positions.double() - centre
+    far = outward.norm(dim=1, keepdim=True)
+    frames = zip(outward / far, tops, far[:, 0].tolist(), strict=True)
+    focal = min(
+        focal_at(content.outline, Sight(centre, each, top, path.size), distance)
+        for each, top, distance in frames
+    )
+    return replace(path, Ks=centred_K(focal, path.size).to(path.Ks).expand_as(path.Ks))
+
+
+def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     """A smooth closed path around what a splat without photos is of, all of it in every frame.
 
     Args:
         content: What to show.
         views: Those that the splat was given, for what is up and for the pictures' size.
-        focal: Pixels, where there is room enough.
         count: Number of frames; the one after the last would be the first again.
     """
     up, size = up_vector(views), views.size
+    focal = LENS * max(size)
     side, ahead = level_axes(up)
     phase = 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
     tilt = (TILT + NOD * phase.sin())[:, None]
@@ -132,12 +153,3 @@ def _azimuths(photos: Float[Tensor, " C"], phase: Float[Tensor, " M"]) -> Float[
     start, end = photos[(widest + 1) % len(photos)], photos[widest]
     arc = (end - start) % (2 * math.pi)
     return start + arc * (0.5 - 0.5 * phase.cos())
-
-
-def _median_lens(cameras: Cameras) -> tuple[Float[Tensor, "3 3"], tuple[int, int]]:
-    widths = cameras.sizes[:, 0] / cameras.Ks[:, 0, 0].cpu()
-    row = int(widths.argsort()[len(cameras) // 2])
-    width, height = (size - size % 2 for size in cameras.sizes[row].tolist())
-    K = cameras.Ks[row].clone()
-    K[0, 2], K[1, 2] = width / 2, height / 2
-    return K, (width, height)

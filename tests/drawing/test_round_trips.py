@@ -6,12 +6,13 @@ import torch
 
 from balls import CAMERAS
 from bare_splats import figure, floaters, guitar, joined, room, shares
-from stylesplat.drawing.orbit import orbit_around, orbit_cameras
+from stylesplat.drawing.round_trips import filled, orbit_around, orbit_cameras
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of
+from stylesplat.scene.content import content_of, object_content
+from stylesplat.scene.framing import FILLED
 from stylesplat.scene.poses import focus_point, look_at, up_vector
-from stylesplat.scene.ring import FOCAL, ring_cameras
+from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.splats import Splats
 
 UP = torch.tensor([0.0, 0.0, 1.0]).double()
@@ -113,10 +114,32 @@ def test_outward_cameras():
 )
 def test_without_photos_all_content_is_in_every_frame(splats: Splats, own: int):
     views = ring_cameras(splats, UP.float())
-    path = orbit_around(content_of(splats), views, FOCAL, 24)
+    path = orbit_around(content_of(splats), views, 24)
     assert min(shares(path, splats.means[:own])) > 0.99
     steps = (path.positions.roll(-1, 0) - path.positions).norm(dim=1)
     assert steps.max() < 1.5 * steps.min(), "closed and even"
     assert path.size == views.size and len(set(path.names)) == 24
     if own == 6000:
         assert path.positions[:, :2].abs().max() < 3, "within the walls"
+
+
+def test_an_object_is_gone_around_before_what_would_hide_it():
+    splats, own = room(), torch.arange(len(room())) < 6000
+    content = object_content(splats, own)
+    path = orbit_around(content, ring_cameras(splats, UP.float()), 12)
+    assert min(shares(path, splats.means[:6000])) > 0.98
+    assert path.positions[:, :2].abs().max() < 3, "within the walls"
+    assert (content.extent.size > 0).all() and len(content.others)
+
+
+def test_an_object_fills_the_pictures_of_its_round_trip():
+    splats = guitar()
+    content = object_content(splats, torch.ones(len(splats), dtype=torch.bool))
+    cameras = arc([-0.5, 0.0, 0.5]).resize(100, 60)
+    path = filled(orbit_cameras(cameras, 8, content.extent.centre), content)
+    assert path.size == (100, 60)
+    places = torch.nn.functional.pad(content.outline.float(), (0, 1), value=1)
+    seen = torch.einsum("cij,cjk,pk->cpi", path.Ks, path.viewmats[:, :3], places)
+    spread = (seen[..., :2] / seen[..., 2:] - torch.tensor([50.0, 30.0])).abs()
+    filling = (spread / torch.tensor([50.0, 30.0])).amax()
+    assert math.isclose(float(filling), FILLED, rel_tol=1e-3)

@@ -1,0 +1,160 @@
+"""Camera paths: nerfstudio's JSON, frame by frame, and key frames of our own."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import torch
+from jaxtyping import Float
+from msgspec import Meta
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.json_files import MAX_JSON, fitting, read_json
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.key_frames import MOST_FRAMES, KeyFrames, frame_count, path_of
+from stylesplat.scene.poses import are_rigid, look_at, median_lens, up_vector
+
+FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
+REMEDY = "The manual's section on `render` says what a path is."
+
+Side = Annotated[int, Meta(ge=2, le=16384)]
+Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Degrees = Annotated[float, Meta(gt=0.1, lt=179)]
+Rate = Annotated[float, Meta(gt=0, le=1000)]
+Vector = tuple[Number, Number, Number]
+Matrix = Annotated[list[Number], Meta(min_length=16, max_length=16)]
+
+
+class _Pose(msgspec.Struct):
+    """A frame of nerfstudio's."""
+
+    camera_to_world: Matrix
+    """Row by row, in OpenGL's axes: y up, z back."""
+    fov: Degrees
+    """Of the height."""
+
+
+class _Nerfstudio(msgspec.Struct):
+    """What nerfstudio's viewer writes, and `ns-render camera-path` reads."""
+
+    camera_path: Annotated[list[_Pose], Meta(min_length=1, max_length=MOST_FRAMES)]
+    render_width: Side
+    render_height: Side
+    camera_type: Literal["perspective"] = "perspective"
+    fps: Rate = FPS
+
+
+class _Key(msgspec.Struct, forbid_unknown_fields=True):
+    """A photo's camera, or a place and what to look at from there."""
+
+    view: str | None = None
+    position: Vector | None = None
+    look_at: Vector | None = None
+    fov: Degrees | None = None
+    """Of the height; of the photo, or of one of median width, where there is none."""
+
+
+class _Keys(msgspec.Struct, forbid_unknown_fields=True):
+    """Our own."""
+
+    keyframes: Annotated[list[_Key], Meta(min_length=2, max_length=10_000)]
+    seconds: Annotated[float, Meta(gt=0, le=MOST_FRAMES)] = SECONDS
+    fps: Rate = FPS
+    closed: bool = False
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """What a file of a path says."""
+
+    cameras: Cameras
+    """A camera for each frame."""
+    fps: float
+    """Frames a second."""
+
+
+def read_camera_path(
+    path: Path | str,
+    views: Cameras,
+    *,
+    fps: float | int | None = None,
+    seconds: float | int | None = None,
+) -> CameraPath:
+    """Read a camera path: nerfstudio's (one with `camera_path`), or key frames.
+
+    Args:
+        path: A JSON file. Places are in the world of the scene.
+        views: The scene's cameras, for key frames that name one, what is up, and the lens.
+        fps: Frames a second instead of the file's.
+        seconds: How long the way through key frames takes, instead of what the file says.
+
+    Raises:
+        StyleSplatError: If the file is missing or holds anything else, or a length was given for
+            a path that has its frames.
+    """
+    content, what = read_json(path, most=MAX_JSON), f"Cannot read {path}"
+    if "camera_path" in content:
+        if seconds is not None:
+            raise StyleSplatError(
+                f"{path} has its frames, so their number is given. Choose how many a second with "
+                "--fps."
+            )
+        found: _Nerfstudio = fitting(content, _Nerfstudio, what, REMEDY)
+        return CameraPath(_nerfstudio(found, what), float(fps or found.fps))
+    keys: _Keys = fitting(content, _Keys, what, REMEDY)
+    count = frame_count(seconds or keys.seconds, fps or keys.fps)
+    _, size = median_lens(views)
+    frames = _key_frames(keys, views, what)
+    return CameraPath(frames.path(count, size, closed=keys.closed), float(fps or keys.fps))
+
+
+def _nerfstudio(found: _Nerfstudio, what: str) -> Cameras:
+    poses = torch.tensor([pose.camera_to_world for pose in found.camera_path]).double()
+    poses = poses.reshape(-1, 4, 4)
+    poses[:, :3, 1:3] *= -1  # y down, z ahead
+    wrong = (~are_rigid(poses)).nonzero()[:, 0].tolist()
+    if wrong or not torch.equal(poses[:, 3], torch.eye(4).double()[3].expand(len(poses), 4)):
+        which = f"frame {wrong[0]}" if wrong else "a last row"
+        raise StyleSplatError(
+            f"{what}: {which} of its camera_to_world is no turn and shift. {REMEDY}"
+        )
+    focals = torch.tensor([_focal(pose.fov) for pose in found.camera_path])
+    size = (found.render_width, found.render_height)
+    return path_of(torch.linalg.inv(poses), focals, size)
+
+
+def _key_frames(keys: _Keys, views: Cameras, what: str) -> KeyFrames:
+    lens, (_, height) = median_lens(views)
+    up, viewmats, focals = up_vector(views), list[Tensor](), list[float]()
+    for row, key in enumerate(keys.keyframes):
+        focal = float(lens[1, 1]) / height
+        if key.view is not None and key.position is None and key.look_at is None:
+            index = views.index(key.view)
+            viewmats.append(views.viewmats[index].double().cpu())
+            focal = float(views.Ks[index, 1, 1]) / float(views.sizes[index, 1])
+        elif key.view is None and key.position is not None and key.look_at is not None:
+            viewmats.append(_looking(key.position, key.look_at, up, f"{what}: key frame {row}"))
+        else:
+            raise StyleSplatError(
+                f"{what}: key frame {row} needs a view, or a position and look_at. {REMEDY}"
+            )
+        focals.append(focal if key.fov is None else _focal(key.fov))
+    return KeyFrames(torch.stack(viewmats), torch.tensor(focals))
+
+
+def _looking(
+    position: Vector, target: Vector, up: Float[Tensor, "3"], what: str
+) -> Float[Tensor, "4 4"]:
+    eye, focus = torch.tensor(position).double(), torch.tensor(target).double()
+    viewmat = look_at(eye[None], focus, up)
+    if not are_rigid(viewmat).all():
+        raise StyleSplatError(f"{what} looks nowhere, or straight up or down. Move it a little.")
+    return viewmat[0]
+
+
+def _focal(fov: float) -> float:
+    """Over the height."""
+    return 0.5 / math.tan(math.radians(fov) / 2)
