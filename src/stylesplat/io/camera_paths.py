@@ -20,7 +20,7 @@ from stylesplat.scene.poses import are_rigid, look_at, median_lens, up_vector
 FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
 REMEDY = "The manual's section on `render` says what a path is."
 
-Side = Annotated[int, Meta(ge=2, le=16384)]
+Side = Annotated[float, Meta(ge=2, le=16384)]  # some programs write 1080.0
 Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Degrees = Annotated[float, Meta(gt=0.1, lt=179)]
 Rate = Annotated[float, Meta(gt=0, le=1000)]
@@ -122,7 +122,7 @@ def _nerfstudio(found: _Nerfstudio, what: str) -> Cameras:
             f"{what}: {which} of its camera_to_world is no turn and shift. {REMEDY}"
         )
     focals = torch.tensor([_focal(pose.fov) for pose in found.camera_path])
-    size = (found.render_width, found.render_height)
+    size = (round(found.render_width), round(found.render_height))
     return path_of(torch.linalg.inv(poses), focals, size)
 
 
