@@ -1,4 +1,5 @@
 from .atelier.opening import studio as studio
+from .cli.batch import batch as batch
 from .errors import StyleSplatError as StyleSplatError
 from .io.scene_folder import open as open
 from .io.scene_folder import save as save
