@@ -33,12 +33,13 @@ def planned(folder: Path, text: str) -> dict[str, Job]:
 class Pretended:
     """A crew of so many that ends jobs in turn, as it is told."""
 
-    threads = 1
-
     def __init__(self, size: int, ends: Callable[[str], int] = lambda name: 0) -> None:
         self._size, self._ends = size, ends
         self.begun: list[str] = []
         self._busy: list[Job] = []
+
+    def threads_of(self, job: Job) -> int:
+        return 1
 
     @property
     def has_room(self) -> bool:

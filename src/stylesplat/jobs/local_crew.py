@@ -17,8 +17,9 @@ PAUSE = 0.05  # seconds between two looks at the processes
 class Crew(Protocol):
     """Runs jobs."""
 
-    threads: int
-    """That a job has."""
+    def threads_of(self, job: Job) -> int:
+        """How many threads a job has."""
+        ...
 
     @property
     def has_room(self) -> bool:
@@ -56,7 +57,11 @@ class LocalCrew:
             raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
         self._output, self._workers = output, workers
         self._running: list[tuple[Job, Running | Outcome]] = []
-        self.threads = max(1, cores() // workers)
+        self._share = max(1, cores() // workers)
+
+    def threads_of(self, job: Job) -> int:
+        """A worker's share of the cores, or what the job file says."""
+        return job.needs.cpus or self._share
 
     @property
     def has_room(self) -> bool:
@@ -70,7 +75,7 @@ class LocalCrew:
 
     def begin(self, job: Job) -> None:
         """Start a process."""
-        order = order_of(job, self._output, threads=job.needs.cpus or self.threads)
+        order = order_of(job, self._output, threads=self.threads_of(job))
         try:
             self._running.append((job, Running(order)))
         except OSError as error:

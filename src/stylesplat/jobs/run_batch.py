@@ -112,8 +112,9 @@ def _ended(
         say(HEAD)
         try:
             for job, outcome in scheduled(todo, done, crew, lambda: bar.note(_at_work(crew))):
-                line = _line(job, outcome, output, prints[job.name], crew.threads)
+                line = _line(job, outcome, output, prints[job.name], crew.threads_of(job))
                 say(_row(line))
+                bar.note(_at_work(crew))
                 bar.advance()
                 yield line
         finally:
@@ -174,7 +175,6 @@ def _line(
     )
     if isinstance(outcome, str):
         return replace(line, reason=f"it follows {outcome}, which is not done.")
-    threads = job.needs.cpus or threads
     return replace(
         line,
         status="failed" if outcome.status else "done",
