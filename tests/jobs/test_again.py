@@ -94,7 +94,7 @@ def test_the_journal_outlives_a_torn_line(tmp_path: Path, said: list[str]):
         file.write('{"job": "c", "sta')
     found = read_journal(tmp_path)
     assert {name: each.status for name, each in found.items()} == {"a": "done", "b": "failed"}
-    assert "1 lines cannot be read" in said[0]
+    assert "that cannot be read: 1." in said[0]
     JobJournal(tmp_path, found.values()).add(line("c"))
     assert [*read_journal(tmp_path)] == ["a", "b", "c"]
     assert read_journal(tmp_path / "nowhere") == {}

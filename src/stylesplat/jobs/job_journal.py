@@ -93,7 +93,7 @@ def read_journal(folder: Path) -> dict[str, JobLine]:
         else:
             found[line.job] = line
     if unread:
-        say(f"{path}: {unread} lines cannot be read. What they were about is run again.")
+        say(f"Lines of {path} that cannot be read: {unread}. Their jobs are run again.")
     return found
 
 
