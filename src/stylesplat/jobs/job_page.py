@@ -38,12 +38,13 @@ def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobLine]], *, of: int) 
     Raises:
         StyleSplatError: If it cannot be written.
     """
+    shown = {job.name: picture_of(line, path.parent / job.name) for job, line in jobs}
     states = [line.status for _, line in jobs]
     ends = (f"{states.count(each)} {each}" for each in dict.fromkeys(states))
     page = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         title=escape(path.parent.name),
         summary=f"Jobs: {of}. {', '.join(ends) or 'none has ended'}.",
-        jobs="\n".join(_article(job, line, path.parent) for job, line in jobs),
+        jobs="\n".join(_article(job, line, _shown(job, shown)) for job, line in jobs),
     )
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -74,18 +75,24 @@ def picture_of(line: JobLine, folder: Path) -> Path | None:
     return found[0] if found else None
 
 
-def _article(job: Job, line: JobLine, root: Path) -> str:
-    picture = picture_of(line, root / job.name) if line.status == "done" else None
+def _shown(job: Job, pictures: Mapping[str, Path | None]) -> Path | None:
+    """A job's own picture, or that of what it follows."""
+    return pictures[job.name] or pictures.get(str(job.after))
+
+
+def _article(job: Job, line: JobLine, picture: Path | None) -> str:
     place = quote(f"{job.name}/")
     memory = "" if line.memory_gb is None else f", {line.memory_gb:.2f} GB"
-    took = f"{line.seconds:.1f} s{memory}" if line.command else ""
+    took = f" {line.seconds:.1f} s{memory}" if line.command else ""
+    reason = f": {line.reason}" if line.reason else ""
     rows = islice(numbers_in(line.result), MAX_NUMBERS)
     numbers = "".join(f"<dt>{escape(k)}</dt><dd>{_number(v)}</dd>" for k, v in rows)
-    shown = f'<img src="{_thumbnail(picture)}" alt="{escape(job.name)}">' if picture else ""
+    small = _thumbnail(picture) if picture else ""
+    shown = f'<img src="{small}" alt="{escape(job.name)}">' if small else ""
     return (
         f'<article class="{line.status}"><a href="{place}">{shown}</a>'
         f'<h2><a href="{place}">{escape(job.name)}</a></h2>'
-        f"<p>{line.status} {took} {escape(line.reason)}</p><dl>{numbers}</dl></article>"
+        f"<p>{line.status}{took}{escape(reason)}</p><dl>{numbers}</dl></article>"
     )
 
 
@@ -94,10 +101,13 @@ def _number(value: int | float) -> str:
 
 
 def _thumbnail(path: Path) -> str:
-    """A small JPEG as a URL that holds it."""
+    """A small JPEG as a URL that holds it; nothing of a picture that cannot be read."""
     small = io.BytesIO()
-    with Image.open(path) as picture:
-        flat = picture.convert("RGB")
+    try:
+        with Image.open(path) as picture:
+            flat = picture.convert("RGB")
+    except (OSError, ValueError, Image.DecompressionBombError):
+        return ""
     flat.thumbnail((SIDE, SIDE))
     flat.save(small, "JPEG", quality=QUALITY)
     return f"data:image/jpeg;base64,{b64encode(small.getvalue()).decode()}"

@@ -26,7 +26,8 @@ THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FO
 SAID = "stylesplat"
 FAULT = re.compile(rf"{SAID}(?: \w+)?: (.+)")  # the line in which a verb says what is at fault
 KILLED = (
-    "it was killed, perhaps because memory ran out. Use fewer workers, or `needs: {memory: GB}`"
+    "it was killed, perhaps because memory ran out. Use fewer workers, or with Ray "
+    "`needs: {memory: GB}`"
 )
 BRIEF = 300  # characters of what a process said last, where that is no line of a verb's
 
