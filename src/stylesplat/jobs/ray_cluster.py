@@ -42,6 +42,7 @@ def connect(address: str) -> tuple[ModuleType, bool]:
         return ray, False
     options: dict[str, Any] = {"address": address}
     if address == LOCAL:
+        os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: `--workers` has 0
         options |= {"include_dashboard": False, "object_store_memory": STORE}
     before = signal.getsignal(signal.SIGTERM)
     try:
