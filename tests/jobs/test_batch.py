@@ -59,7 +59,9 @@ def test_good_and_bad_jobs(scene: Path, tmp_path: Path, capsys):
 def test_a_folder_of_others_is_left_alone(scene: Path, tmp_path: Path, capsys):
     jobs = write(scene, "  - render: {}\n")
     assert "no result of jobs" in complaint(capsys, "batch", jobs, "-o", scene)
-    assert "at least one worker" in complaint(capsys, "batch", jobs, "-o", "new", "--workers", 0)
+    assert "at least one worker" in complaint(
+        capsys, "batch", jobs, "-o", tmp_path / "y", "--workers", 0
+    )
     assert "No such file" in complaint(capsys, "batch", tmp_path / "no.yaml", "-o", tmp_path / "x")
     assert not (tmp_path / "x").exists()
 
