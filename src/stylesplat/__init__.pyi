@@ -1,4 +1,5 @@
 from .atelier.opening import studio as studio
+from .cli.batch import batch as batch
 from .errors import StyleSplatError as StyleSplatError
 from .io.camera_paths import read_camera_path as read_camera_path
 from .io.scene_folder import open as open

@@ -7,6 +7,7 @@ from typing import Any
 
 from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.bars import Bars
+from stylesplat.cli.batch import Batch
 from stylesplat.cli.check import Check
 from stylesplat.cli.delete import Delete
 from stylesplat.cli.demo import Demo
@@ -49,6 +50,7 @@ VERBS = {
     "render": Render,
     "export": Export,
     "evaluate": Evaluate,
+    "batch": Batch,
     "view": View,
     "studio": Studio,
 }

@@ -1,6 +1,7 @@
-"""YAML as recipes need it: texts, numbers, lists and maps whose keys are texts; and all JSON."""
+"""YAML as recipes and jobs need it: texts, numbers, lists, maps whose keys are texts; all JSON."""
 
 import re
+from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar
 
 import yaml
@@ -47,6 +48,37 @@ def parse_yaml(text: str | bytes) -> Any:
         raise StyleSplatError(f"line {line} is no valid YAML: {error.problem}. Mend it.") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # the last of "\\U99999999"
         raise StyleSplatError(f"it is no YAML text: {reason(error)}. {INSTEAD}") from error
+
+
+Place = tuple[str | int, ...]  # the keys and numbers that lead to a value
+
+
+def lines_of(text: str | bytes) -> dict[Place, int]:
+    """The line, from 1, of each key and list item of a text that `parse_yaml` takes.
+
+    What a reference repeats has the line where it was written first; what `<<` brings in has none.
+    """
+    loader = _Loader(text)
+    try:
+        root = loader.get_single_node()
+    finally:
+        loader.dispose()
+    return {} if root is None else dict(_lines(root, ()))
+
+
+def _lines(node: Any, place: Place) -> Iterator[tuple[Place, int]]:
+    if isinstance(node, yaml.ScalarNode):
+        return
+    pairs: Iterable[Any] = node.value
+    if isinstance(node, yaml.SequenceNode):
+        pairs = ((number, item) for number, item in enumerate(node.value))
+    for key, value in pairs:
+        if isinstance(key, yaml.ScalarNode) and key.tag == MERGE:
+            continue
+        mark = value.start_mark if isinstance(key, int) else key.start_mark
+        inner = (*place, key if isinstance(key, int) else key.value)
+        yield inner, mark.line + 1
+        yield from _lines(value, inner)
 
 
 class _Loader(yaml.SafeLoader):

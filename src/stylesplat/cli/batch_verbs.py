@@ -1,0 +1,78 @@
+"""The verbs that jobs of a batch can be, as the command line has them."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+from tyro.conf import Positional, UseAppendAction
+
+from stylesplat.cli.arguments import CALLED, known, read_command
+from stylesplat.cli.export import Export
+from stylesplat.cli.import_ import Import
+from stylesplat.cli.mask import Mask
+from stylesplat.cli.render import Render
+from stylesplat.cli.select import Select
+from stylesplat.cli.stylize import Stylize
+from stylesplat.cli.train import Train
+from stylesplat.cli.wrong_usage import WrongUsage
+from stylesplat.jobs.job_verbs import Content, JobOption, JobVerb
+
+OURS = ("json", "verbose", "overwrite", "restart", "output", "file")  # what a batch itself says
+PLACES = {Export: ("output", "each"), Render: ("output",)}  # what is made in the job's folder
+PATH, _ = CALLED[Path]
+WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
+    "train": (Train, ("capture",), "scene"),
+    "import": (Import, ("splat",), "scene"),
+    "mask": (Mask, ("capture", "scene"), None),
+    "select": (Select, ("scene",), "scene"),
+    "stylize": (Stylize, ("scene",), "scene"),
+    "render": (Render, ("scene",), "files"),
+    "export": (Export, ("scene",), "files"),
+}
+
+
+def batch_verbs() -> dict[str, JobVerb]:
+    """Those verbs, by name."""
+    return {
+        name: JobVerb(
+            name=name,
+            options=dict(_options(command)),
+            takes=takes,
+            makes=makes,
+            needs_place=command is Export,
+            check=partial(_fault, command, name),
+        )
+        for name, (command, takes, makes) in WORKS.items()
+    }
+
+
+def _options(command: type) -> Iterator[tuple[str, JobOption]]:
+    """The options of a command but for what it works on, which comes first."""
+    places = PLACES.get(command, ())
+    _, *fields = zip(dataclasses.fields(command), known(command), strict=True)
+    for field, option in fields:
+        if field.name in OURS and field.name not in places:
+            continue
+        marks = get_args(field.type)
+        name = option.names[-1].removeprefix("--").lower()
+        yield (
+            f"no-{name}" if field.default is True else name,
+            JobOption(
+                count=option.count,
+                repeated=UseAppendAction in marks,
+                is_path=option.placeholder == PATH and field.name not in places,
+                is_place=field.name in places,
+                is_word=Positional in marks,
+            ),
+        )
+
+
+def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
+    """What is wrong with words behind a verb."""
+    try:
+        read_command(command, words, f"stylesplat {name}")
+    except WrongUsage as error:
+        return str(error)
+    return None
