@@ -87,8 +87,9 @@ def _intro(options: Options, seconds: float) -> list[str]:
         f"Made by `{call}` in {seconds / 60:.0f} minutes, the demo's training aside, on "
         f"{machine()}, torch {torch.__version__}. Every number and picture comes from a file "
         "that it wrote.",
-        f"Paintings take {effort.steps} steps at most (the paper: 500 to 1,000), losses masked in "
-        f"2D {effort.masked_steps} on frames of {effort.side} pixels. All is judged in "
+        f"Paintings by the paper's settings take {effort.steps} steps (the paper: 500 to 1,000), "
+        f"ours are {'the default' if effort.trained else 'drafts (`--quality draft`)'}, Figure 2's "
+        f"loops take {effort.masked_steps} steps on frames of {effort.side} pixels. All is judged in "
         f"{effort.judged} held-out views at most. A pixel has changed if a channel differs by more "
         "than 0.05; strength is the mean distance of the object's colours in Lab; a stroke is as "
         "long as the distance at which the added detail goes half with itself.",

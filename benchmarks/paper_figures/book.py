@@ -16,6 +16,7 @@ from stylesplat.drawing.compositing import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import read_json, write_json
 
+FEW = 3  # parts whose times tell nothing yet
 VERSION = 1  # raise it when the same settings give other numbers
 
 Picture = Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
@@ -127,9 +128,9 @@ def work_through(book: Book, cells: Sequence[Cell]) -> Iterator[str]:
 
 
 def _left(rest: Sequence[Cell], known: Mapping[str, Sequence[float]]) -> float | None:
-    """Seconds; None while nothing is known."""
+    """Seconds; None while hardly anything is known."""
     every = [seconds for several in known.values() for seconds in several]
-    if not every:
+    if len(every) < FEW:
         return None
     means = {figure: sum(several) / len(several) for figure, several in known.items()}
     usual = sum(every) / len(every)

@@ -6,6 +6,7 @@ from typing import Any
 from bench import machine, median_ms
 
 from paper_figures.book import Cell, Outcome, Results
+from paper_figures.figure2 import WAYS
 from paper_figures.story import Block, Figure, Table, Text, digits, percent
 from paper_figures.subject import Subject, shot
 
@@ -50,7 +51,7 @@ def told(results: Results) -> list[Block]:
     ]
     blocks: list[Block] = [Table(("what", f"on {n['machine']}"), rows)]
     other = results.get("figure2", {})
-    compared = [key for key in ("2D at 1", "3D at 1") if key in other]
+    compared = [key for key in (f"{way} at 1" for way in WAYS) if key in other]
     if compared:
         heads = ("loss", "content SSIM", "strength (Lab)", "outside PSNR", "changed outside")
         lines = [

@@ -12,9 +12,8 @@ from stylesplat.stylization.style_job import StyleJob
 
 
 def default_config(subject: Subject) -> StyleConfig:
-    """Our default settings, with as many steps as the effort allows."""
-    usual = PRESETS["default"]
-    return replace(usual, steps=min(usual.all_steps, subject.effort.steps))
+    """Our default settings; their draft, which splits nothing, where effort is small."""
+    return PRESETS["default"] if subject.effort.trained else StyleConfig(quality="draft")
 
 
 def paper_config(subject: Subject, lr: float = 0.05) -> StyleConfig:
