@@ -117,8 +117,10 @@ class Subject:
 
     def called(self, id: int) -> str:
         """An object's name."""
-        named = {tuple(o.how.get("ids", ())): name for name, o in self.scene.objects.items()}
-        return named.get((id,), self.capture.object_names.get(id, f"object {id}"))
+        for name, found in self.scene.objects.items():
+            if tuple(found.how.get("ids", ())) == (id,):
+                return name
+        return self.capture.object_names.get(id, f"object {id}")
 
     def best_view(self, id: int) -> Cameras:
         """The held-out view that shows most of an object."""
