@@ -86,7 +86,7 @@ def _intro(options: Options, seconds: float) -> list[str]:
     ours = "the default" if effort.trained else "drafts (`--quality draft`)"
     return [
         f"Made by `{call}` in {seconds / 60:.0f} minutes, the demo's training aside, on "
-        f"{machine()}, torch {torch.__version__}. Every number and picture comes from a file that it "
+        f"{machine()}, torch {torch.__version__}. All numbers and pictures come from files that it "
         "wrote.",
         f"Paintings by the paper's settings take {effort.steps} steps (the paper: 500 to 1,000), "
         f"ours are {ours}, Figure 2's loops take {effort.masked_steps} steps on frames of "
