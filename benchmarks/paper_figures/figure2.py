@@ -3,8 +3,9 @@
 One loop for all: the same views, steps, rate and style, constant colours trained with Adam. Masked
 in 2D all Gaussians are trainable; in S2RF's way the features under the mask count, whose neighbours
 beyond it then get gradients too, and in a stricter one the network sees the scene before where the
-mask is not, so that none does. Adam divides gradients by their size, so that what hardly shows under a mask
-moves as fast as what fills it: once more with an epsilon that damps this. In 3D those of the object are trainable, and what it covers counts.
+mask is not, so that none does. Adam divides gradients by their size, so that what hardly shows
+under a mask moves as fast as what fills it: once more with an epsilon that damps this. In 3D the
+Gaussians of the object are trainable, and what it covers counts.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,13 +41,13 @@ from stylesplat.training.lifting import lift
 
 NAME = "figure2"
 LEVELS = (0.0, 0.5, 1.0, 2.0)  # times the demo's rates of error
+EPS = 1e-15  # of Adam, as in the code of 3D Gaussian splatting
+DAMPING = 1e-5  # an epsilon next to which small gradients make small steps
 MASKED, STRICT = "2D, features masked", "2D, pixels masked"
 DAMPED = f"2D, pixels masked, Adam's epsilon {DAMPING:g}"
 LIFTED, TRAINED = "3D, lifted", "3D, trained"
 WAYS = (MASKED, STRICT, DAMPED, LIFTED, TRAINED)
 SHOWN = (MASKED, STRICT, LIFTED)
-EPS = 1e-15  # of Adam, as in the code of 3D Gaussian splatting
-DAMPING = 1e-5  # an epsilon next to which small gradients make small steps
 LR = 0.05  # the middle of the paper's Figure 6
 SCALE = 2.0  # longer side of the style, in longer sides of the object
 MARGIN = 20  # pixels around a mask: what a feature of block 3 sees
