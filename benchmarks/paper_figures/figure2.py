@@ -221,7 +221,8 @@ def told(results: Results) -> list[Block]:
         shown = {"initial": found["initial"].pictures["view"]} if "initial" in found else {}
         shown |= {key: found[key].pictures["view"] for key in keys if key.startswith(f"{way} at")}
         blocks.append(Row(shown))
-    return [*blocks, *(Text(_conclusion(found, way)) for way in (MASKED, STRICT, DAMPED))]
+    said = (_conclusion(found, way) for way in (MASKED, STRICT, DAMPED))
+    return [*blocks, *(Text(line) for line in said if line)]
 
 
 _HEADS = ("masks", "outside PSNR", "changed outside", "more than 2 px outside")
@@ -240,14 +241,16 @@ def _row(key: str, numbers: Any) -> list[str]:
     ]
 
 
-def _conclusion(found: Any, way: str) -> str:
-    """What the numbers say of one way to mask, made of them."""
+def _conclusion(found: Any, way: str) -> str | None:
+    """What the numbers say of one way to mask, made of them; None without any."""
     ends = [key.removeprefix(way) for key in found if key.startswith(f"{way} at")]
     pairs = [
         tuple(found[f"{each_}{end}"].numbers["changed_far"] for each_ in (way, LIFTED))
         for end in ends
         if f"{LIFTED}{end}" in found
     ]
+    if not pairs:
+        return None
     more = sum(masked > selected for masked, selected in pairs)
     largest = [percent(max(column)) for column in zip(*pairs, strict=True)]
     return (
