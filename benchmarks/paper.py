@@ -89,11 +89,11 @@ def _intro(options: Options, seconds: float) -> list[str]:
         f"{machine()}, torch {torch.__version__}. All numbers and pictures come from files that it "
         "wrote.",
         f"Paintings by the paper's settings take {effort.steps} steps (the paper: 500 to 1,000), "
-        f"ours are {ours}, Figure 2's loops take {effort.masked_steps} steps on frames of "
-        f"{effort.side} pixels. All is judged in {effort.judged} held-out views at most. A pixel "
-        "has changed if a channel differs by more than 0.05; strength is the mean distance of the "
-        "object's colours in Lab; a stroke is as long as the distance at which the added detail "
-        "goes half with itself.",
+        f"ours are {ours}. Figure 2's loops take {effort.masked_steps} steps, and like Figure 6 "
+        f"frames of {effort.side} pixels. All is judged in {effort.judged} held-out views at most. "
+        "A pixel has changed if a channel differs by more than 0.05; strength is the mean distance "
+        "of the object's colours in Lab; a stroke is as long as the distance at which the added "
+        "detail goes half with itself.",
         "Not run: the scenes of NeRF, MipNeRF360 and LERF, which are not on the machines that "
         "build this. Train one with `stylesplat train CAPTURE -o SCENE` and pass `--scene SCENE`.",
     ]

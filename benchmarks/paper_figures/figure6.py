@@ -57,10 +57,11 @@ def _styled(subject: Subject, setting: Setting) -> Outcome:
     group, scale, rate = setting
     id, style = subject.ids[0], next(iter(subject.styles.values()))
     picked = subject.picked(id)
+    side = subject.effort.side  # features of [1,3] are as many as pixels: full frames take hours
     length = typical_length(find_boxes(subject.splats, subject.training, picked))
     own_scale = scale * max(style.shape[:2]) / length  # in sides of the object, as we count it
     config = replace(paper_config(subject, rate), layers=(group,), scale=own_scale)
-    styled = painted(subject, {id: style}, config).splats
+    styled = painted(subject, {id: style}, config, side=side).splats
     found = leakage(subject, subject.splats, styled, id)
     numbers = {"group": group, "scale": scale, "rate": rate, "strength": found["strength"]}
     camera = subject.best_view(id)

@@ -21,11 +21,16 @@ def paper_config(subject: Subject, lr: float = 0.05) -> StyleConfig:
     return replace(PRESETS["paper"], steps=subject.effort.steps, lr=lr)
 
 
-def painted(subject: Subject, styles: Mapping[int, Tensor], config: StyleConfig) -> Styled:
-    """Some objects in a style each, from the training views."""
-    studio = open_studio(
-        subject.splats, subject.training, subject.network, held_out=subject.held_out
-    )
+def painted(
+    subject: Subject,
+    styles: Mapping[int, Tensor],
+    config: StyleConfig,
+    *,
+    side: int | None = None,
+) -> Styled:
+    """Some objects in a style each, from the training views, this long if that is said."""
+    views = subject.training if side is None else subject.training.at_most(side)
+    studio = open_studio(subject.splats, views, subject.network, held_out=subject.held_out)
     jobs = [
         StyleJob(subject.called(id), subject.picked(id), (style,), config)
         for id, style in styles.items()
