@@ -133,6 +133,15 @@ def told(results: Results) -> list[Block]:
             rows.insert(0, ["the given label maps", *given * len(ways)])
         blocks.append(Table(heads, rows))
         blocks += [Text(_best(way, found[way].numbers)) for way in ways]
+        speed = results.get("figure7", {}).get("speed")
+        if speed is not None:
+            steps = speed.numbers["train_steps"]
+            blocks.append(
+                Text(
+                    f"The scene was trained for {steps:,} steps (the paper: 30,000), which leaves "
+                    "identities less sharp: a threshold that suits the one need not suit the other."
+                )
+            )
     return blocks
 
 

@@ -6,12 +6,14 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
 from bench import table
 from PIL import Image
 
 from paper_figures.book import Cell, Results
 from paper_figures.subject import Subject
-from stylesplat.drawing.page_parts import figure_html, file_url, page_style, table_html
+from stylesplat.drawing.page_parts import figure_html, page_style, picture_url, table_html
 
 SMALL = 260  # pixels of a picture's longer side in docs
 QUALITY = 82  # of JPEG there
@@ -88,8 +90,13 @@ def _html(block: Block) -> str:
         return f"<p>{escape(block.text)}</p>"
     if isinstance(block, Table):
         return table_html(block.heads, block.rows)
-    figures = (figure_html(file_url(path), name) for name, path in block.pictures.items())
+    figures = (figure_html(_url(path), name) for name, path in block.pictures.items())
     return f'<div class="row">{"".join(figures)}</div>'
+
+
+def _url(file: Path) -> str:
+    """A picture as a JPEG that the page holds."""
+    return picture_url(torch.from_numpy(np.array(Image.open(file).convert("RGB"))))
 
 
 def markdown_page(title: str, intro: Sequence[str], chapters: Chapters, pictures: Path) -> str:
@@ -112,7 +119,7 @@ def _markdown(block: Block, pictures: Path, stem: str) -> str:
         return table(block.heads, block.rows)
     place = pictures / f"{stem}.jpg"
     _strip([*block.pictures.values()]).save(place, quality=QUALITY, optimize=True)
-    captions = ", ".join(block.pictures)
+    captions = "; ".join(block.pictures)
     return f"![{captions}]({pictures.name}/{place.name})\n\nLeft to right: {captions}."
 
 

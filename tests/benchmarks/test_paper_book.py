@@ -73,11 +73,11 @@ def test_pages_hold_what_they_tell(tmp_path: Path):
     figure = Figure("figure9", "A figure", "claims & such.", lambda _: [], lambda _: [])
     chapters = [("demo", [(figure, blocks)])]
     page = html_page("T", ["Intro."], chapters)
-    assert page.count("data:image/png;base64,") == 2 and "1 &lt; 2" in page
+    assert page.count("data:image/jpeg;base64,") == 2 and "1 &lt; 2" in page
     assert "claims &amp; such." in page and "://" not in page
     text = markdown_page("T", ["Intro."], chapters, tmp_path / "paper")
     assert "| y | 0.5 |" in text and "## A figure (demo)" in text
-    assert "(paper/demo-figure9-2.jpg)" in text and "Left to right: left, b." in text
+    assert "(paper/demo-figure9-2.jpg)" in text and "Left to right: left; b." in text
     assert (tmp_path / "paper" / "demo-figure9-2.jpg").stat().st_size < 20_000
 
 
