@@ -273,8 +273,8 @@ def _adam(found: Any) -> str | None:
     ]
     return (
         f"With exact masks, {usual} of the pixels beyond 2 px change with Adam's epsilon of "
-        f"{EPS:g}, and {damped} with one of {DAMPING:g}: so much is the optimiser's doing, not the masks'. "
-        f"By level of error, the latter changes {', '.join(levels)}."
+        f"{EPS:g}, and {damped} with one of {DAMPING:g}: so much is the optimiser's "
+        f"doing, not the masks'. By level of error, the latter changes {', '.join(levels)}."
     )
 
 

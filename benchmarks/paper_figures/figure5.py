@@ -39,7 +39,7 @@ def _both(subject: Subject, way: str) -> Outcome:
     }
     differing = {subject.called(id): _differing(alone[id], together, id, picked) for id in styles}
     numbers |= {"differing": differing, "changed_elsewhere": _elsewhere(subject, together, picked)}
-    camera = subject.best_view(one)
+    camera = subject.best_view(one, other)
     shown = {"initial": shot(subject.splats, camera)}
     shown |= {f"{subject.called(id)} alone": shot(a.splats, camera) for id, a in alone.items()}
     return Outcome(numbers, shown | {"both": shot(together.splats, camera)})

@@ -122,9 +122,10 @@ class Subject:
                 return name
         return self.capture.object_names.get(id, f"object {id}")
 
-    def best_view(self, id: int) -> Cameras:
-        """The held-out view that shows most of an object."""
-        areas = [int((self.true_map(camera) == id).sum()) for camera in each(self.held_out)]
+    def best_view(self, *ids: int) -> Cameras:
+        """The held-out view that shows most of an object, or of that which it shows least of."""
+        maps = [self.true_map(camera) for camera in each(self.held_out)]
+        areas = [min(int((labels == id).sum()) for id in ids) for labels in maps]
         return self.held_out[areas.index(max(areas))]
 
 
