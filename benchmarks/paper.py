@@ -59,7 +59,7 @@ def main(options: Options) -> None:
         raise SystemExit(f"There is no {unknown[0]}. Figures: {', '.join(FIGURES)}.")
     effort = QUICK if options.quick else FULL
     options.output.mkdir(parents=True, exist_ok=True)
-    start, chapters, spent = time.perf_counter(), [], 0.0
+    start, chapters, spent, bare = time.perf_counter(), [], 0.0, []
     for given in options.scene:
         subject = open_subject(given, options.output, effort, options.features)
         settings = {"quick": options.quick, "features": options.features}
@@ -74,7 +74,9 @@ def main(options: Options) -> None:
         chapters.append(
             (subject.name, [(f, f.told(results)) for f in sorted(figures, key=lambda f: f.name)])
         )
-        _write(options, _intro(options, spent), chapters)
+        if subject.exact is None:
+            bare.append(f"{subject.name} has no exact label maps: given ones count as true there.")
+        _write(options, [*_intro(options, spent), *bare], chapters)
     print(options.output / "index.html")
 
 
