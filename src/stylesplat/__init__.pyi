@@ -13,6 +13,7 @@ from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust
 from .verbs.check import check as check
+from .verbs.compare import compare as compare
 from .verbs.delete import delete as delete
 from .verbs.evaluate import evaluate as evaluate
 from .verbs.export import export as export

@@ -4,7 +4,8 @@ from PIL import Image
 
 from balls import CAMERAS, SPLATS
 from chromium import as_url, launched, needs_chromium
-from stylesplat.demo.report import Figure, Section, write_report
+from stylesplat.demo.report import write_report
+from stylesplat.drawing.page_parts import Figure, Section
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.export import export
 

@@ -140,6 +140,8 @@ def _option(field: "dataclasses.Field[Any]", said: str | None, *, choices: bool)
         return Annotated[(bool, config, *markers)]
     if not _is_open(kind):
         return Annotated[(kind | None, _spec(kind, name, choices=choices), config, *markers)]
+    if Positional in markers:
+        return Annotated[(kind, _spec(kind, name, choices=choices), config, *markers)]
     several = UseAppendAction not in markers  # of them at a time
     element = kind if several else get_args(kind)[0]
     each = Annotated[element, _spec(element, name, choices=choices)]
@@ -234,7 +236,7 @@ def _joined(field: "dataclasses.Field[Any]", value: Any) -> Any:
     kind, markers = _plain(field.type)
     if not _is_open(kind):
         return value
-    if UseAppendAction not in markers:
+    if UseAppendAction not in markers and Positional not in markers:
         value = tuple(each for several in value for each in several)
     return value or field.default
 

@@ -63,7 +63,7 @@ def what_is_wrong(known: Sequence[Known], arguments: Sequence[str], prog: str) -
     if read.miscounted:
         return read.miscounted[0]
     places = [each for each in known if each.is_place]
-    if len(read.words) > len(places):
+    if len(read.words) > len(places) and not any(each.count == "*" for each in places):
         extra = read.words[len(places)]
         return f"there is no place for {extra!r}; a name with spaces needs quotes."
     there = [*read.given, *places[: len(read.words)]]

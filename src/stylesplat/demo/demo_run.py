@@ -10,8 +10,9 @@ from typing import Any
 
 from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.rehearsal import compiled_meanwhile
-from stylesplat.demo.report import Figure, Section, write_report
+from stylesplat.demo.report import write_report
 from stylesplat.drawing.object_sheet import object_sheet
+from stylesplat.drawing.page_parts import Figure, Section
 from stylesplat.drawing.pictures import label_colors
 from stylesplat.drawing.quiet_cut import quiet_cut
 from stylesplat.evaluation.in_words import painted_gaussians, style_lines

@@ -1,0 +1,143 @@
+"""Results in files: what is there is not computed again; and how long the rest will take."""
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from bench import machine
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from stylesplat.drawing.compositing import to_uint8
+from stylesplat.io.images import write_image
+from stylesplat.io.json_files import read_json, write_json
+
+FEW = 3  # parts whose times tell nothing yet
+VERSION = 1  # raise it when the same settings give other numbers
+
+Picture = Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a cell found."""
+
+    numbers: Mapping[str, Any]
+    """Plain values."""
+    pictures: Mapping[str, Picture] = field(default_factory=dict)
+    """By what they are called: colours in 0..1 or bytes."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One of a figure's computations, kept by itself."""
+
+    figure: str
+    """Which figure it belongs to."""
+    key: str
+    """Its name in the figure, which is that of its file."""
+    compute: Callable[[], Outcome]
+    """Does it."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a cell found, as its files have it."""
+
+    numbers: Mapping[str, Any]
+    """Plain values."""
+    pictures: Mapping[str, Path]
+    """Files by what they are called."""
+    seconds: float
+    """How long it took."""
+
+
+Results = Mapping[str, Mapping[str, Result]]
+"""By figure and key."""
+
+
+class Book:
+    """The folder of a scene's results."""
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
+        """Results of other settings are refused, so that no table mixes them."""
+        self.folder, written = folder, folder / "settings.json"
+        settings = {"version": VERSION, "machine": machine(), **settings}
+        if written.is_file():
+            known = {k: v for k, v in read_json(written).items() if k != "machine"}
+            if known != {k: v for k, v in settings.items() if k != "machine"}:
+                raise SystemExit(
+                    f"{folder} holds results of other settings ({known}). Choose another folder "
+                    "with -o, or delete it."
+                )
+        else:
+            write_json(settings, written)
+
+    def has(self, cell: Cell) -> bool:
+        """Whether a cell is computed."""
+        return self._file(cell.figure, cell.key).is_file()
+
+    def keep(self, cell: Cell) -> None:
+        """Compute a cell and write what it found; its numbers last, which say that it is whole."""
+        torch.manual_seed(0)
+        start = time.perf_counter()
+        outcome = cell.compute()
+        seconds = time.perf_counter() - start
+        file, pictures = self._file(cell.figure, cell.key), {}
+        for name, picture in outcome.pictures.items():
+            place = file.with_name(f"{file.stem}-{_spelled(name)}.png")
+            write_image(picture if picture.dtype == torch.uint8 else to_uint8(picture), place)
+            pictures[name] = place.name
+        write_json({"numbers": outcome.numbers, "pictures": pictures, "seconds": seconds}, file)
+
+    def results(self, cells: Sequence[Cell]) -> dict[str, dict[str, Result]]:
+        """What is computed of some cells."""
+        found: dict[str, dict[str, Result]] = {}
+        for cell in filter(self.has, cells):
+            file = self._file(cell.figure, cell.key)
+            said = read_json(file)
+            pictures = {name: file.with_name(place) for name, place in said["pictures"].items()}
+            result = Result(said["numbers"], pictures, said["seconds"])
+            found.setdefault(cell.figure, {})[cell.key] = result
+        return found
+
+    def _file(self, figure: str, key: str) -> Path:
+        place = self.folder / figure / f"{_spelled(key)}.json"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        return place
+
+
+def work_through(book: Book, cells: Sequence[Cell]) -> Iterator[str]:
+    """Compute what is not there, and say before each how long all will take.
+
+    A cell is taken to need what others of its figure took, or else what all did on average.
+    """
+    known = {f: [r.seconds for r in rs.values()] for f, rs in book.results(cells).items()}
+    rest = [cell for cell in cells if not book.has(cell)]
+    for number, cell in enumerate(rest):
+        left = _left(rest[number:], known)
+        about = f", about {left / 60:.0f} min left" if left is not None else ""
+        yield f"{cell.figure}, {cell.key}: {number + 1} of {len(rest)}{about}"
+        start = time.perf_counter()
+        book.keep(cell)
+        known.setdefault(cell.figure, []).append(time.perf_counter() - start)
+
+
+def _left(rest: Sequence[Cell], known: Mapping[str, Sequence[float]]) -> float | None:
+    """Seconds; None while hardly anything is known."""
+    every = [seconds for several in known.values() for seconds in several]
+    if len(every) < FEW:
+        return None
+    means = {figure: sum(several) / len(several) for figure, several in known.items()}
+    usual = sum(every) / len(every)
+    return sum(means.get(cell.figure, usual) for cell in rest)
+
+
+def _spelled(key: str) -> str:
+    """A key as a file's name; those that differ in signs alone stay apart."""
+    plain = "".join(c if c.isalnum() or c in "-." else "-" for c in key)
+    return plain if plain == key else f"{plain}-{hashlib.sha256(key.encode()).hexdigest()[:6]}"

@@ -1,0 +1,74 @@
+"""Figure 7 and the text: content kept, discoloration, frames a second, times."""
+
+from functools import partial
+from typing import Any
+
+from bench import machine, median_ms
+
+from paper_figures.book import Cell, Outcome, Results
+from paper_figures.figure2 import WAYS
+from paper_figures.story import Block, Figure, Table, Text, digits, percent
+from paper_figures.subject import Subject, shot
+
+NAME = "figure7"
+CLAIM = (
+    "S2RF discolours what is not the target and loses shapes; it renders 15 frames a second and "
+    "StyleSplat more than 100, on an A100; stylising takes less than a minute, after 30,000 steps "
+    "of training."
+)
+SIDES = (None, 960)  # pixels of the longer side; None is as it was trained
+
+
+def cells(subject: Subject) -> list[Cell]:
+    """Rendering and what the scene says of its training; the rest is other figures'."""
+    return [Cell(NAME, "speed", partial(_speed, subject))]
+
+
+def _speed(subject: Subject) -> Outcome:
+    camera = subject.held_out[0]
+    numbers: dict[str, Any] = {"machine": machine(), "gaussians": len(subject.splats), "fps": {}}
+    for side in SIDES:
+        sized = camera if side is None else camera.downscale(max(camera.size) / side)
+        milliseconds = median_ms(lambda sized=sized: shot(subject.splats, sized), repeats=9)
+        width, height = sized.size
+        numbers["fps"][f"{width}x{height}"] = 1e3 / milliseconds
+    trained = subject.scene.metrics.get("train", subject.scene.metrics)
+    names = ("psnr", "ssim", "seconds", "steps")
+    return Outcome(numbers | {f"train_{n}": trained.get(n) for n in names})
+
+
+def told(results: Results) -> list[Block]:
+    """Times and rates; content and discoloration of the masked loss and of ours."""
+    found = results.get(NAME, {})
+    if "speed" not in found:
+        return []
+    n = found["speed"].numbers
+    rows = [[f"frames a second, {size}", digits(fps, 1)] for size, fps in n["fps"].items()]
+    rows += [
+        ["Gaussians", f"{n['gaussians']:,}"],
+        ["training and segmenting", f"{n['train_steps']:,} steps in {n['train_seconds']:.0f} s"],
+        ["held-out PSNR, SSIM", f"{digits(n['train_psnr'], 2)} dB, {digits(n['train_ssim'])}"],
+    ]
+    blocks: list[Block] = [Table(("what", f"on {n['machine']}"), rows)]
+    other = results.get("figure2", {})
+    compared = [key for key in (f"{way} at 1" for way in WAYS) if key in other]
+    if compared:
+        heads = ("loss", "content SSIM", "strength (Lab)", "outside PSNR", "changed outside")
+        lines = [
+            [
+                key,
+                digits(other[key].numbers["content_ssim"]),
+                digits(other[key].numbers["strength"], 1),
+                f"{digits(other[key].numbers['outside_psnr'], 1)} dB",
+                percent(other[key].numbers["changed_outside"]),
+            ]
+            for key in compared
+        ]
+        blocks.append(Table(heads, lines))
+    blocks.append(
+        Text("No GPU and no NeRF of S2RF's kind were run: the loss is S2RF's, the scene is not.")
+    )
+    return blocks
+
+
+FIGURE = Figure(NAME, "Figure 7 and the text: content, discoloration, speed", CLAIM, cells, told)

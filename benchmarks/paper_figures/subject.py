@@ -1,0 +1,213 @@
+"""A scene with all that figures need of it: views, true masks, styles, a network."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from bench import VGG19, style_network
+from torch import Tensor
+
+import stylesplat as ss
+from stylesplat.demo.demo_capture import STYLES, demo_capture
+from stylesplat.demo.demo_run import TRAINING
+from stylesplat.io.captures.capture_folder import exact_masks
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import Labels, resize_labels
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import object_ids
+from stylesplat.selection.pick import pick
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.style_images import read_style
+
+MARGIN = 0.25  # of the object's size that pictures show around it
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed."""
+
+    steps: int
+    """Of each painting."""
+    masked_steps: int
+    """Of the loss masked in 2D and of the same loop in 3D."""
+    side: int
+    """Pixels of the longer side of the frames of these loops."""
+    whole_grid: bool
+    """All of Figure 6's grid; else a row and a column through its middle."""
+    trained: bool
+    """Train anew with each set of label maps; else lift these onto the Gaussians there are."""
+    judged: int
+    """Held-out views that are compared."""
+
+
+QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3)
+FULL = Effort(500, 500, 480, whole_grid=True, trained=True, judged=8)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A scene to make figures of."""
+
+    name: str
+    """In headings and folders."""
+    scene: Scene
+    """Trained, with objects."""
+    capture: Capture
+    """The photos and the label maps that it was trained with, at the size that it was made at."""
+    exact: Capture | None
+    """The same with exact label maps, if there are any."""
+    styles: Mapping[str, Tensor]
+    """Pictures, colours in 0..1."""
+    network: FeatureNetwork
+    """Whose features are matched."""
+    effort: Effort
+    """How much is computed."""
+
+    @property
+    def splats(self) -> Splats:
+        """The Gaussians."""
+        return self.scene.splats
+
+    @cached_property
+    def ids(self) -> tuple[int, ...]:
+        """The objects' label ids, most visible first."""
+        rows = [self.capture.cameras.index(n) for n in self.held_out.names]
+        maps = [m for m in (self.truth.label_maps[row] for row in rows) if m is not None]  # type: ignore[index]
+        counts = {id: sum(int((m == id).sum()) for m in maps) for id in object_ids(self.splats)}
+        return tuple(sorted(counts, key=lambda id: -counts[id]))
+
+    @property
+    def truth(self) -> Capture:
+        """What masks are compared with: exact ones, or else those that were given."""
+        return self.exact or self.capture
+
+    @cached_property
+    def training(self) -> Cameras:
+        """Views that were trained on."""
+        return self.scene.working_views()[0]
+
+    @cached_property
+    def held_out(self) -> Cameras:
+        """Views to judge in: some of those that were not trained on."""
+        every = self.scene.working_views()[1]
+        if every is None:
+            raise SystemExit(f"{self.name} has no held-out views. Train it with --test-every 8.")
+        return every[evenly(range(len(every)), self.effort.judged)]
+
+    def true_map(self, camera: Cameras) -> Labels:
+        """The true label map of one view, at its size."""
+        maps = self.truth.label_maps
+        assert maps is not None
+        labels = maps[self.truth.cameras.index(camera.names[0])]
+        if labels is None:
+            raise SystemExit(f"{camera.names[0]} of {self.name} has no label map.")
+        return resize_labels(labels, camera.size[::-1])
+
+    def picked(self, id: int) -> Tensor:
+        """An object's Gaussians."""
+        return pick(self.splats, object_id=id)
+
+    def called(self, id: int) -> str:
+        """An object's name."""
+        for name, found in self.scene.objects.items():
+            if tuple(found.how.get("ids", ())) == (id,):
+                return name
+        return self.capture.object_names.get(id, f"object {id}")
+
+    def best_view(self, *ids: int) -> Cameras:
+        """The held-out view that shows most of an object, or of that which it shows least of."""
+        maps = [self.true_map(camera) for camera in each(self.held_out)]
+        areas = [min(int((labels == id).sum()) for id in ids) for labels in maps]
+        return self.held_out[areas.index(max(areas))]
+
+
+def each(cameras: Cameras) -> list[Cameras]:
+    """Cameras one by one."""
+    return [cameras[row] for row in range(len(cameras))]
+
+
+@torch.no_grad()
+def shot(splats: Splats, camera: Cameras) -> Tensor:
+    """What a camera sees, colours in 0..1."""
+    return rasterize(splats, camera)[0][0].clamp(0, 1)
+
+
+def cut(picture: Tensor, mask: Tensor) -> Tensor:
+    """The part of a picture around a mask."""
+    places = mask.nonzero()
+    low, high = places.amin(dim=0), places.amax(dim=0) + 1
+    margin = (MARGIN * (high - low).max()).long()
+    (top, left), (bottom, right) = (low - margin).clamp(min=0).tolist(), (high + margin).tolist()
+    return picture[top:bottom, left:right]
+
+
+def open_subject(given: str, output: Path, effort: Effort, features: str | None) -> Subject:
+    """A trained scene's folder, or `demo`, which is made in the output if it is not there.
+
+    The network is VGG19 where its weights are on this machine and nothing else is asked for, or
+    else the one that ships with the package.
+    """
+    folder = _demo(output) if given == "demo" else Path(given)
+    scene = ss.open(folder)
+    if scene.capture is None:
+        raise SystemExit(f"{folder} knows no photos. Train it anew.")
+    truth = exact_masks(scene.capture)
+    photos = ss.load(scene.capture, downscale=scene.downscale)
+    return Subject(
+        name=given if given == "demo" else folder.name,
+        scene=scene,
+        capture=photos,
+        exact=ss.load(scene.capture, downscale=scene.downscale, masks=truth) if truth else None,
+        styles=_styles(scene.capture),
+        network=_network(features),
+        effort=effort,
+    )
+
+
+def _network(features: str | None) -> FeatureNetwork:
+    if features == "vgg19" and VGG19.is_file():
+        return style_network()
+    return load_weights(features or "compact", depth=3)  # type: ignore[arg-type]
+
+
+def _demo(output: Path) -> Path:
+    folder = output / "demo-scene"
+    if not (folder / "scene.json").is_file():
+        photos = demo_capture(output / "demo-capture")
+        ss.save(ss.train(ss.load(photos), TRAINING), folder)
+    return folder
+
+
+def _styles(capture: Path) -> dict[str, Tensor]:
+    """The capture's own pictures, or the demo's; and tiles, so that there are three."""
+    folder = capture / "styles"
+    if folder.is_dir():
+        found = {path.stem: read_style(path) for path in sorted(folder.iterdir())}
+    else:
+        found = {name: torch.from_numpy(make(0)).float() / 255 for name, make in STYLES.items()}
+    return {name.replace("_", " "): image for name, image in found.items()} | {"scales": scales()}
+
+
+def scales(size: int = 576, across: int = 9) -> Tensor:
+    """A picture of overlapping scales in greens and ochres, as of a lizard: a tiling."""
+    y, x = np.indices((size, size), dtype=np.float32) * across / size
+    image = np.zeros((size, size, 3), np.float32)
+    colors = np.array([[0.10, 0.30, 0.16], [0.83, 0.64, 0.22], [0.20, 0.52, 0.34]], np.float32)
+    for row in range(-2, 2 * across + 2):  # lower rows lie over upper ones
+        shift = 0.5 * (row % 2)
+        column = np.floor(x - shift)
+        distance = np.hypot(x - shift - column - 0.5, y - 0.5 * row)
+        shade = np.clip(1.25 - 1.1 * distance, 0, 1)[..., None]
+        colour = colors[(column.astype(int) * 2 + row) % 3] * shade + 0.12 * (1 - shade)
+        ridge = (distance > 0.44)[..., None]
+        inside = (distance < 0.55) & (y >= 0.5 * row)
+        image = np.where(inside[..., None], np.where(ridge, 0.05, colour), image)
+    return torch.from_numpy(image.astype(np.float32)).clamp(0, 1)

@@ -1,0 +1,140 @@
+"""`compare`: scenes side by side, in pictures and in the numbers of `evaluate`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from stylesplat.drawing.pictures import render_pictures
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.differences import differences, picture_differences
+from stylesplat.progress import say
+from stylesplat.rendering.device import pick_device
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.one_line import counted, one_line
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.shared_views import shared_views
+from stylesplat.verbs.evaluate import evaluate
+
+VIEWS = 4  # that are shown, unless somebody wants more
+LONGEST = 960  # pixels of a picture's side
+SCHEMA = "stylesplat-comparison-1"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One scene among others."""
+
+    name: str
+    """What it is called."""
+    scene: Scene
+    """What was measured."""
+    metrics: Mapping[str, Any]
+    """As `evaluate` gives them; empty if nothing could be measured."""
+    differences: Mapping[str, Any]
+    """The same less those of the first scene; only what both have."""
+    from_first: Mapping[str, float]
+    """How far its pictures are from the first scene's (see `picture_differences`)."""
+    pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
+    """What each view shows."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Scenes side by side; the first is what others are compared with."""
+
+    views: tuple[str, ...]
+    """The photos' names of the pictures."""
+    scenes: tuple[Compared, ...]
+    """In the order in which they were given."""
+    notes: tuple[str, ...] = ()
+    """What makes numbers less comparable, in sentences."""
+
+    def __repr__(self) -> str:
+        names = ", ".join(each.name for each in self.scenes)
+        return one_line(self, names, counted(len(self.views), "view"))
+
+    def summary(self) -> dict[str, Any]:
+        """All but the pictures as plain values, for JSON."""
+        scenes = [
+            {
+                "name": each.name,
+                "path": each.scene.path,
+                "gaussians": len(each.scene.splats),
+                "metrics": each.metrics,
+                "differences": each.differences,
+                "from_first": each.from_first,
+            }
+            for each in self.scenes
+        ]
+        return {"schema": SCHEMA, "views": self.views, "scenes": scenes, "notes": self.notes}
+
+
+@torch.no_grad()
+def compare(
+    scenes: Mapping[str, Scene],
+    captures: Mapping[str, Capture] | None = None,
+    *,
+    views: int = VIEWS,
+    device: str = "auto",
+) -> Comparison:
+    """Put scenes of the same photos side by side.
+
+    Args:
+        scenes: By what they are to be called, at least two; the first is what others are
+            compared with. Their world frames may differ.
+        captures: The photos of each, as `evaluate` takes them; of those that have none, only a
+            style is measured.
+        views: How many pictures of each, of views held out in all scenes if there are any.
+        device: Where to render.
+
+    Returns:
+        Pictures and numbers. What cannot be measured of a scene is said, and noted.
+
+    Raises:
+        StyleSplatError: If there are fewer than two scenes, or they share no view.
+    """
+    if len(scenes) < 2:
+        raise StyleSplatError(f"Expected at least two scenes to compare, got {len(scenes)}.")
+    shown = tuple(evenly(shared_views(scenes), max(1, views)))
+    notes, found = [*_notes(scenes)], []
+    for name, scene in scenes.items():
+        metrics: dict[str, Any] = {}
+        try:
+            metrics = evaluate(scene, (captures or {}).get(name), device=device)
+        except StyleSplatError as error:  # it can be looked at all the same
+            notes.append(f"{name} has no numbers: {error}")
+        pictures = _pictures(scene, shown, device)
+        base = found[0] if found else None
+        gap = differences(metrics, base.metrics if base else metrics)
+        far = picture_differences([*pictures], [*(base.pictures if base else pictures)])
+        found.append(Compared(name, scene, metrics, gap, far, pictures))
+    for note in notes:
+        say(note)
+    return Comparison(shown, tuple(found), tuple(notes))
+
+
+def _notes(scenes: Mapping[str, Scene]) -> list[str]:
+    """Scenes that hold out other photos than the first."""
+    (first, one), *others = scenes.items()
+    return [
+        f"{name} holds out other photos than {first}: their numbers are of different photos."
+        for name, scene in others
+        if {*scene.held_out} != {*one.held_out}
+    ]
+
+
+def _pictures(
+    scene: Scene, views: tuple[str, ...], device: str
+) -> tuple[UInt8[Tensor, "_ _ 3"], ...]:
+    rows = [scene.cameras.names.index(name) for name in views]
+    splats = scene.splats.to(pick_device(device))
+    return tuple(
+        picture
+        for row in rows
+        for picture in render_pictures(splats, scene.cameras[row].at_most(LONGEST))
+    )

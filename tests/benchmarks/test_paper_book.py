@@ -1,0 +1,98 @@
+"""The paper's figures: what is computed is kept, and only that is told."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from paper_figures import figure2
+from paper_figures.book import Book, Cell, Outcome, work_through
+from paper_figures.story import Figure, Row, Table, Text, html_page, markdown_page
+from paper_figures.subject import cut, scales
+
+PICTURE = torch.rand(30, 40, 3, generator=torch.Generator().manual_seed(0))
+
+
+def cells(calls: list[str], count: int = 3) -> list[Cell]:
+    def computed(key: str) -> Outcome:
+        calls.append(key)
+        return Outcome({"number": 0.5, "nested": {"a": 1}}, {"a view": PICTURE})
+
+    return [Cell("figure9", f"way {n:g}", lambda n=n: computed(f"{n:g}")) for n in range(count)]
+
+
+def test_what_is_there_is_not_computed_again(tmp_path: Path):
+    calls: list[str] = []
+    book, some = Book(tmp_path, {"quick": True}), cells(calls)
+    steps = work_through(book, some)
+    assert [next(steps), next(steps)][1].startswith("figure9, way 1")  # interrupted then
+    assert calls == ["0"]
+    again = Book(tmp_path, {"quick": True})
+    lines = [*work_through(again, some)]
+    assert calls == ["0", "1", "2"] and len(lines) == 2
+    assert lines[0] == "figure9, way 1: 1 of 2"
+    found = again.results(some)["figure9"]["way 2"]
+    assert found.numbers == {"number": 0.5, "nested": {"a": 1}} and found.seconds > 0
+    assert found.pictures["a view"].is_file()
+
+
+def test_how_long_the_rest_takes_is_said(tmp_path: Path):
+    *_, last = work_through(Book(tmp_path, {}), cells([], 5))
+    assert last == "figure9, way 4: 5 of 5, about 0 min left"
+
+
+def test_half_a_cell_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object) -> None:
+        raise OSError("full")
+
+    book, some = Book(tmp_path, {}), cells([], 1)
+    monkeypatch.setattr("paper_figures.book.write_image", full)
+    with pytest.raises(OSError, match="full"):
+        book.keep(some[0])
+    assert not book.has(some[0]) and book.results(some) == {}
+
+
+def test_results_of_other_settings_are_not_mixed(tmp_path: Path):
+    Book(tmp_path, {"quick": True})
+    with pytest.raises(SystemExit, match="holds results of other settings"):
+        Book(tmp_path, {"quick": False})
+
+
+def test_keys_that_differ_in_signs_have_files_of_their_own(tmp_path: Path):
+    book = Book(tmp_path, {})
+    for key in ("a b", "a, b", "a-b"):
+        book.keep(Cell("f", key, lambda key=key: Outcome({"key": key})))
+    some = [Cell("f", key, lambda: Outcome({})) for key in ("a b", "a, b", "a-b")]
+    assert [r.numbers["key"] for r in book.results(some)["f"].values()] == ["a b", "a, b", "a-b"]
+
+
+def test_pages_hold_what_they_tell(tmp_path: Path):
+    book, (cell, *_) = Book(tmp_path / "book", {}), cells([])
+    book.keep(cell)
+    picture = book.results([cell])["figure9"]["way 0"].pictures["a view"]
+    blocks = [Text("1 < 2"), Table(("", "x"), [["y", "0.5"]]), Row({"left": picture, "b": picture})]
+    figure = Figure("figure9", "A figure", "claims & such.", lambda _: [], lambda _: [])
+    chapters = [("demo", [(figure, blocks)])]
+    page = html_page("T", ["Intro."], chapters)
+    assert page.count("data:image/jpeg;base64,") == 2 and "1 &lt; 2" in page
+    assert "claims &amp; such." in page and "://" not in page
+    text = markdown_page("T", ["Intro."], chapters, tmp_path / "paper")
+    assert "| y | 0.5 |" in text and "## A figure (demo)" in text
+    assert "(paper/demo-figure9-2.jpg)" in text and "Left to right: left; b." in text
+    assert (tmp_path / "paper" / "demo-figure9-2.jpg").stat().st_size < 20_000
+
+
+def test_figures_without_results_tell_nothing():
+    assert figure2.told({}) == []
+
+
+def test_a_cut_holds_the_mask_and_some_around():
+    mask = torch.zeros(30, 40, dtype=torch.bool)
+    mask[10:14, 20:28] = True
+    assert torch.equal(cut(PICTURE, mask), PICTURE[8:16, 18:30]), "a quarter of 8 pixels"
+
+
+def test_scales_are_a_tiling_in_three_colours():
+    tiles = scales(180, across=6)  # of 30 pixels; colours repeat after three
+    assert tiles.shape == (180, 180, 3) and 0 <= tiles.min() and tiles.max() <= 1
+    assert torch.allclose(tiles[60:120, :90], tiles[60:120, 90:], atol=0.02)
+    assert tiles.std(dim=(0, 1)).min() > 0.1

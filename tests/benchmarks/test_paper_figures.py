@@ -1,0 +1,114 @@
+"""The paper's figures on three balls, whose selection and changes are known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from paper_figures import figure2, figure3, figure5, figure6
+from paper_figures.book import Book, work_through
+from paper_figures.subject import Effort, Subject
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS, SPLATS
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.selection.pick import pick
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.verbs.load import load
+
+LARGE = CAMERAS.downscale(1 / 4)
+EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, judged=2)
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    photos = load(write_ball_capture(tmp_path_factory.mktemp("capture") / "balls", LARGE))
+    red = SceneObject(pick(SPLATS, object_id=3), {"ids": [3]})
+    scene = Scene(SPLATS, LARGE, held_out=LARGE.names[:2], objects={"red": red})
+    style = torch.rand(96, 96, 3, generator=torch.Generator().manual_seed(0))
+    styles = {"noise": style, "other": style.flip(-1)}
+    return Subject("balls", scene, photos, photos, styles, load_weights("compact", depth=3), EFFORT)
+
+
+def test_a_scene_against_itself_leaks_nothing(subject: Subject):
+    found = figure2.leakage(subject, SPLATS, SPLATS, 3)
+    assert found.pop("outside_psnr") == pytest.approx(120)
+    assert len(found) == 4 and {*found.values()} == {0}
+
+
+def test_names_and_the_most_visible_first(subject: Subject):
+    assert {*subject.ids} == {3, 7, 300} and subject.called(3) == "red"
+    areas = [
+        sum(int((subject.true_map(LARGE[row]) == id).sum()) for row in range(2))
+        for id in subject.ids
+    ]
+    assert areas == sorted(areas, reverse=True)
+
+
+def test_masks_without_error_are_exact_and_more_error_is_more(subject: Subject):
+    shares = []
+    for level in (0.0, 1.0, 2.0):
+        noisy = figure2.with_errors(subject, level).label_maps
+        exact = subject.capture.label_maps
+        assert noisy is not None and exact is not None
+        pairs = zip(noisy, exact, strict=True)
+        shares.append(sum(float((a != b).float().mean()) for a, b in pairs if a is not None))
+    assert 0 == shares[0] < shares[1] < shares[2]
+
+
+def test_selection_in_3d_changes_its_gaussians_alone(subject: Subject, tmp_path: Path):
+    cells = {cell.key: cell for cell in figure2.cells(subject)}
+    keys = ["initial", *(f"{way} at 1" for way in (figure2.MASKED, figure2.STRICT))]
+    some = [cells[key] for key in (*keys, f"{figure2.LIFTED} at 1")]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, some)]) == 4
+    found = book.results(some)["figure2"]
+    masked, strict, lifted = (found[cell.key].numbers for cell in some[1:])
+    assert lifted["changed_gaussians"] <= int(subject.picked(subject.ids[0]).sum())
+    assert masked["changed_gaussians"] > strict["changed_gaussians"] > lifted["changed_gaussians"]
+    assert lifted["outside_psnr"] > masked["outside_psnr"]
+    said = [block for block in figure2.told({"figure2": found}) if hasattr(block, "text")]
+    assert len(said) == 2
+
+
+def test_exact_identities_select_what_is_there(subject: Subject):
+    """At a threshold between no and yes; the balls' own label maps are the truth."""
+    found = figure3._by_selection(subject, SPLATS, 0.5, remove=False)
+    assert found["miou"] > 0.9  # labels go to the likeliest class, a cover to half of a pixel
+    outcome = figure3._given(subject)
+    assert {**outcome.numbers} == {"miou": 1, "boundary_miou": 1}
+
+
+def test_together_is_the_two_alone_or_it_is_seen(subject: Subject):
+    outcome = figure5._both(subject, "paper")
+    assert {*outcome.numbers["differing"].values()} == {0}
+    assert outcome.numbers["changed_elsewhere"] == 0
+    assert outcome.numbers["rows"] == outcome.numbers["expected_rows"] == len(SPLATS)
+    nobody = torch.arange(len(SPLATS))
+    one = figure5.Styled(SPLATS, SPLATS, SPLATS, nobody)
+    sh0 = SPLATS.sh0.clone()
+    sh0[SPLATS.sh0.shape[0] - 1] += 1e-6
+    other = replace(one, splats=replace(SPLATS, sh0=sh0))
+    last = {1: nobody == len(SPLATS) - 1, 2: nobody == 0}
+    assert figure5._differing(one, other, 1, last) == 1
+    assert figure5._differing(one, other, 2, last) == 0
+    assert figure5._elsewhere(subject, other, {2: last[2]}) == 1
+
+
+def test_what_follows_what_is_said_as_it_is():
+    settings = [(3, scale, 0.05) for scale in figure6.SCALES]
+    for values, verdict in (
+        ((1, 2, 3), "it grows."),
+        ((3, 2, 1), "it shrinks."),
+        ((1, 3, 2), "it neither grows nor shrinks throughout."),
+    ):
+        pairs = zip(settings, values, strict=True)
+        numbers = {figure6._key(s): {"stroke": float(v)} for s, v in pairs}
+        line = figure6._follows(numbers, settings, "scale", "stroke", "Stroke length", "px")
+        assert line.endswith(verdict) and line.startswith("Stroke length by scale: ")
+
+
+def test_the_grid_or_the_lines_through_its_middle(subject: Subject):
+    assert len(figure6.cells(subject)) == 7
+    whole = replace(subject, effort=replace(EFFORT, whole_grid=True))
+    assert len(figure6.cells(whole)) == 27

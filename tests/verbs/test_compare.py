@@ -1,0 +1,99 @@
+"""Scenes side by side: the same views, numbers, differences; a scene differs from itself by 0."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.differences import flat
+from stylesplat.scene.frames import Frame, seen_from
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.shared_views import shared_views
+from stylesplat.verbs.compare import compare
+from stylesplat.verbs.load import load
+
+SCENE = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:2])
+DARKER = replace(SCENE, splats=replace(SPLATS, sh0=SPLATS.sh0 - 0.5))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_ball_capture(tmp_path_factory.mktemp("capture"))
+
+
+def test_a_scene_against_itself_is_zero_everywhere(folder: Path):
+    capture = load(folder)
+    found = compare({"a": SCENE, "b": SCENE}, {"a": capture, "b": capture}, device="cpu")
+    for each in found.scenes:
+        gaps = dict(flat(each.differences))
+        assert gaps.keys() == dict(flat(each.metrics)).keys() and "psnr" in gaps
+        assert {*gaps.values()} == {0}
+        assert len(each.from_first) == 4
+        assert [*each.from_first.values()] == pytest.approx([0, 0, 0, 0], abs=1e-6)  # SSIM's float
+    assert found.views == CAMERAS.names[:2] and not found.notes
+
+
+def test_differences_are_to_the_first(folder: Path):
+    capture = load(folder)
+    found = compare({"a": SCENE, "b": DARKER}, {"a": capture, "b": capture}, device="cpu")
+    a, b = found.scenes
+    assert b.differences["psnr"] == b.metrics["psnr"] - a.metrics["psnr"] < -3
+    assert b.differences["iou"] == {3: 0, 7: 0, 300: 0}, "labels are the same"
+    assert b.from_first["changed_share"] > 0.1 and b.from_first["ssim_lost"] > 0
+    summary = found.summary()
+    assert summary["schema"] == "stylesplat-comparison-1"
+    assert [each["name"] for each in summary["scenes"]] == ["a", "b"]
+
+
+def test_what_cannot_be_measured_is_looked_at(folder: Path):
+    found = compare({"a": SCENE, "b": DARKER}, {"a": load(folder)}, device="cpu")
+    _, b = found.scenes
+    assert not b.metrics and not b.differences and b.from_first["mean_difference"] > 0
+    assert found.notes[0].startswith("b has no numbers: Nothing to compare")
+
+
+def test_other_photos_held_out_are_noted(folder: Path):
+    capture, other = load(folder), replace(SCENE, held_out=CAMERAS.names[1:3])
+    found = compare({"a": SCENE, "b": other}, {"a": capture, "b": capture}, device="cpu")
+    assert found.views == CAMERAS.names[1:2], "what neither was trained on"
+    assert found.notes == (
+        "b holds out other photos than a: their numbers are of different photos.",
+    )
+
+
+def test_the_frame_of_the_world_is_immaterial():
+    turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = replace(SCENE, cameras=seen_from(CAMERAS, Frame(turn, 2.0, torch.ones(3))))
+    assert shared_views({"a": SCENE, "b": moved}) == CAMERAS.names[:2]
+
+
+def test_views_of_a_name_that_look_elsewhere_are_refused():
+    order = [0, 3, 6, 1, 4, 7, 2, 5]  # no turn of the ring does that
+    mixed = replace(CAMERAS[order], names=CAMERAS.names)
+    with pytest.raises(StyleSplatError, match=r"a and b have the same names, but look elsewhere"):
+        shared_views({"a": SCENE, "b": replace(SCENE, cameras=mixed)})
+
+
+def test_scenes_that_share_no_view_are_refused():
+    names = tuple(f"other{row}.png" for row in range(len(CAMERAS)))
+    other = Scene(SPLATS, replace(CAMERAS, names=names))
+    with pytest.raises(StyleSplatError, match=r"a and b share no view: .* is one of the first"):
+        compare({"a": SCENE, "b": other})
+    halves = [replace(SCENE, cameras=CAMERAS[rows]) for rows in ([0, 1], [2, 3])]
+    with pytest.raises(StyleSplatError, match=r"No view is in all of all, one, other"):
+        compare({"all": SCENE, "one": halves[0], "other": halves[1]})
+
+
+def test_views_of_another_size_are_refused():
+    small = replace(SCENE, cameras=CAMERAS.downscale(2))
+    with pytest.raises(StyleSplatError, match=r"is 48x36 pixels in a and 24x18 in b\."):
+        compare({"a": SCENE, "b": small})
+
+
+def test_one_scene_is_nothing_to_compare():
+    with pytest.raises(StyleSplatError, match=r"at least two scenes to compare, got 1\."):
+        compare({"a": SCENE})
