@@ -28,6 +28,7 @@ FOREIGN = (
     *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip", ".ts", ".3gp"),
     *(".obj", ".ply", ".glb", ".gltf", ".spz", ".sog", ".splat", ".ksplat", ".npy", ".npz"),
     *(".html", ".json", ".yaml", ".yml", ".txt", ".csv", ".md", ".tar", ".gz", ".7z", ".rar"),
+    *(".usd", ".usdc", ".usda", ".usdz"),
 )
 SCALE = "depth.json"  # beside depths of 16 bits: what a step is
 
