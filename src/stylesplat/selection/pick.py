@@ -1,7 +1,7 @@
 """An object's Gaussians by label id, by a box or by a point: on bare splats."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
@@ -15,16 +15,11 @@ from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.gaps import amid
-from stylesplat.selection.identities import (
-    class_probabilities,
-    object_ids,
-    render_labels,
-    require_identities,
-)
+from stylesplat.selection.identities import object_ids, render_labels, require_identities
+from stylesplat.selection.members import members
 from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
-SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
@@ -65,14 +60,16 @@ def pick(
     if not 0 <= threshold <= 1:
         raise StyleSplatError(f"A threshold of {threshold:g} is no probability. Give 0 to 1.")
     ids = resolve_ids(splats, object_id=object_id, box=box, point=point, camera=camera)
-    picked = pick_objects(splats, ids, threshold=threshold, remove_outliers=remove_outliers)
-    for id, mask in picked.items():
+    picked = torch.zeros_like(splats.opacities, dtype=torch.bool)
+    rules = {"threshold": threshold, "remove_outliers": remove_outliers}
+    for id, mask in each_object(splats, ids, **rules):
         if not mask.any():
             raise StyleSplatError(
                 f"No Gaussian is object {id} with a probability above {threshold:g}. "
                 "Lower the threshold, or train longer."
             )
-    return torch.stack(list(picked.values())).any(dim=0)
+        picked |= mask
+    return picked
 
 
 def resolve_ids(
@@ -104,6 +101,26 @@ def resolve_ids(
     return (_id_in_box(splats, box, camera, folder or SCENE),)
 
 
+def each_object(
+    splats: Splats,
+    ids: Sequence[int],
+    *,
+    threshold: float = THRESHOLD,
+    remove_outliers: bool = True,
+) -> Iterator[tuple[int, Bool[Tensor, " N"]]]:
+    """The Gaussians of one object after the other, with its label id, possibly none.
+
+    These are likelier the object's than `threshold` says, or in doubt and lie amid those that are.
+    """
+    found = members(splats, ids, threshold)
+    for id in dict.fromkeys(ids):
+        mask = found.mask(id)
+        if remove_outliers:
+            mask[mask.clone()] = inliers(splats.means[mask])
+        mask |= amid(splats, mask, found.doubtful(id))
+        yield id, mask
+
+
 def pick_objects(
     splats: Splats,
     ids: Sequence[int],
@@ -111,22 +128,8 @@ def pick_objects(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> dict[int, Bool[Tensor, " N"]]:
-    """The Gaussians of each object by its label id, possibly none.
-
-    These are likelier the object's than `threshold` says, or in doubt and lie amid those that are.
-    """
-    _, classifier = require_identities(splats)
-    probabilities = class_probabilities(splats)
-    picked = {}
-    for id in ids:
-        mask = probabilities[:, classifier.ids.index(id)] > threshold
-        if remove_outliers:
-            mask[mask.clone()] = inliers(splats.means[mask])
-        limits = [threshold if each == id else SURE[each == BACKGROUND] for each in classifier.ids]
-        doubtful = (probabilities <= probabilities.new_tensor(limits)).all(dim=1)
-        mask |= amid(splats, mask, doubtful)
-        picked[id] = mask
-    return picked
+    """All of `each_object` by label id; of many objects that takes much memory."""
+    return dict(each_object(splats, ids, threshold=threshold, remove_outliers=remove_outliers))
 
 
 def _known_ids(

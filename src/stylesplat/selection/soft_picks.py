@@ -20,7 +20,8 @@ from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import class_probabilities, render_labels
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.members import likeliest
 
 VIEWS = 16  # that are looked at; more tell hardly more
 LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
@@ -156,9 +157,9 @@ def _own_ids(splats: Splats, picked: Bool[Tensor, " N"]) -> Tensor:
     """The labels most of whose Gaussians are picked."""
     if splats.identities is None or splats.classifier is None:
         return torch.zeros(0, dtype=torch.long)
-    classes = class_probabilities(splats).argmax(dim=1)
-    ids = torch.tensor(splats.classifier.ids, device=classes.device)
-    every, own = (torch.bincount(some, minlength=len(ids)) for some in (classes, classes[picked]))
+    labels = likeliest(splats)
+    ids, own = labels[picked].unique(return_counts=True)
+    every = torch.stack([(labels == id).sum() for id in ids]) if len(ids) else own
     return ids[(2 * own > every) & (ids != BACKGROUND)]
 
 

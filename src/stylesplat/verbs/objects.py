@@ -10,7 +10,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.own_shares import own_shares
-from stylesplat.selection.pick import pick_objects
+from stylesplat.selection.pick import each_object
 
 
 def objects(scene: Scene) -> list[dict[str, Any]]:
@@ -24,7 +24,6 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     Raises:
         StyleSplatError: If the scene has no identities.
     """
-    picked = pick_objects(scene.splats, object_ids(scene.splats))
     return [
         {
             "id": id,
@@ -34,7 +33,7 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
             **_confidence(scene, mask),
             **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
         }
-        for id, mask in picked.items()
+        for id, mask in each_object(scene.splats, object_ids(scene.splats))
     ]
 
 
