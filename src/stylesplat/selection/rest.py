@@ -1,6 +1,5 @@
 """What is left of a scene beside its objects."""
 
-import torch
 from jaxtyping import Bool
 from torch import Tensor
 
