@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -39,15 +40,16 @@ class _Element(NamedTuple):
     """Names of the properties that are lists."""
 
 
-class PlyRows(NamedTuple):
-    """The vertices of a file that is being read."""
+@dataclass(frozen=True)
+class PlyRows:
+    """The vertices of a file, in order, some at a time."""
 
     count: int
     """How many there are."""
     dtype: np.dtype
     """Their columns."""
     blocks: Iterator[Shaped[np.ndarray, " B"]]
-    """The rows, in order, some at a time."""
+    """The rows."""
 
 
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
@@ -61,7 +63,7 @@ def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
 
 
 @contextmanager
-def ply_rows(path: Path | str, *, at_once: int = AT_ONCE) -> Iterator[PlyRows]:
+def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
     """The vertices of a PLY file, read some at a time: files may be larger than the free memory.
 
     The counts that the header claims are checked against the file's size before any memory is

@@ -34,7 +34,7 @@ def read_splat_ply(path: Path | str) -> Splats:
         StyleSplatError: If the file is missing, truncated or too long, lacks a column or holds
             numbers that are not finite.
     """
-    with ply_rows(path) as rows:
+    with ply_rows(path, at_once=AT_ONCE) as rows:
         rest = _find_rest(rows.dtype, path)
         count, bands = rows.count, len(rest) // 3
         groups = (MEANS, QUATS, SCALES, OPACITY, SH0)
