@@ -6,9 +6,10 @@
 SCENE is a trained one with objects, such as fox. What it is of is made finer, by copies of
 Gaussians beside the originals, until its largest object has about 200,000; copies of that stand on
 a grid. With `--labels` there are so many copies instead, each with one object, and 5, 20 and 50 of
-these are painted. Every command is a process of its own, whose seconds, start of Python included, seconds
-of the cores together and most resident memory are told; DIR keeps what they make. Targets with ten million Gaussians:
-import 60 s, select by point 5 s besides the start, stylize 3 min, export 30 s, 12 GB.
+these are painted. Every command is a process of its own; its seconds (start of Python included),
+those of all cores together, which other programs lengthen less, and its most resident memory are
+told. DIR keeps what they make. Targets with ten million Gaussians: import 60 s, select by point 5 s
+besides the start, stylize 3 min, export 30 s, 12 GB.
 """
 
 import argparse
