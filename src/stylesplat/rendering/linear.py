@@ -18,7 +18,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import Gaussians, Projected, views_of
+from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.kernels import linear_blocks, vec
 from stylesplat.rendering.kernels.linear_blocks import Kept
 from stylesplat.rendering.rasterize import activated, beside
@@ -113,27 +113,6 @@ def contributions(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -
     )
 
 
-@torch.no_grad()
-def drawn(gaussians: Gaussians, camera: Cameras) -> Int[Tensor, " M"]:
-    """Which Gaussians reach a pixel of one camera, in no order.
-
-    Args:
-        gaussians: As they are drawn, on the CPU.
-        camera: The camera.
-    """
-    camera = replace(
-        camera,
-        viewmats=camera.viewmats.to(gaussians.means),
-        Ks=camera.Ks.to(gaussians.means),
-    )
-    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    rows = (projected.radii > 0).all(dim=1).nonzero()[:, 0]
-    seen = Projected(*(each[rows] for each in projected))
-    colors = gaussians.means.new_zeros(len(rows), 3)
-    tiled = cpu.draw(seen, gaussians.opacities[rows], colors, camera.size).tiled
-    return rows[torch.from_numpy(tiled.order[_reaching(tiled)].astype(np.int64))]
-
-
 def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing:
     """Colours of all but the picked Gaussians, and the coverage of these."""
     gaussians, camera = activated(splats), beside(splats, camera)
@@ -148,12 +127,12 @@ def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing
 
 def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
     """Count the picked Gaussians that are drawn: the number of each rank or -1, and who it is."""
-    shown = _reaching(tiled) & picked.numpy()[tiled.order]
+    shown = reaching(tiled) & picked.numpy()[tiled.order]
     numbers = np.where(shown, np.cumsum(shown) - 1, -1).astype(np.int32)
     return numbers, torch.from_numpy(tiled.order[shown].astype(np.int64))
 
 
-def _reaching(tiled: cpu.Tiled) -> Bool[np.ndarray, " R"]:
+def reaching(tiled: cpu.Tiled) -> Bool[np.ndarray, " R"]:
     """Which ranks reach a pixel, after blending."""
     _, ranks, masks = tiled.lists
     reaching = np.zeros(len(tiled.order), bool)

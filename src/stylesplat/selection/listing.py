@@ -13,7 +13,7 @@ from stylesplat.scene.listed import Listed, ListedObjects
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.own_shares import own_shares
+from stylesplat.selection.own_shares import OwnShares
 from stylesplat.selection.pick import each_object
 
 
@@ -51,9 +51,9 @@ def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
     picks = {name: find_object(scene, name).cpu() for name in names} or picks_of(scene)
     if not picks:
         raise no_objects(scene)
-    objects = dict[str, Listed]()
+    own, objects = OwnShares(scene.splats, scene.cameras), dict[str, Listed]()
     for name, picked in track(picks.items(), "listing objects", unit="object"):
-        shares = own_shares(scene.splats, picked, scene.cameras)[picked]
+        shares = own.of(picked)[picked]
         ids = tuple(scene.objects[name].how.get("ids", ())) if name in scene.objects else ()
         objects[name] = Listed(picked.nonzero()[:, 0], shares, ids or _own_id(name))
     return ListedObjects(len(scene.splats), objects, _labels(scene))

@@ -62,8 +62,7 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
     splats, picked = splats.to("cpu"), picked.cpu()
     ids, bare = _own_ids(splats, picked), without_looks(splats)
 
-    def find(row: int) -> Place:
-        camera = cameras[row].at_most(LONGER_SIDE)
+    def find(camera: Cameras) -> Place:
         view = contributions(bare, camera, picked)
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
@@ -71,8 +70,13 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
         return Place(camera, pixels, _painted(view, pixels, len(splats)))
 
-    rows = evenly(range(len(cameras)), VIEWS)
-    return [*track(at_once(find, rows), "looking for contours", total=len(rows))]
+    views = looked_at(cameras)
+    return [*track(at_once(find, views), "looking for contours", total=len(views))]
+
+
+def looked_at(cameras: Cameras) -> list[Cameras]:
+    """Those of some views that objects are looked for in, one by one, at the size for that."""
+    return [cameras[row].at_most(LONGER_SIDE) for row in evenly(range(len(cameras)), VIEWS)]
 
 
 def soft_shares(

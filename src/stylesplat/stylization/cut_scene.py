@@ -13,14 +13,14 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import drawn
-from stylesplat.rendering.rasterize import activated
+from stylesplat.rendering.drawn import drawn
+from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.survey import LARGE
 from stylesplat.stylization.overflow import cut_to
 from stylesplat.stylization.style_job import Studio, StyleJob
 
-LARGE = 400_000  # Gaussians of a scene; of fewer the search takes as long as it saves
 MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
 
 
@@ -75,7 +75,7 @@ def _around(
     gaussians = activated(splats)
     others = gaussians._replace(opacities=gaussians.opacities.masked_fill(picked, 0))
     mine = picked.clone()
-    seen = at_once(lambda view: drawn(others, view), views)
+    seen = at_once(lambda view: drawn(others, beside(splats, view)), views)
     for rows in track(seen, "looking around the object", total=len(views)):
         mine[rows] = True
     return mine.nonzero()[:, 0]

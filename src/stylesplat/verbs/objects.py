@@ -9,7 +9,7 @@ from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.own_shares import own_shares
+from stylesplat.selection.own_shares import OwnShares
 from stylesplat.selection.pick import each_object
 
 
@@ -24,12 +24,13 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     Raises:
         StyleSplatError: If the scene has no identities.
     """
+    shares = OwnShares(scene.splats, scene.cameras)
     return [
         {
             "id": id,
             "names": names_of(scene, id),
             "gaussians": int(mask.sum()),
-            "own": int((own_shares(scene.splats, mask, scene.cameras) > 0).sum()),
+            "own": int((shares.of(mask) > 0).sum()),
             **_confidence(scene, mask),
             **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
         }

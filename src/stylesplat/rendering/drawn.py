@@ -1,0 +1,40 @@
+"""Which Gaussians show in a view, and where; without colours, on the CPU."""
+
+import numpy as np
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from stylesplat.rendering import cpu
+from stylesplat.rendering.gaussians import Gaussians, Projected, views_of
+from stylesplat.rendering.linear import reaching
+from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+
+@torch.no_grad()
+def drawn(gaussians: Gaussians, camera: Cameras) -> Int[Tensor, " M"]:
+    """Which Gaussians reach a pixel of one camera, in no order.
+
+    Args:
+        gaussians: As they are drawn, on the CPU.
+        camera: The camera, with matrices of their type.
+    """
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    rows = (projected.radii > 0).all(dim=1).nonzero()[:, 0]
+    seen = Projected(*(each[rows] for each in projected))
+    colors = gaussians.means.new_zeros(len(rows), 3)
+    tiled = cpu.draw(seen, gaussians.opacities[rows], colors, camera.size).tiled
+    return rows[torch.from_numpy(tiled.order[reaching(tiled)].astype(np.int64))]
+
+
+@torch.no_grad()
+def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
+    """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
+    views = views_of(beside(splats, camera))
+    projected = cpu.project_gaussians(activated(splats), views[0])
+    seen = (projected.radii > 0).all(dim=1, keepdim=True)
+    low = (projected.means2d - projected.radii).floor() * seen
+    high = (projected.means2d + projected.radii).ceil() * seen
+    return low.long(), high.long()
