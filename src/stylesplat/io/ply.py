@@ -24,7 +24,7 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 ASCII, LITTLE_ENDIAN, BIG_ENDIAN = "ascii", "binary_little_endian", "binary_big_endian"
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
-AT_ONCE = 1 << 14  # rows: 4 MB of a splat's, which stay in the cache while they are taken apart
+AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while it is taken apart
 REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
 

@@ -30,6 +30,20 @@ def drawn(gaussians: Gaussians, camera: Cameras) -> Int[Tensor, " M"]:
 
 
 @torch.no_grad()
+def in_picture(splats: Splats, camera: Cameras) -> Splats:
+    """The Gaussians that may reach the picture of one camera: of a part of a photo few.
+
+    Args:
+        splats: The scene. On a GPU, which draws it at once, all are kept.
+        camera: The camera.
+    """
+    if splats.device.type != "cpu":
+        return splats
+    low, high = pixel_bounds(splats, camera)
+    return splats[(low < high).all(dim=1).nonzero()[:, 0]]
+
+
+@torch.no_grad()
 def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
     """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
     views = views_of(beside(splats, camera))

@@ -9,10 +9,12 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.drawn import in_picture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.pasted import pasted
+from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.gaps import amid
 from stylesplat.selection.identities import object_ids, render_labels, require_identities
@@ -158,7 +160,8 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | s
             f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels. "
             "Coordinates are those of the photo at full size."
         )
-    label = int(render_labels(splats, camera)[int(y), int(x)])
+    pixel = crop(camera, (int(x), int(y)), (1, 1))
+    label = int(render_labels(in_picture(splats, pixel), pixel))
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
@@ -179,8 +182,9 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) ->
             "Coordinates are those of the photo at full size."
         )
     x0, y0, x1, y1 = inside
-    rows, columns = slice(int(y0), math.ceil(y1)), slice(int(x0), math.ceil(x1))
-    labels = render_labels(splats, camera)[rows, columns]
+    low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
+    part = crop(camera, low, (high[0] - low[0], high[1] - low[1]))
+    labels = render_labels(in_picture(splats, part), part)
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
     if not len(ids):
         raise StyleSplatError(
