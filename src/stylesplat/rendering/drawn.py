@@ -2,8 +2,9 @@
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int, Real
 from torch import Tensor
+from torch.nn.functional import pad
 
 from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import Gaussians, Projected, views_of
@@ -14,19 +15,36 @@ from stylesplat.scene.splats import Splats
 
 
 @torch.no_grad()
-def drawn(gaussians: Gaussians, camera: Cameras) -> Int[Tensor, " M"]:
+def drawn(
+    gaussians: Gaussians, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None
+) -> Int[Tensor, " M"]:
     """Which Gaussians reach a pixel of one camera, in no order.
 
     Args:
         gaussians: As they are drawn, on the CPU.
         camera: The camera, with matrices of their type.
+        pixels: Those that count; of what cannot reach one of them nothing is drawn.
     """
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    rows = (projected.radii > 0).all(dim=1).nonzero()[:, 0]
+    rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]  # they are 0 both, or neither
+    if pixels is not None:
+        places, radii = projected.means2d[rows], projected.radii[rows]
+        rows = rows[touching((places - radii).floor(), (places + radii).ceil(), pixels)]
     seen = Projected(*(each[rows] for each in projected))
     colors = gaussians.means.new_zeros(len(rows), 3)
     tiled = cpu.draw(seen, gaussians.opacities[rows], colors, camera.size).tiled
     return rows[torch.from_numpy(tiled.order[reaching(tiled)].astype(np.int64))]
+
+
+def touching(
+    low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
+) -> Bool[Tensor, " N"]:
+    """Which boxes of pixels, from and to, hold some that count."""
+    size = low.new_tensor([*pixels.shape[::-1]])
+    low, high = (corner.clamp(min=0).minimum(size).long() for corner in (low, high))
+    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
+    (left, top), (right, bottom) = low.unbind(1), high.unbind(1)
+    return sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > 0
 
 
 @torch.no_grad()

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
+from torch.nn.functional import max_pool2d
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
@@ -18,7 +19,7 @@ from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.survey import LARGE
-from stylesplat.stylization.overflow import cut_to
+from stylesplat.stylization.overflow import reached
 from stylesplat.stylization.style_job import Studio, StyleJob
 
 MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
@@ -65,17 +66,23 @@ def cut_scene(studio: Studio, picked: Bool[Tensor, " N"]) -> CutScene | None:
     splats = studio.splats
     if len(splats) < LARGE or splats.device.type != "cpu":
         return None
-    return CutScene(_around(splats, picked, cut_to(splats[picked], studio.every_camera, MARGIN)))
+    views = [studio.every_camera[index] for index in range(len(studio.every_camera))]
+    return CutScene(_around(splats, picked, views))
 
 
 def _around(
     splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[Cameras]
 ) -> Int[Tensor, " M"]:
     """The picked Gaussians, and what would show in some views without them."""
-    gaussians = activated(splats)
+    gaussians, own = activated(splats), splats[picked.nonzero()[:, 0]]
     others = gaussians._replace(opacities=gaussians.opacities.masked_fill(picked, 0))
     mine = picked.clone()
-    seen = at_once(lambda view: drawn(others, beside(splats, view)), views)
-    for rows in track(seen, "looking around the object", total=len(views)):
+
+    def look(view: Cameras) -> Tensor:
+        near = reached(own, view)[None].float()
+        near = max_pool2d(near, 2 * MARGIN + 1, stride=1, padding=MARGIN)[0] > 0
+        return drawn(others, beside(splats, view), near)
+
+    for rows in track(at_once(look, views), "looking around the object", total=len(views)):
         mine[rows] = True
     return mine.nonzero()[:, 0]
