@@ -13,6 +13,8 @@ from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
+AT_ONCE = 1 << 16  # Gaussians whose places stay in the cache while they are looked up
+
 
 @torch.no_grad()
 def drawn(
@@ -26,14 +28,23 @@ def drawn(
         pixels: Those that count; of what cannot reach one of them nothing is drawn.
     """
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]  # they are 0 both, or neither
-    if pixels is not None:
-        places, radii = projected.means2d[rows], projected.radii[rows]
-        rows = rows[touching((places - radii).floor(), (places + radii).ceil(), pixels)]
+    rows = _near(projected, pixels)
     seen = Projected(*(each[rows] for each in projected))
     colors = gaussians.means.new_zeros(len(rows), 3)
     tiled = cpu.draw(seen, gaussians.opacities[rows], colors, camera.size).tiled
     return rows[torch.from_numpy(tiled.order[reaching(tiled)].astype(np.int64))]
+
+
+def _near(projected: Projected, pixels: Bool[Tensor, "H W"] | None) -> Int[Tensor, " M"]:
+    """Those that may reach a pixel that counts."""
+    rows = []
+    parts = zip(projected.means2d.split(AT_ONCE), projected.radii.split(AT_ONCE), strict=True)
+    for number, (places, radii) in enumerate(parts):
+        near = (radii > 0).all(dim=1)
+        if pixels is not None:
+            near &= touching((places - radii).floor(), (places + radii).ceil(), pixels)
+        rows.append(AT_ONCE * number + near.nonzero()[:, 0])
+    return torch.cat(rows)
 
 
 def touching(

@@ -79,8 +79,9 @@ def _around(
     mine = picked.clone()
 
     def look(view: Cameras) -> Tensor:
-        near = reached(own, view)[None].float()
-        near = max_pool2d(near, 2 * MARGIN + 1, stride=1, padding=MARGIN)[0] > 0
+        near, side = reached(own, view)[None].float(), 2 * MARGIN + 1
+        near = max_pool2d(near, (side, 1), stride=1, padding=(MARGIN, 0))
+        near = max_pool2d(near, (1, side), stride=1, padding=(0, MARGIN))[0] > 0
         return drawn(others, beside(splats, view), near)
 
     for rows in track(at_once(look, views), "looking around the object", total=len(views)):
