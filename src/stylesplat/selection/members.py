@@ -20,7 +20,7 @@ NOBODY = -1
 class Members:
     """What identities say of the objects of some label ids."""
 
-    likely: Mapping[int, Int[Tensor, " R"]]
+    likely: Mapping[int, Int[Tensor, " _"]]
     """By id the Gaussians that are likelier its own than the threshold says."""
     sure: Int[Tensor, " N"]
     """The label id that each Gaussian surely has, or -1."""

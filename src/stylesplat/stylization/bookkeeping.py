@@ -116,7 +116,7 @@ def _mixed(painted: Painted, splats: Splats, rows: Int[Tensor, " R"], intensity:
     return Looks.of(crossfade(base, full, everyone, intensity))
 
 
-def _looking(splats: Splats, parts: Sequence[tuple[Int[Tensor, " R"], Looks]]) -> Splats:
+def _looking(splats: Splats, parts: Sequence[tuple[Int[Tensor, " _"], Looks]]) -> Splats:
     """The splats with other looks of some Gaussians."""
     if not parts:
         return splats
