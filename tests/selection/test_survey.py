@@ -27,7 +27,7 @@ def test_shares_are_those_in_the_whole_scene():
     found = OwnShares(SPLATS, CAMERAS)
     for _, picked in each_object(SPLATS, [*BALLS]):
         assert torch.equal(found.of(picked), own_shares(SPLATS, picked, CAMERAS))
-    nobody = torch.zeros_like(picked)
+    nobody = torch.zeros(len(SPLATS), dtype=torch.bool)
     assert not found.of(nobody).any()
 
 
