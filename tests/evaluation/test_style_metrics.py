@@ -16,8 +16,9 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization import paint_objects as painting
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects
+from stylesplat.stylization.paint_objects import open_studio, paint_objects
 from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.styled_scene import Styled
 
 
 def measured(

@@ -21,13 +21,13 @@ from stylesplat.selection.soft_picks import find_places, soft_shares
 from stylesplat.stylization import paint_objects as loop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import (
-    Styled,
     open_studio,
     paint,
     paint_live,
     paint_objects,
 )
 from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.styled_scene import Styled
 
 
 def changed(styled: Splats) -> set[str]:

@@ -28,7 +28,8 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
-from stylesplat.selection.pick import pick_objects
+from stylesplat.selection.pick import each_object
+from stylesplat.selection.survey import survey
 from stylesplat.stylization.object_views import SURVEY_SIZE
 
 CELL = 256  # pixels along a cut-out
@@ -76,16 +77,22 @@ def object_sheet(
             "These splats have no objects: the label maps hold only background. "
             "Train with label maps that name some."
         )
-    picked = pick_objects(splats, ids)
-    rows = _best_views(splats, cameras, picked)
+    searched = evenly(range(len(cameras)), SURVEY_VIEWS)
+    scores = _scores(splats, cameras, searched, ids)
+    seen = survey(splats, [small(cameras[row]) for row in searched])
     cells = []
-    for id in track(ids, "objects", unit="object"):
+    for id, picked in track(each_object(splats, ids), "objects", unit="object", total=len(ids)):
+        rows = best_rows(cameras, splats.means[solid(splats, picked)], scores[id])
+        there, own = splats, picked
+        if seen is not None and picked.any():
+            around = seen.around(picked)
+            there, own = splats[around], picked[around]
         pictures = [
-            _portrait(splats, picked[id], cameras[row], side)
-            for row, side in zip(rows[id], (CELL, *[SMALL] * (VIEWS - 1)), strict=False)
+            _portrait(there, own, cameras[row], side)
+            for row, side in zip(rows, (CELL, *[SMALL] * (VIEWS - 1)), strict=False)
         ]
         title = " · ".join([str(id), *filter(None, [(names or {}).get(id)])])
-        cells.append(_cell(pictures, title, f"{int(picked[id].sum()):,} Gaussians"))
+        cells.append(_cell(pictures, title, f"{int(picked.sum()):,} Gaussians"))
     return torch.from_numpy(np.array(_grid(cells)))
 
 
@@ -112,24 +119,19 @@ def close_up(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> Ca
     return _aim(splats, picked, best, CELL, padding=SURROUNDINGS)
 
 
-def _best_views(
-    splats: Splats,
-    cameras: Cameras,
-    picked: Mapping[int, Bool[Tensor, " N"]],
-) -> dict[int, list[int]]:
-    """For each object the cameras that show it best and from sides that differ, best first."""
-    scores: dict[int, dict[int, float]] = {id: {} for id in picked}
-    rows = evenly(range(len(cameras)), SURVEY_VIEWS)
+def _scores(
+    splats: Splats, cameras: Cameras, rows: Sequence[int], ids: Sequence[int]
+) -> dict[int, dict[int, float]]:
+    """For each object how well some cameras show it; none that do not."""
+    scores: dict[int, dict[int, float]] = {id: {} for id in ids}
     labelled = at_once(lambda row: render_labels(splats, small(cameras[row])), rows, splats.device)
     for row, labels in zip(
         rows, track(labelled, "looking for objects", total=len(rows)), strict=True
     ):
-        for id in picked:
-            scores[id][row] = visibility(labels == id)
-    return {
-        id: best_rows(cameras, splats.means[solid(splats, mask)], scores[id])
-        for id, mask in picked.items()
-    }
+        for id in labels.unique().tolist():
+            if id in scores:
+                scores[id][row] = visibility(labels == id)
+    return scores
 
 
 def _portrait(

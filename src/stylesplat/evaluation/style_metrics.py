@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -19,6 +19,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import object_colors
+from stylesplat.stylization.cut_scene import CutScene
 from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.object_views import Box, ObjectView, find_boxes, typical_length
 from stylesplat.stylization.paint_objects import moved
@@ -31,7 +32,13 @@ STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
 
 
 def measure_painted(
-    studio: Studio, jobs: Sequence[StyleJob], styled: Splats, *, held_out: Cameras | None = None
+    studio: Studio,
+    jobs: Sequence[StyleJob],
+    styled: Splats,
+    *,
+    held_out: Cameras | None = None,
+    cuts: Mapping[str, CutScene] | None = None,
+    parents: Int[Tensor, " L"] | None = None,
 ) -> dict[str, Any]:
     """What painting some objects did to them and to the scene.
 
@@ -40,6 +47,8 @@ def measure_painted(
         jobs: The objects and their styles.
         styled: The scene after; it may have more Gaussians.
         held_out: Views to measure on; those of the studio by default.
+        cuts: By name, of a large scene, what objects are measured in.
+        parents: Which Gaussian of the scene before each one after comes from, if there are `cuts`.
 
     Returns:
         What `measure_changes` returns, and by name in `objects` what `measure_object` does.
@@ -47,7 +56,15 @@ def measure_painted(
     base, training = studio.splats, studio.cameras
     measured = replace(studio, cameras=held_out or training)
     jobs = [moved(job, base) for job in jobs]
-    objects = {job.name: measure_object(measured, job, styled, fallback=training) for job in jobs}
+    objects = {}
+    for job in jobs:
+        if cuts and job.name in cuts:
+            assert parents is not None
+            cut = cuts[job.name]
+            part, own, after = cut.studio(measured), cut.job(job), cut.styled(styled, parents)
+        else:
+            part, own, after = measured, job, styled
+        objects[job.name] = measure_object(part, own, after, fallback=training)
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
     return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
 

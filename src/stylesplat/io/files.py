@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 from stylesplat.errors import StyleSplatError, brief
@@ -91,24 +92,40 @@ def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) ->
         StyleSplatError: If there is none, or it is larger or cannot be read.
     """
     path = Path(path)
-    require_regular(path)
-    try:
-        size = path.stat().st_size
+    with reading(path) as file:
+        size = os.fstat(file.fileno()).st_size
         if most is not None and size > most:
             raise StyleSplatError(
                 f"Cannot read {path}: it has {size} bytes, such files have {most} at most. "
                 "Check the name."
             )
-        with path.open("rb") as file:
-            return file.read(first)
+        return file.read(first)
+
+
+@contextmanager
+def reading(path: Path | str) -> Iterator[BinaryIO]:
+    """A plain file to read from, bit by bit.
+
+    Raises:
+        StyleSplatError: If there is none, it cannot be read, or memory does not hold what it has.
+    """
+    path = Path(path)
+    require_regular(path)
+    try:
+        file = path.open("rb")
     except ValueError as error:
         raise _no_name(path) from error
     except OSError as error:
         raise cannot_read(path, error) from error
-    except MemoryError as error:
-        raise StyleSplatError(
-            f"Cannot read {path}: it is larger than the free memory. Close other programs."
-        ) from error
+    with file:
+        try:
+            yield file
+        except OSError as error:
+            raise cannot_read(path, error) from error
+        except MemoryError as error:
+            raise StyleSplatError(
+                f"Cannot read {path}: it is larger than the free memory. Close other programs."
+            ) from error
 
 
 def file_stem(name: str) -> str:

@@ -1,14 +1,19 @@
 """PLY files that hold one table: a row per vertex, a column per property."""
 
+import os
 import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from jaxtyping import Shaped
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, read_bytes, reason
+from stylesplat.io.files import atomic_path, reading, reason
 from stylesplat.progress import say
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
@@ -19,6 +24,7 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 ASCII, LITTLE_ENDIAN, BIG_ENDIAN = "ascii", "binary_little_endian", "binary_big_endian"
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
+AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while it is taken apart
 REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
 
@@ -34,31 +40,72 @@ class _Element(NamedTuple):
     """Names of the properties that are lists."""
 
 
+@dataclass(frozen=True)
+class PlyRows:
+    """The vertices of a file, in order, some at a time."""
+
+    count: int
+    """How many there are."""
+    dtype: np.dtype
+    """Their columns."""
+    blocks: Iterator[Shaped[np.ndarray, " B"]]
+    """The rows."""
+
+
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
     """Read the vertices of a PLY file into a structured array.
+
+    Raises:
+        StyleSplatError: As `ply_rows` does.
+    """
+    with ply_rows(path, at_once=sys.maxsize) as rows:
+        return next(rows.blocks, np.empty(0, rows.dtype))
+
+
+@contextmanager
+def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
+    """The vertices of a PLY file, read some at a time: files may be larger than the free memory.
 
     The counts that the header claims are checked against the file's size before any memory is
     taken. Elements that follow the vertices, such as faces, are skipped; so are bytes that the
     header does not announce, which the user is told.
 
+    Args:
+        path: The file.
+        at_once: Rows of a block.
+
     Raises:
         StyleSplatError: If the file is missing, no PLY or truncated, or its vertices hold lists or
             come after other elements.
     """
-    content = read_bytes(path)
-    try:
-        header, body = _split(content)
-        encoding, vertices, later = _parse(header)
-        if encoding == ASCII:
-            rows, left = _ascii_rows(body, vertices, later)
-            say_left_over(path, left, "line")
-            return rows
-        dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
-        rows, left = _binary_rows(body, vertices.rows, dtype, later)
-        say_left_over(path, left)
-        return rows
-    except (ValueError, OverflowError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error
+    with reading(path) as file:
+        try:
+            rows, left, what = _opened(file, at_once)
+        except (ValueError, OverflowError) as error:
+            raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error
+        say_left_over(path, left, what)
+        yield rows
+
+
+def _opened(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
+    """The rows, and how much follows what the header announces."""
+    header, start = _split(file.read(MAX_HEADER))
+    encoding, vertices, later = _parse(header)
+    file.seek(start)
+    if encoding == ASCII:
+        table, left = _ascii_rows(file.read(), vertices, later)
+        return PlyRows(len(table), table.dtype, iter([table])), left, "line"
+    dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
+    size = os.fstat(file.fileno()).st_size - start
+    left = _left_over(size, vertices.rows, dtype, later)
+    return PlyRows(vertices.rows, dtype, _blocks(file, vertices.rows, dtype, at_once)), left, "byte"
+
+
+def _blocks(
+    file: BinaryIO, count: int, dtype: np.dtype, at_once: int
+) -> Iterator[Shaped[np.ndarray, " B"]]:
+    for start in range(0, count, at_once):
+        yield np.fromfile(file, dtype, min(at_once, count - start))
 
 
 def say_left_over(path: Path | str, count: int, what: str = "byte") -> None:
@@ -77,21 +124,33 @@ def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
     Raises:
         StyleSplatError: If the file cannot be written.
     """
-    assert table.dtype.names is not None
-    columns = [f"property {PLY_NAMES[table.dtype[n].str[1:]]} {n}" for n in table.dtype.names]
-    lines = ["ply", f"format {LITTLE_ENDIAN} 1.0", f"element vertex {len(table)}"]
+    write_ply_rows(PlyRows(len(table), table.dtype, iter([table])), path)
+
+
+def write_ply_rows(rows: PlyRows, path: Path | str) -> None:
+    """Write rows as little-endian binary PLY, as they come.
+
+    Raises:
+        StyleSplatError: If the file cannot be written.
+    """
+    names = rows.dtype.names
+    assert names is not None
+    columns = [f"property {PLY_NAMES[rows.dtype[n].str[1:]]} {n}" for n in names]
+    lines = ["ply", f"format {LITTLE_ENDIAN} 1.0", f"element vertex {rows.count}"]
     header = "\n".join([*lines, *columns, "end_header\n"]).encode("ascii")
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(header)
-        file.write(np.ascontiguousarray(table).data)
+        for block in rows.blocks:
+            file.write(np.ascontiguousarray(block).data)
 
 
-def _split(content: bytes) -> tuple[list[str], memoryview]:
-    end = re.search(rb"^end_header\r?\n", content[:MAX_HEADER], re.MULTILINE)
+def _split(content: bytes) -> tuple[list[str], int]:
+    """The lines of the header, and where the rows begin."""
+    end = re.search(rb"^end_header\r?\n", content, re.MULTILINE)
     if not re.match(rb"ply\r?\n", content) or end is None:
         raise ValueError("it is not a PLY file")
     lines = content[: end.start()].decode("ascii", errors="replace").splitlines()
-    return lines, memoryview(content)[end.end() :]
+    return lines, end.end()
 
 
 def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
@@ -131,28 +190,26 @@ def _plain_vertices(elements: list[_Element]) -> _Element:
     return first
 
 
-def _binary_rows(
-    body: memoryview, count: int, dtype: np.dtype, later: list[_Element]
-) -> tuple[Shaped[np.ndarray, " N"], int]:
-    """The vertices, and how many bytes nobody announced."""
+def _left_over(size: int, count: int, dtype: np.dtype, later: list[_Element]) -> int:
+    """How many of so many bytes nobody announced."""
     first = count * dtype.itemsize
-    if len(body) < first:
-        raise ValueError(f"it is truncated: {count} vertices take {first} bytes, got {len(body)}")
+    if size < first:
+        raise ValueError(f"it is truncated: {count} vertices take {first} bytes, got {size}")
     least = sum(element.rows * np.dtype(element.columns).itemsize for element in later)
-    if len(body) - first < least:
+    if size - first < least:
         raise ValueError(
             f"it is truncated: {later[0].name!r} and what follows take {least} bytes or more, got "
-            f"{len(body) - first}"
+            f"{size - first}"
         )
     sized = not any(element.lists for element in later)
-    return np.frombuffer(body[:first], dtype), len(body) - first - least if sized else 0
+    return size - first - least if sized else 0
 
 
 def _ascii_rows(
-    body: memoryview, vertices: _Element, later: list[_Element]
+    body: bytes, vertices: _Element, later: list[_Element]
 ) -> tuple[Shaped[np.ndarray, " N"], int]:
     """The vertices, and how many lines nobody announced."""
-    lines = bytes(body).decode("ascii", errors="replace").splitlines()
+    lines = body.decode("ascii", errors="replace").splitlines()
     lines = [line for line in lines if line.strip()]
     if len(lines) < vertices.rows:
         raise ValueError(f"the header claims {vertices.rows} vertices, got {len(lines)} lines")

@@ -24,7 +24,7 @@ def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
     """
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
-        temporary.write_bytes(safetensors.torch.save(whole))
+        safetensors.torch.save_file(whole, temporary)
 
 
 def read_tensors(path: Path, declared: Mapping[str, Declared], **sizes: int) -> dict[str, Tensor]:
@@ -67,8 +67,9 @@ def _check(
 
 
 def _load(path: Path) -> dict[str, Tensor]:
-    content = read_bytes(path)
+    read_bytes(path, first=1)  # says what is wrong with a place that cannot be read
     try:
-        return safetensors.torch.load(content)
+        with safetensors.safe_open(path, "pt") as file:
+            return {name: file.get_tensor(name).clone() for name in file.keys()}
     except DAMAGED as error:
         raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error

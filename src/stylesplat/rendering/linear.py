@@ -127,12 +127,17 @@ def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing
 
 def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
     """Count the picked Gaussians that are drawn: the number of each rank or -1, and who it is."""
+    shown = reaching(tiled) & picked.numpy()[tiled.order]
+    numbers = np.where(shown, np.cumsum(shown) - 1, -1).astype(np.int32)
+    return numbers, torch.from_numpy(tiled.order[shown].astype(np.int64))
+
+
+def reaching(tiled: cpu.Tiled) -> Bool[np.ndarray, " R"]:
+    """Which ranks reach a pixel, after blending."""
     _, ranks, masks = tiled.lists
-    drawn = np.zeros(len(tiled.order), bool)
-    drawn[ranks[masks != 0]] = True
-    drawn &= picked.numpy()[tiled.order]
-    numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)
-    return numbers, torch.from_numpy(tiled.order[drawn].astype(np.int64))
+    reaching = np.zeros(len(tiled.order), bool)
+    reaching[ranks[masks != 0]] = True
+    return reaching
 
 
 def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:

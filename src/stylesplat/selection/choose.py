@@ -15,7 +15,15 @@ from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.selection.detector import Detector
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.margins import grow, shrink
-from stylesplat.selection.pick import THRESHOLD, Box, Point, pick, pick_objects, resolve_ids
+from stylesplat.selection.pick import (
+    THRESHOLD,
+    Box,
+    Point,
+    each_object,
+    pick,
+    pick_objects,
+    resolve_ids,
+)
 from stylesplat.selection.rest import rest
 from stylesplat.selection.shapes import in_box, in_sphere, surface_point
 from stylesplat.selection.text import clear_winner, rank_objects
@@ -158,6 +166,22 @@ def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
     )
 
 
+def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, " N"]]:
+    """As `find_object` does for each; label ids are looked up together.
+
+    Raises:
+        StyleSplatError: If the scene lacks one of them.
+    """
+    told = {*scene.objects, *(scene.painted.names if scene.painted else ())}
+    classifier = scene.splats.classifier
+    ids = {name: int(name) for name in names if is_id(name) and name not in told}
+    if classifier is None or len(ids) < 2 or not {*ids.values()} <= {*object_ids(scene.splats)}:
+        return {name: find_object(scene, name) for name in names}
+    picked = pick_objects(scene.splats, [*ids.values()])
+    there = {name: picked[id] for name, id in ids.items() if picked[id].any()}
+    return {name: there[name] if name in there else find_object(scene, name) for name in names}
+
+
 def names_of(scene: Scene, id: int) -> list[str]:
     """What the whole object of a label id is called."""
     return [
@@ -174,8 +198,9 @@ def _taken_away(
     for name in choice.minus:
         yield find_object(scene, name)
     if without:
-        picked = pick_objects(scene.splats, without, threshold=threshold, remove_outliers=False)
-        yield from picked.values()
+        rules = Rules(threshold, remove_outliers=False)
+        for _, picked in each_object(scene.splats, without, **rules._asdict()):
+            yield picked
 
 
 def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:

@@ -13,8 +13,8 @@ from stylesplat.scene.listed import Listed, ListedObjects
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.own_shares import own_shares
-from stylesplat.selection.pick import pick_objects
+from stylesplat.selection.own_shares import OwnShares
+from stylesplat.selection.pick import each_object
 
 
 def picks_of(scene: Scene) -> dict[str, Bool[Tensor, " N"]]:
@@ -23,8 +23,8 @@ def picks_of(scene: Scene) -> dict[str, Bool[Tensor, " N"]]:
     if scene.splats.classifier is None:
         return picks
     unnamed = [id for id in object_ids(scene.splats) if not names_of(scene, id)]
-    found = pick_objects(scene.splats, unnamed) if unnamed else {}
-    return picks | {str(id): picked for id, picked in found.items() if picked.any()}
+    found = each_object(scene.splats, unnamed) if unnamed else ()
+    return picks | {str(id): picked for id, picked in found if picked.any()}
 
 
 def no_objects(scene: Scene) -> StyleSplatError:
@@ -51,9 +51,9 @@ def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
     picks = {name: find_object(scene, name).cpu() for name in names} or picks_of(scene)
     if not picks:
         raise no_objects(scene)
-    objects = dict[str, Listed]()
+    own, objects = OwnShares(scene.splats, scene.cameras), dict[str, Listed]()
     for name, picked in track(picks.items(), "listing objects", unit="object"):
-        shares = own_shares(scene.splats, picked, scene.cameras)[picked]
+        shares = own.of(picked)[picked]
         ids = tuple(scene.objects[name].how.get("ids", ())) if name in scene.objects else ()
         objects[name] = Listed(picked.nonzero()[:, 0], shares, ids or _own_id(name))
     return ListedObjects(len(scene.splats), objects, _labels(scene))
@@ -67,6 +67,6 @@ def _labels(scene: Scene) -> Int[Tensor, " N"] | None:
     if scene.splats.classifier is None:
         return None
     labels = torch.full((len(scene.splats),), BACKGROUND)
-    for id, picked in pick_objects(scene.splats, object_ids(scene.splats)).items():
+    for id, picked in each_object(scene.splats, object_ids(scene.splats)):
         labels[picked] = id
     return labels

@@ -9,6 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.content import FAINT, solid
 from stylesplat.scene.splats import Splats
 
+SLACK = 1e-6  # of a distance, more than float32 rounds
 INSIDE = 0.9  # share of an object's solid centres that make up its extent; the rest may be strays
 
 
@@ -74,9 +75,13 @@ def near(
     points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
 ) -> Bool[Tensor, " M"]:
     """Which points lie at most so far from one of the others."""
-    positions, targets = (each.detach().cpu().double().numpy() for each in (points, others))
-    # Bounded, the search ends early; the bound itself is excluded, so it is a little wider
-    distances, _ = KDTree(targets).query(
-        positions, distance_upper_bound=reach * (1 + 1e-9), workers=-1
-    )
-    return torch.from_numpy(distances <= reach).to(points.device)
+    bound = reach * (1 + SLACK)  # the search excludes its bound, so it is a little wider
+    nobody = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+    if not len(others):
+        return nobody
+    low, high = others.amin(dim=0) - bound, others.amax(dim=0) + bound
+    room = SLACK * torch.maximum(low.abs(), high.abs())  # float32 rounds these sums
+    rows = ((points >= low - room) & (points <= high + room)).all(dim=1).nonzero()[:, 0]
+    positions, targets = (each.detach().cpu().double().numpy() for each in (points[rows], others))
+    distances, _ = KDTree(targets).query(positions, distance_upper_bound=bound, workers=-1)
+    return nobody.index_fill(0, rows[torch.from_numpy(distances <= reach).to(rows.device)], True)

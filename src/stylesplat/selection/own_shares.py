@@ -7,7 +7,8 @@ from torch import Tensor
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
-from stylesplat.selection.soft_picks import find_places, soft_shares
+from stylesplat.selection.soft_picks import find_places, looked_at, soft_shares
+from stylesplat.selection.survey import survey
 
 
 @torch.no_grad()
@@ -28,3 +29,23 @@ def own_shares(
     """
     own = picked & ~on_support(splats, picked, seed=seed)
     return soft_shares(splats, own, find_places(splats, own, cameras))
+
+
+class OwnShares:
+    """The same of one object after the other: of a large scene only what matters to each."""
+
+    def __init__(self, splats: Splats, cameras: Cameras) -> None:
+        self._splats, self._cameras = splats, cameras
+        self._survey = survey(splats, looked_at(cameras))
+
+    def of(self, picked: Bool[Tensor, " N"]) -> Float[Tensor, " N"]:
+        """As `own_shares`.
+
+        Args:
+            picked: The object's Gaussians.
+        """
+        if self._survey is None or not picked.any():
+            return own_shares(self._splats, picked, self._cameras)
+        rows = self._survey.around(picked)
+        shares = own_shares(self._splats[rows], picked[rows], self._cameras)
+        return shares.new_zeros(len(picked)).index_copy_(0, rows, shares)

@@ -1,7 +1,7 @@
 """An object's Gaussians by label id, by a box or by a point: on bare splats."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
@@ -9,22 +9,19 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.drawn import in_picture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.pasted import pasted
+from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.gaps import amid
-from stylesplat.selection.identities import (
-    class_probabilities,
-    object_ids,
-    render_labels,
-    require_identities,
-)
+from stylesplat.selection.identities import object_ids, render_labels, require_identities
+from stylesplat.selection.members import members
 from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
-SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
@@ -65,14 +62,16 @@ def pick(
     if not 0 <= threshold <= 1:
         raise StyleSplatError(f"A threshold of {threshold:g} is no probability. Give 0 to 1.")
     ids = resolve_ids(splats, object_id=object_id, box=box, point=point, camera=camera)
-    picked = pick_objects(splats, ids, threshold=threshold, remove_outliers=remove_outliers)
-    for id, mask in picked.items():
+    picked = torch.zeros_like(splats.opacities, dtype=torch.bool)
+    rules = {"threshold": threshold, "remove_outliers": remove_outliers}
+    for id, mask in each_object(splats, ids, **rules):
         if not mask.any():
             raise StyleSplatError(
                 f"No Gaussian is object {id} with a probability above {threshold:g}. "
                 "Lower the threshold, or train longer."
             )
-    return torch.stack(list(picked.values())).any(dim=0)
+        picked |= mask
+    return picked
 
 
 def resolve_ids(
@@ -104,6 +103,26 @@ def resolve_ids(
     return (_id_in_box(splats, box, camera, folder or SCENE),)
 
 
+def each_object(
+    splats: Splats,
+    ids: Sequence[int],
+    *,
+    threshold: float = THRESHOLD,
+    remove_outliers: bool = True,
+) -> Iterator[tuple[int, Bool[Tensor, " N"]]]:
+    """The Gaussians of one object after the other, with its label id, possibly none.
+
+    These are likelier the object's than `threshold` says, or in doubt and lie amid those that are.
+    """
+    found = members(splats, ids, threshold)
+    for id in dict.fromkeys(ids):
+        mask = found.mask(id)
+        if remove_outliers:
+            mask[mask.clone()] = inliers(splats.means[mask])
+        mask |= amid(splats, mask, found.doubtful(id))
+        yield id, mask
+
+
 def pick_objects(
     splats: Splats,
     ids: Sequence[int],
@@ -111,22 +130,8 @@ def pick_objects(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> dict[int, Bool[Tensor, " N"]]:
-    """The Gaussians of each object by its label id, possibly none.
-
-    These are likelier the object's than `threshold` says, or in doubt and lie amid those that are.
-    """
-    _, classifier = require_identities(splats)
-    probabilities = class_probabilities(splats)
-    picked = {}
-    for id in ids:
-        mask = probabilities[:, classifier.ids.index(id)] > threshold
-        if remove_outliers:
-            mask[mask.clone()] = inliers(splats.means[mask])
-        limits = [threshold if each == id else SURE[each == BACKGROUND] for each in classifier.ids]
-        doubtful = (probabilities <= probabilities.new_tensor(limits)).all(dim=1)
-        mask |= amid(splats, mask, doubtful)
-        picked[id] = mask
-    return picked
+    """All of `each_object` by label id; of many objects that takes much memory."""
+    return dict(each_object(splats, ids, threshold=threshold, remove_outliers=remove_outliers))
 
 
 def _known_ids(
@@ -155,7 +160,8 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | s
             f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels. "
             "Coordinates are those of the photo at full size."
         )
-    label = int(render_labels(splats, camera)[int(y), int(x)])
+    pixel = crop(camera, (int(x), int(y)), (1, 1))
+    label = int(render_labels(in_picture(splats, pixel), pixel))
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
@@ -176,8 +182,9 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) ->
             "Coordinates are those of the photo at full size."
         )
     x0, y0, x1, y1 = inside
-    rows, columns = slice(int(y0), math.ceil(y1)), slice(int(x0), math.ceil(x1))
-    labels = render_labels(splats, camera)[rows, columns]
+    low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
+    part = crop(camera, low, (high[0] - low[0], high[1] - low[1]))
+    labels = render_labels(in_picture(splats, part), part)
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
     if not len(ids):
         raise StyleSplatError(

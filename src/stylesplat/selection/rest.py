@@ -1,13 +1,12 @@
 """What is left of a scene beside its objects."""
 
-import torch
 from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.pick import THRESHOLD, pick_objects
+from stylesplat.selection.pick import THRESHOLD, each_object
 
 WHOLE = frozenset({"all", "background"})  # selections with these are no objects beside others
 
@@ -28,20 +27,22 @@ def rest(
     """
     if scene.splats.classifier is not None:
         ids = object_ids(scene.splats)
-        picked = pick_objects(scene.splats, ids, threshold=threshold, remove_outliers=False)
-        masks = [*picked.values()]
+        found = each_object(scene.splats, ids, threshold=threshold, remove_outliers=False)
+        masks = (picked for _, picked in found)
     else:
-        masks = [
+        masks = (
             each.picked
             for other, each in scene.objects.items()
             if other != name and not WHOLE & each.how.keys()
-        ]
-    if not masks:
+        )
+    left = None
+    for picked in masks:
+        left = ~picked if left is None else left & ~picked
+    if left is None:
         raise StyleSplatError(
             "The scene has no objects, so all of it is background. Select it with --all, or name "
             "objects first."
         )
-    left = ~torch.stack(masks).any(dim=0)
     if not left.any():
         raise StyleSplatError("Every Gaussian belongs to an object. Nothing is background.")
     return left

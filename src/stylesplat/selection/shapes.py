@@ -5,9 +5,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.drawn import in_picture
 from stylesplat.rendering.shares import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import unproject
+from stylesplat.scene.projection import crop, unproject
 from stylesplat.scene.splats import Splats
 
 
@@ -53,13 +54,14 @@ def surface_point(
         raise StyleSplatError(
             f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels."
         )
-    depths, alphas = expected_depth(splats, camera)
     row, column = int(y), int(x)
-    if alphas[row, column] < COVERED:
+    pixel = crop(camera, (column, row), (1, 1))
+    depths, alphas = expected_depth(in_picture(splats, pixel), pixel)
+    if alphas[0, 0] < COVERED:
         raise StyleSplatError(
             f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}. Choose another pixel."
         )
-    depth = depths[row, column]
+    depth = depths[0, 0]
     return unproject(depth.new_tensor([[column + 0.5, row + 0.5]]), depth[None], camera)[0]
 
 

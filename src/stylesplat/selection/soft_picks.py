@@ -20,7 +20,8 @@ from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import class_probabilities, render_labels
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.members import likeliest
 
 VIEWS = 16  # that are looked at; more tell hardly more
 LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
@@ -61,8 +62,7 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
     splats, picked = splats.to("cpu"), picked.cpu()
     ids, bare = _own_ids(splats, picked), without_looks(splats)
 
-    def find(row: int) -> Place:
-        camera = cameras[row].at_most(LONGER_SIDE)
+    def find(camera: Cameras) -> Place:
         view = contributions(bare, camera, picked)
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
@@ -70,8 +70,13 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
         return Place(camera, pixels, _painted(view, pixels, len(splats)))
 
-    rows = evenly(range(len(cameras)), VIEWS)
-    return [*track(at_once(find, rows), "looking for contours", total=len(rows))]
+    views = looked_at(cameras)
+    return [*track(at_once(find, views), "looking for contours", total=len(views))]
+
+
+def looked_at(cameras: Cameras) -> list[Cameras]:
+    """Those of some views that objects are looked for in, one by one, at the size for that."""
+    return [cameras[row].at_most(LONGER_SIDE) for row in evenly(range(len(cameras)), VIEWS)]
 
 
 def soft_shares(
@@ -156,9 +161,9 @@ def _own_ids(splats: Splats, picked: Bool[Tensor, " N"]) -> Tensor:
     """The labels most of whose Gaussians are picked."""
     if splats.identities is None or splats.classifier is None:
         return torch.zeros(0, dtype=torch.long)
-    classes = class_probabilities(splats).argmax(dim=1)
-    ids = torch.tensor(splats.classifier.ids, device=classes.device)
-    every, own = (torch.bincount(some, minlength=len(ids)) for some in (classes, classes[picked]))
+    labels = likeliest(splats)
+    ids, own = labels[picked].unique(return_counts=True)
+    every = torch.stack([(labels == id).sum() for id in ids]) if len(ids) else own
     return ids[(2 * own > every) & (ids != BACKGROUND)]
 
 

@@ -14,7 +14,7 @@ from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.crossfade import crossfade
-from stylesplat.stylization.paint_objects import Styled
+from stylesplat.stylization.styled_scene import Styled
 
 
 def require_painted(scene: Scene) -> Painted:
@@ -98,18 +98,35 @@ def at_intensities(scene: Scene, intensities: Mapping[str, float]) -> Scene:
         intensities: By name; paintings that are not named stay as they are.
     """
     painted = require_painted(scene)
-    splats = scene.splats
-    base, full = painted.before.on(splats), painted.full.on(splats)
-    paintings = []
+    splats, paintings, parts = scene.splats, [], list[tuple[Tensor, Looks]]()
     for each in painted.paintings:
         wanted = intensities.get(each.name, each.intensity)
         if wanted != each.intensity:
-            picked = each.picked.to(splats.device)
-            mixed = crossfade(base, full, picked, wanted)
-            splats = crossfade(splats, mixed, picked, 1.0)
+            rows = each.picked.to(splats.device).nonzero()[:, 0]
+            parts.append((rows, _mixed(painted, splats[rows], rows, wanted)))
         paintings.append(replace(each, intensity=wanted))
     painted = replace(painted, paintings=tuple(paintings))
-    return replace(scene, splats=splats, painted=painted, path=None)
+    return replace(scene, splats=_looking(splats, parts), painted=painted, path=None)
+
+
+def _mixed(painted: Painted, splats: Splats, rows: Int[Tensor, " R"], intensity: float) -> Looks:
+    """The looks of some Gaussians of a painting at another intensity."""
+    everyone = torch.ones(len(rows), dtype=torch.bool, device=rows.device)
+    base, full = painted.before[rows].on(splats), painted.full[rows].on(splats)
+    return Looks.of(crossfade(base, full, everyone, intensity))
+
+
+def _looking(splats: Splats, parts: Sequence[tuple[Int[Tensor, " _"], Looks]]) -> Splats:
+    """The splats with other looks of some Gaussians."""
+    if not parts:
+        return splats
+    rows = torch.cat([rows for rows, _ in parts])
+    looks = [vars(look) for _, look in parts]
+    tensors = {
+        name: tensor.index_copy(0, rows, torch.cat([each[name] for each in looks]))
+        for name, tensor in vars(Looks.of(splats)).items()
+    }
+    return replace(splats, **tensors)
 
 
 def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:

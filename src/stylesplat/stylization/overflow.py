@@ -9,12 +9,10 @@ from collections.abc import Sequence
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
-from torch.nn.functional import pad
 
 from stylesplat.progress import track
-from stylesplat.rendering import cpu, rasterize
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.drawn import pixel_bounds, touching
 from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
@@ -77,7 +75,7 @@ def cut_to(splats: Splats, cameras: Cameras, margin: int) -> list[Cameras]:
     cuts = []
     for index in range(len(cameras)):
         camera = cameras[index]
-        low, high = _bounds(splats, camera)
+        low, high = pixel_bounds(splats, camera)
         low, high = (low - margin).clamp(min=0), torch.minimum(high + margin, camera.sizes[0])
         found = (low < high).all(dim=1)
         if found.any():
@@ -110,11 +108,11 @@ def _showing(
 ) -> Int[Tensor, " M"]:
     """Which picked Gaussians show in some pixels of one camera; only what lies there is drawn."""
     suspects = picked.nonzero()[:, 0]
-    suspects = suspects[_touching(splats[suspects], camera, pixels)]
+    suspects = suspects[touching(*pixel_bounds(splats[suspects], camera), pixels)]
     pixels = pixels & reached(splats[suspects], camera)
     if not pixels.any():
         return suspects[:0]
-    there = _touching(splats, camera, pixels).nonzero()[:, 0]
+    there = touching(*pixel_bounds(splats, camera), pixels).nonzero()[:, 0]
     drawn = contributions(splats[there], camera, picked[there])
     return there[drawn.gaussians[drawn.weights(pixels) > 0]]
 
@@ -123,22 +121,3 @@ def reached(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
     """The pixels in which some Gaussians would show if there were no others."""
     everyone = torch.ones(len(splats), dtype=torch.bool)
     return coverage(without_looks(splats), camera, everyone) > 0
-
-
-def _touching(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Bool[Tensor, " N"]:
-    """Which Gaussians may reach some pixels: the boxes around them hold some."""
-    low, high = (c.clamp(min=0).minimum(camera.sizes[0]) for c in _bounds(splats, camera))
-    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
-    (left, top), (right, bottom) = low.unbind(1), high.unbind(1)
-    held = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    return held > 0
-
-
-def _bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
-    """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
-    views = views_of(rasterize.beside(splats, camera))
-    projected = cpu.project_gaussians(rasterize.activated(splats), views[0])
-    drawn = (projected.radii > 0).all(dim=1, keepdim=True)
-    low = (projected.means2d - projected.radii).floor() * drawn
-    high = (projected.means2d + projected.radii).ceil() * drawn
-    return low.long(), high.long()

@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -17,6 +17,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.crossfade import crossfade
+from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
@@ -24,24 +25,11 @@ from stylesplat.stylization.repaint import Repainted, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
 from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
+from stylesplat.stylization.styled_scene import Piece, Styled, assembled, piece_of
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
 MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
 REPORT_EVERY = 10  # steps between two updates of the loss shown
-
-
-@dataclass(frozen=True)
-class Styled:
-    """A styled scene, and the way back from it."""
-
-    splats: Splats
-    """With the new colours. Split Gaussians' further children follow all others."""
-    full: Splats
-    """The same at full intensity."""
-    base: Splats
-    """The same as it looked before."""
-    parents: Int[Tensor, " N"]
-    """Which Gaussian of the scene before each one comes from."""
 
 
 def paint(
@@ -118,15 +106,24 @@ def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dic
             not seen, or a style image is too small.
     """
     check_jobs(jobs)
-    base = studio.splats
-    nobody = torch.arange(len(base), device=base.device)
-    styled, seconds = Styled(base, base, base, nobody), {}
+    pieces, seconds, cuts = [], {}, {}
     for job in jobs:
         began = time.perf_counter()
-        job = moved(job, base)
-        styled = _merge(styled, _repaint_whole(studio, job), job.picked)
+        piece, cut = _painted_alone(studio, moved(job, studio.splats))
+        pieces.append(piece)
+        if cut is not None:
+            cuts[job.name] = cut
         seconds[job.name] = time.perf_counter() - began
-    return styled, seconds
+    return replace(assembled(studio.splats, pieces), cuts=cuts), seconds
+
+
+def _painted_alone(studio: Studio, job: StyleJob) -> tuple[Piece, CutScene | None]:
+    """What becomes of an object, and what of a large scene it was painted in."""
+    cut = cut_scene(studio, job.picked)
+    if cut is None:
+        return piece_of(_repaint_whole(studio, job), job.picked), None
+    alone = _repaint_whole(cut.studio(studio), cut.job(job))
+    return piece_of(alone, job.picked[cut.rows], cut.rows), cut
 
 
 def open_studio(
@@ -207,27 +204,6 @@ def blended(state: Repainted, job: StyleJob) -> Splats:
     return crossfade(state.base, state.splats, mask, job.config.intensity)
 
 
-def _merge(styled: Styled, alone: Styled, picked: Tensor) -> Styled:
-    """Add an object that was styled by itself; its rows and children take the place of the old."""
-    count = len(picked)
-
-    def merged(old: Splats, new: Splats) -> Splats:
-        tensors = {}
-        for name, theirs in new.tensors().items():
-            ours = old.tensors()[name]
-            mask = picked.view(-1, *[1] * (ours.ndim - 1))
-            shared = torch.where(mask, theirs[:count], ours[:count])
-            tensors[name] = torch.cat([shared, ours[count:], theirs[count:]])
-        return replace(old, **tensors)
-
-    return Styled(
-        splats=merged(styled.splats, alone.splats),
-        full=merged(styled.full, alone.full),
-        base=merged(styled.base, alone.base),
-        parents=torch.cat([styled.parents, alone.parents[count:]]),
-    )
-
-
 def check_jobs(jobs: Sequence[StyleJob]) -> None:
     """Raise a StyleSplatError if these objects cannot be repainted in one scene."""
     if not jobs:
@@ -239,8 +215,9 @@ def check_jobs(jobs: Sequence[StyleJob]) -> None:
                 f"Cannot stylise {job.name}: it has {count} Gaussians, too few for a texture "
                 f"(at least {MIN_GAUSSIANS}). Pick more of it."
             )
+    apart = _apart(jobs)
     for one, other in combinations(jobs, 2):
-        shared = int((one.picked & other.picked).sum())
+        shared = 0 if apart else int((one.picked & other.picked).sum())
         if one.name == other.name:
             raise StyleSplatError(
                 f"{one.name} was given twice. Give it once; several pictures make one style: "
@@ -251,3 +228,11 @@ def check_jobs(jobs: Sequence[StyleJob]) -> None:
                 f"Cannot stylise {one.name} and {other.name} at once: they share {shared} "
                 f"Gaussians. Pick objects that do not overlap."
             )
+
+
+def _apart(jobs: Sequence[StyleJob]) -> bool:
+    """Whether no two objects share Gaussians; pairs need not be looked at then."""
+    taken = torch.zeros_like(jobs[0].picked)
+    for job in jobs:
+        taken |= job.picked
+    return int(taken.sum()) == sum(int(job.picked.sum()) for job in jobs)

@@ -7,7 +7,7 @@ from pathlib import Path
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.choose import find_objects
 from stylesplat.stylization.bookkeeping import refuse_painted, strengths
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Recipe, StyledObject
@@ -57,8 +57,9 @@ class Run:
             StyleSplatError: If the scene lacks an object, one is too small or part of something
                 else that is painted, or a picture is unfit.
         """
+        picks = find_objects(scene, [each.name for each in self.objects])
         jobs = [
-            StyleJob(each.name, find_object(scene, each.name), each.style.read(), each.style.config)
+            StyleJob(each.name, picks[each.name], each.style.read(), each.style.config)
             for each in self.objects
         ]
         check_jobs(jobs)

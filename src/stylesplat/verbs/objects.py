@@ -9,8 +9,8 @@ from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.own_shares import own_shares
-from stylesplat.selection.pick import pick_objects
+from stylesplat.selection.own_shares import OwnShares
+from stylesplat.selection.pick import each_object
 
 
 def objects(scene: Scene) -> list[dict[str, Any]]:
@@ -24,17 +24,17 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     Raises:
         StyleSplatError: If the scene has no identities.
     """
-    picked = pick_objects(scene.splats, object_ids(scene.splats))
+    shares = OwnShares(scene.splats, scene.cameras)
     return [
         {
             "id": id,
             "names": names_of(scene, id),
             "gaussians": int(mask.sum()),
-            "own": int((own_shares(scene.splats, mask, scene.cameras) > 0).sum()),
+            "own": int((shares.of(mask) > 0).sum()),
             **_confidence(scene, mask),
             **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
         }
-        for id, mask in picked.items()
+        for id, mask in each_object(scene.splats, object_ids(scene.splats))
     ]
 
 

@@ -216,15 +216,22 @@ def _painted(
         "seconds_by_object": {job.name: seconds[job.name] for job in staying},
     }
     shown = unpainted(scene, run.passing)
-    return scene, facts, partial(_measured, studio, staying, shown, held_out)
+    measure = partial(_measured, studio, staying, shown, held_out)
+    if run.passing:
+        return scene, facts, measure
+    return scene, facts, partial(measure, cuts=styled.cuts, parents=styled.parents)
 
 
 def _measured(
-    studio: Studio, jobs: Sequence[StyleJob], scene: Scene, held_out: Cameras | None
+    studio: Studio,
+    jobs: Sequence[StyleJob],
+    scene: Scene,
+    held_out: Cameras | None,
+    **cut: Any,
 ) -> dict[str, Any]:
-    """What painting some objects did, with one entry per number."""
+    """What painting some objects did, with one entry per number; `cut` as `measure_painted` has."""
     shown = scene.splats.to(studio.splats.device)
-    return flat_metrics(measure_painted(studio, jobs, shown, held_out=held_out))
+    return flat_metrics(measure_painted(studio, jobs, shown, held_out=held_out, **cut))
 
 
 def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:

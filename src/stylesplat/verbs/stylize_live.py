@@ -10,7 +10,6 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.bookkeeping import strengths, with_origin, with_paintings
 from stylesplat.stylization.paint_objects import (
     MAX_MEMORY,
-    Styled,
     blended,
     moved,
     open_studio,
@@ -20,6 +19,7 @@ from stylesplat.stylization.runs import Run, check_runs, runs_of
 from stylesplat.stylization.style import Style, as_recipe
 from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.styled_scene import Styled
 from stylesplat.verbs.stylize import load_network, records
 
 

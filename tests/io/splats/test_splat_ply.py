@@ -45,6 +45,16 @@ def test_bits_survive_the_round_trip(tmp_path: Path, count: int):
     assert same(found, splats)
 
 
+@pytest.mark.parametrize("count", [6, 7])
+def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int):
+    splats, labels = random_splats(count, bands=8), torch.arange(count, dtype=torch.int32)
+    write_splat_ply(splats, tmp_path / "a.ply", bands=8, besides={"label": labels})
+    monkeypatch.setattr("stylesplat.io.splats.splat_ply.AT_ONCE", 3)
+    write_splat_ply(splats, tmp_path / "b.ply", bands=8, besides={"label": labels})
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+    assert same(read_splat_ply(tmp_path / "b.ply"), splats)
+
+
 def test_exactly_the_columns_of_inria(tmp_path: Path):
     write_splat_ply(random_splats(), tmp_path / "a.ply")
     content = (tmp_path / "a.ply").read_bytes()

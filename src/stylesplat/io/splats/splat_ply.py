@@ -1,7 +1,7 @@
 """Splats as PLY files with exactly the columns of the INRIA code, which every viewer opens."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.declared import GAUSSIANS, check_range
-from stylesplat.io.ply import read_ply_table, write_ply_table
+from stylesplat.io.ply import AT_ONCE, PlyRows, ply_rows, write_ply_rows
 from stylesplat.scene.splats import Splats
 
 FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3
@@ -34,19 +34,26 @@ def read_splat_ply(path: Path | str) -> Splats:
         StyleSplatError: If the file is missing, truncated or too long, lacks a column or holds
             numbers that are not finite.
     """
-    table = read_ply_table(path)
-    rest = _find_rest(table, path)
-    return check_splats(
-        Splats(
-            means=_columns(table, MEANS),
-            quats=_columns(table, QUATS),
-            scales=_columns(table, SCALES),
-            opacities=_columns(table, OPACITY)[:, 0],
-            sh0=_columns(table, SH0)[:, None],
-            shN=_columns(table, rest).unflatten(1, (3, len(rest) // 3)).mT.contiguous(),
-        ),
-        path,
-    )
+    with ply_rows(path, at_once=AT_ONCE) as rows:
+        rest = _find_rest(rows.dtype, path)
+        count, bands = rows.count, len(rest) // 3
+        groups = (MEANS, QUATS, SCALES, OPACITY, SH0)
+        arrays = [np.empty((count, len(names)), np.float32) for names in groups]
+        higher = np.empty((count, bands, 3), np.float32)
+        places = {
+            name: array[:, i]
+            for names, array in zip(groups, arrays, strict=True)
+            for i, name in enumerate(names)
+        }
+        places |= {name: higher[:, i % bands, i // bands] for i, name in enumerate(rest)}
+        first = 0
+        for block in rows.blocks:
+            for name, place in places.items():
+                place[first : first + len(block)] = block[name]
+            first += len(block)
+    means, quats, scales, opacities, sh0 = map(torch.from_numpy, arrays)
+    shN = torch.from_numpy(higher)
+    return check_splats(Splats(means, quats, scales, opacities[:, 0], sh0[:, None], shN), path)
 
 
 def check_splats(splats: Splats, path: Path | str) -> Splats:
@@ -93,36 +100,38 @@ def write_splat_ply(
     """
     rest = _rest(3 * bands)
     names = (*MEANS, *NORMALS, *SH0, *rest, *OPACITY, *SCALES, *QUATS)
-    blocks = {
-        MEANS: splats.means,
-        SH0: splats.sh0[:, 0],
-        OPACITY: splats.opacities[:, None],
-        SCALES: splats.scales,
-        QUATS: splats.quats,
-    }
-    for channel in range(3):
-        first = channel * bands
-        blocks[rest[first : first + splats.shN.shape[1]]] = splats.shN[:, :, channel]
-    rows = np.zeros((len(splats), len(names)), "<f4")  # one copy of it all, and no more
-    for columns, values in blocks.items():
-        if columns:
-            first = names.index(columns[0])
-            rows[:, first : first + len(columns)] = values.detach().float().cpu().numpy()
-    table = rows.view(np.dtype([(name, "<f4") for name in names]))[:, 0]
-    write_ply_table(_with_columns(table, besides) if besides else table, path)
+    more = {name: values.cpu().numpy() for name, values in (besides or {}).items()}
+    kinds = [(name, array.dtype.newbyteorder("<")) for name, array in more.items()]
+    dtype = np.dtype([*((name, "<f4") for name in names), *kinds])
+
+    def blocks() -> Iterator[Shaped[np.ndarray, " B"]]:
+        for start in range(0, len(splats), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            table = np.zeros(min(AT_ONCE, len(splats) - start), dtype)
+            for name, values in _columns(splats, part, rest).items():
+                table[name] = values
+            for name, array in more.items():
+                table[name] = array[part]
+            yield table
+
+    write_ply_rows(PlyRows(len(splats), dtype, blocks()), path)
 
 
-def _with_columns(
-    table: Shaped[np.ndarray, " N"], besides: Mapping[str, Tensor]
-) -> Shaped[np.ndarray, " N"]:
-    arrays = {name: values.cpu().numpy() for name, values in besides.items()}
-    kinds = [(name, array.dtype.newbyteorder("<")) for name, array in arrays.items()]
-    wider = np.empty(len(table), np.dtype([*table.dtype.descr, *kinds]))
-    for name in table.dtype.names or ():
-        wider[name] = table[name]
-    for name, array in arrays.items():
-        wider[name] = array
-    return wider
+def _columns(
+    splats: Splats, part: slice, rest: Sequence[str]
+) -> Mapping[str, Float[np.ndarray, " B"]]:
+    """The columns of some rows, by name; of `rest` as many as the splats have bands."""
+    bands, own = len(rest) // 3, splats.shN.shape[1]
+    blocks = (
+        (MEANS, splats.means[part]),
+        (SH0, splats.sh0[part, 0]),
+        (OPACITY, splats.opacities[part, None]),
+        (SCALES, splats.scales[part]),
+        (QUATS, splats.quats[part]),
+        *((rest[c * bands : c * bands + own], splats.shN[part, :, c]) for c in range(3)),
+    )
+    arrays = ((names, values.detach().float().cpu().numpy()) for names, values in blocks)
+    return {name: array[:, i] for names, array in arrays for i, name in enumerate(names)}
 
 
 def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
@@ -147,9 +156,9 @@ def _rest(count: int) -> tuple[str, ...]:
     return tuple(f"f_rest_{i}" for i in range(count))
 
 
-def _find_rest(table: Shaped[np.ndarray, " N"], path: Path | str) -> tuple[str, ...]:
+def _find_rest(dtype: np.dtype, path: Path | str) -> tuple[str, ...]:
     """Names of the higher bands' columns, having checked that all columns are there."""
-    names = table.dtype.names or ()
+    names = dtype.names or ()
     rest = _rest(sum(name.startswith("f_rest_") for name in names))
     missing = [n for n in (*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, *rest) if n not in names]
     if missing:
@@ -163,10 +172,3 @@ def _find_rest(table: Shaped[np.ndarray, " N"], path: Path | str) -> tuple[str, 
             "Export it as an uncompressed 3DGS PLY."
         )
     return rest
-
-
-def _columns(table: Shaped[np.ndarray, " N"], names: tuple[str, ...]) -> Float[Tensor, "N D"]:
-    values = np.empty((len(table), len(names)), np.float32)
-    for i, name in enumerate(names):
-        values[:, i] = table[name]
-    return torch.from_numpy(values)

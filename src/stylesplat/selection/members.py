@@ -1,0 +1,86 @@
+"""Which Gaussians every object has, by their identities: without a table of all by all labels."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import require_identities
+
+SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
+AT_ONCE = 1 << 22  # probabilities: 16 MB
+NOBODY = -1
+
+
+@dataclass(frozen=True)
+class Members:
+    """What identities say of the objects of some label ids."""
+
+    likely: Mapping[int, Int[Tensor, " _"]]
+    """By id the Gaussians that are likelier its own than the threshold says."""
+    sure: Int[Tensor, " N"]
+    """The label id that each Gaussian surely has, or -1."""
+
+    def mask(self, id: int) -> Bool[Tensor, " N"]:
+        """The Gaussians that are likely an object's."""
+        nobody = torch.zeros_like(self.sure, dtype=torch.bool)
+        return nobody.index_fill(0, self.likely[id], True)
+
+    def doubtful(self, id: int) -> Bool[Tensor, " N"]:
+        """Those that are not, and not surely another's."""
+        doubtful = (self.sure == NOBODY) | (self.sure == id)
+        return doubtful.index_fill(0, self.likely[id], False)
+
+
+def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
+    """Find the Gaussians of some objects, all in one pass.
+
+    Args:
+        splats: Gaussians with identities.
+        ids: Label ids that their classifier knows.
+        threshold: Probability above which a Gaussian is likely an object's.
+
+    Raises:
+        StyleSplatError: If the splats have no identities.
+    """
+    _, classifier = require_identities(splats)
+    known = torch.tensor(classifier.ids, device=splats.device)
+    columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
+    limits = torch.tensor([SURE[id == BACKGROUND] for id in classifier.ids]).to(splats.means)
+    rows, numbers, sure = [], [], []
+    for first, probabilities in _some_at_a_time(splats):
+        surely = probabilities > limits
+        sure.append(torch.where(surely.any(dim=1), known[surely.int().argmax(dim=1)], NOBODY))
+        likely = probabilities.index_select(1, columns) > threshold
+        row, number = likely.nonzero(as_tuple=True)
+        rows.append(first + row)
+        numbers.append(number)
+    number = torch.cat(numbers)
+    counts = torch.bincount(number, minlength=len(ids)).tolist()
+    ordered = torch.cat(rows)[number.argsort(stable=True)].split(counts)
+    return Members(dict(zip(ids, ordered, strict=True)), torch.cat(sure))
+
+
+def likeliest(splats: Splats) -> Int[Tensor, " N"]:
+    """The label id that each Gaussian has most likely.
+
+    Raises:
+        StyleSplatError: If the splats have no identities.
+    """
+    _, classifier = require_identities(splats)
+    known = torch.tensor(classifier.ids, device=splats.device)
+    return torch.cat([known[p.argmax(dim=1)] for _, p in _some_at_a_time(splats)])
+
+
+def _some_at_a_time(splats: Splats) -> Iterator[tuple[int, Float[Tensor, "B K"]]]:
+    """The first row of each part of the Gaussians, and how likely these are of each class."""
+    identities, classifier = require_identities(splats)
+    size = max(1, AT_ONCE // len(classifier.ids))
+    for first in range(0, len(splats), size):
+        part = identities[first : first + size]
+        with torch.no_grad():
+            yield first, classifier.logits(part).softmax(dim=-1)

@@ -1,0 +1,83 @@
+"""What matters to each of many objects of a large scene: every view is looked at once for all."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.drawn import drawn, pixel_bounds
+from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+LARGE = 400_000  # Gaussians of a scene; of fewer the search takes as long as it saves
+MARGIN = 2  # pixels around what an object may reach
+NEARBY = 0.25  # of an object's extent along each axis: what it stands on lies within
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What shows in one view."""
+
+    camera: Cameras
+    """The camera alone."""
+    rows: Int[Tensor, " M"]
+    """Gaussians of the scene."""
+    low: Int[Tensor, "M 2"]
+    """The pixels that each may reach, from."""
+    high: Int[Tensor, "M 2"]
+    """And to."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What shows in some views."""
+
+    splats: Splats
+    """The scene."""
+    views: Sequence[Seen]
+    """Each view alone."""
+
+    def around(self, picked: Bool[Tensor, " N"]) -> Int[Tensor, " M"]:
+        """An object's Gaussians, those that show where it may be seen, and those close by.
+
+        Args:
+            picked: The object's Gaussians, at least one.
+        """
+        mine = picked.clone()
+        own = self.splats[picked.nonzero()[:, 0]]
+        for view in self.views:
+            low, high = pixel_bounds(own, view.camera)
+            shown = (low < high).all(dim=1)
+            if shown.any():
+                low, high = low[shown].amin(dim=0) - MARGIN, high[shown].amax(dim=0) + MARGIN
+                mine[view.rows[((view.low < high) & (view.high > low)).all(dim=1)]] = True
+        low, high = own.means.amin(dim=0), own.means.amax(dim=0)
+        room = NEARBY * (high - low).norm()
+        means = self.splats.means
+        mine |= ((means >= low - room) & (means <= high + room)).all(dim=1)
+        return mine.nonzero()[:, 0]
+
+
+@torch.no_grad()
+def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
+    """Look at every view once; None where that is not worth its while.
+
+    Args:
+        splats: The scene.
+        cameras: One by one, in the size that objects are going to be looked at.
+    """
+    if len(splats) < LARGE or splats.device.type != "cpu":
+        return None
+    gaussians = activated(splats)
+
+    def look(camera: Cameras) -> Seen:
+        rows = drawn(gaussians, beside(splats, camera))
+        return Seen(camera, rows, *pixel_bounds(splats[rows], camera))
+
+    found = at_once(look, cameras)
+    return Survey(splats, [*track(found, "looking at all objects", total=len(cameras))])

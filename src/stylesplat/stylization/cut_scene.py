@@ -1,0 +1,89 @@
+"""The part of a large scene that one object is painted in: itself, and what shows around it.
+
+Its surroundings are looked at once per view. Everything after that takes as long as in a scene that
+has nothing else.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+from torch.nn.functional import max_pool2d
+
+from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.drawn import drawn
+from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.survey import LARGE
+from stylesplat.stylization.overflow import reached
+from stylesplat.stylization.style_job import Studio, StyleJob
+
+MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
+
+
+@dataclass(frozen=True)
+class CutScene:
+    """What matters to an object."""
+
+    rows: Int[Tensor, " M"]
+    """Gaussians of the scene, in order."""
+
+    def studio(self, studio: Studio) -> Studio:
+        """The studio without what does not matter."""
+        return replace(studio, splats=studio.splats[self.rows])
+
+    def job(self, job: StyleJob) -> StyleJob:
+        """The job among these Gaussians."""
+        return replace(job, picked=job.picked[self.rows])
+
+    def styled(self, styled: Splats, parents: Int[Tensor, " L"]) -> Splats:
+        """The same of the scene after something was painted.
+
+        Args:
+            styled: The whole of it.
+            parents: What each of its Gaussians came from.
+        """
+        mine = torch.zeros(int(parents.max()) + 1, dtype=torch.bool)
+        mine[self.rows] = True
+        return styled[mine[parents].nonzero()[:, 0]]
+
+
+@torch.no_grad()
+def cut_scene(studio: Studio, picked: Bool[Tensor, " N"]) -> CutScene | None:
+    """Find what matters to an object; None where that is not worth its while.
+
+    Besides its own Gaussians these are all that would show where it may be seen if it were not
+    there: what hides it, and what it hides.
+
+    Args:
+        studio: The scene, and all views that it will be seen in.
+        picked: The object's Gaussians.
+    """
+    splats = studio.splats
+    if len(splats) < LARGE or splats.device.type != "cpu":
+        return None
+    views = [studio.every_camera[index] for index in range(len(studio.every_camera))]
+    return CutScene(_around(splats, picked, views))
+
+
+def _around(
+    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[Cameras]
+) -> Int[Tensor, " M"]:
+    """The picked Gaussians, and what would show in some views without them."""
+    gaussians, own = activated(splats), splats[picked.nonzero()[:, 0]]
+    others = gaussians._replace(opacities=gaussians.opacities.masked_fill(picked, 0))
+    mine = picked.clone()
+
+    def look(view: Cameras) -> Tensor:
+        near, side = reached(own, view)[None].float(), 2 * MARGIN + 1
+        near = max_pool2d(near, (side, 1), stride=1, padding=(MARGIN, 0))
+        near = max_pool2d(near, (1, side), stride=1, padding=(0, MARGIN))[0] > 0
+        return drawn(others, beside(splats, view), near)
+
+    for rows in track(at_once(look, views), "looking around the object", total=len(views)):
+        mine[rows] = True
+    return mine.nonzero()[:, 0]

@@ -1,0 +1,99 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS
+from striped_balls import FAST, SCENE, ball, with_settings
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.stylization import cut_scene as cutting
+from stylesplat.stylization.cut_scene import CutScene, cut_scene
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.paint_objects import open_studio, paint_objects
+from stylesplat.stylization.style_job import Studio, StyleJob
+from stylesplat.stylization.styled_scene import Styled, assembled, piece_of
+
+BALL = ball(0)
+ELSEWHERE = 100  # Gaussians that no camera sees, before all others
+
+
+@pytest.fixture
+def studio(network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch) -> Studio:
+    """A scene that counts as large, most of which is out of sight."""
+    monkeypatch.setattr(cutting, "LARGE", 0)
+    away = SCENE[torch.arange(ELSEWHERE)]
+    away = replace(away, means=away.means + torch.tensor([0.0, 0.0, 1e4]))
+    both = {name: torch.cat([away.tensors()[name], t]) for name, t in SCENE.tensors().items()}
+    return open_studio(replace(SCENE, **both), CAMERAS, network)
+
+
+def behind(mask: torch.Tensor) -> torch.Tensor:
+    return torch.cat([torch.zeros(ELSEWHERE, dtype=torch.bool), mask])
+
+
+def cut_to(studio: Studio, mask: torch.Tensor) -> CutScene:
+    cut = cut_scene(studio, behind(mask))
+    assert cut is not None
+    return cut
+
+
+def test_what_no_view_shows_does_not_matter(studio: Studio):
+    cut = cut_to(studio, BALL)
+    assert (cut.rows >= ELSEWHERE).all() and (cut.rows.diff() > 0).all()
+    assert torch.isin(ELSEWHERE + BALL.nonzero()[:, 0], cut.rows).all()
+
+
+def test_what_the_object_hides_matters(studio: Studio):
+    inside = SCENE.means[BALL].mean(dim=0)
+    means = studio.splats.means.clone()
+    hidden = ELSEWHERE + int((~BALL).nonzero()[0])
+    means[hidden] = inside
+    scene = replace(studio, splats=replace(studio.splats, means=means))
+    assert hidden in cut_to(scene, BALL).rows
+
+
+def test_the_object_looks_the_same_to_the_bit(studio: Studio):
+    cut = cut_to(studio, BALL)
+    whole, part = studio.splats, studio.splats[cut.rows]
+    shown = behind(BALL).float()[:, None]
+    for index in range(len(CAMERAS)):
+        one, _, _ = rasterize(whole, CAMERAS[index], features=shown)
+        other, _, _ = rasterize(part, CAMERAS[index], features=shown[cut.rows])
+        mine = one[0, ..., 3] > 0
+        assert mine.any() and torch.equal(one[0][mine], other[0][mine])
+
+
+def test_painted_as_in_the_whole_scene(
+    studio: Studio, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
+):
+    job = StyleJob("ball", behind(BALL), (stripes,), FAST)
+    job = with_settings(job, hard=True)
+    cut, _ = paint_objects(studio, [job])
+    assert cut.cuts.keys() == {"ball"}
+    monkeypatch.setattr(cutting, "LARGE", len(studio.splats) + 1)
+    whole, _ = paint_objects(studio, [job])
+    assert not whole.cuts and not torch.equal(cut.splats.sh0, studio.splats.sh0)
+    assert torch.equal(cut.splats.sh0, whole.splats.sh0)
+    assert torch.equal(cut.parents, whole.parents)
+
+
+def test_nothing_else_changes_beside_a_canvas(studio: Studio, stripes: torch.Tensor):
+    job = StyleJob("ball", behind(BALL), (stripes,), replace(FAST, max_growth=6.0))
+    styled, _ = paint_objects(studio, [job])
+    count = len(studio.splats)
+    assert len(styled.splats) == len(styled.parents) > count
+    assert job.picked[styled.parents[count:]].all()
+    for name, before in studio.splats.tensors().items():
+        assert torch.equal(styled.splats.tensors()[name][:count][~job.picked], before[~job.picked])
+    cut = styled.cuts["ball"]
+    after = cut.styled(styled.splats, styled.parents)
+    assert len(after) == len(cut.rows) + len(styled.splats) - count
+
+
+def test_what_stays_the_same_takes_no_memory():
+    painted = replace(SCENE, sh0=SCENE.sh0 + BALL[:, None, None].float())
+    alone = Styled(painted, painted, SCENE, torch.arange(len(SCENE)))
+    styled = assembled(SCENE, [piece_of(alone, BALL)])
+    assert torch.equal(styled.splats.sh0, painted.sh0)
+    assert styled.full.sh0 is styled.splats.sh0 and styled.base.sh0 is SCENE.sh0
+    assert styled.splats.means is SCENE.means
