@@ -46,9 +46,11 @@ class Effort:
     """Train anew with each set of label maps; else lift these onto the Gaussians there are."""
     judged: int
     """Held-out views that are compared."""
+    training_steps: int | None = None
+    """Of joint training next to lifting; by default the scene's own."""
 
 
-QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3)
+QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3, training_steps=600)
 FULL = Effort(500, 500, 480, whole_grid=True, trained=True, judged=8)
 
 
