@@ -25,6 +25,9 @@ from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
+# A Gaussian that the label maps vouch for is no outlier while its neighbours are within twice its
+# own size. Without this large ones go: 12 % of what shows of the fox, lifted.
+VOUCHED, TOUCH = 0.9, 2.0  # probability; mean distance to neighbours over the standard deviation
 SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
@@ -53,7 +56,8 @@ def pick(
         camera: The view that `box` or `point` refers to, at the photo's full size.
         threshold: Probability of the object above which a Gaussian belongs to it; those in doubt
             do where most of their neighbours do.
-        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object.
+        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object; large
+            ones that touch their neighbours do not.
 
     Returns:
         True for the picked Gaussians.
@@ -119,9 +123,11 @@ def pick_objects(
     probabilities = class_probabilities(splats)
     picked = {}
     for id in ids:
-        mask = probabilities[:, classifier.ids.index(id)] > threshold
+        likely = probabilities[:, classifier.ids.index(id)]
+        mask = likely > threshold
         if remove_outliers:
-            mask[mask.clone()] = inliers(splats.means[mask])
+            reaches = TOUCH * splats.scales.exp().amax(dim=1) * (likely > VOUCHED)
+            mask[mask.clone()] = inliers(splats.means[mask], reaches=reaches[mask])
         limits = [threshold if each == id else SURE[each == BACKGROUND] for each in classifier.ids]
         doubtful = (probabilities <= probabilities.new_tensor(limits)).all(dim=1)
         mask |= amid(splats, mask, doubtful)
