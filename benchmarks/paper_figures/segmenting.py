@@ -34,7 +34,7 @@ from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
 
 NAME = "segmenting"
-PACE_STEPS, PACE_REFINE = 60, 6  # schedules follow the run, so a short one has the same mix
+PACE_STEPS, PACE_REFINE = 30, 3  # schedules follow the run, so a short one has the same mix
 ROUNDS = 2  # of short runs in turn
 ANIMAL = 1  # label id of what is outlined by hand
 CLAIM = (

@@ -50,7 +50,7 @@ class Effort:
     """Of joint training next to lifting; by default the scene's own."""
 
 
-QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3, training_steps=600)
+QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3, training_steps=300)
 FULL = Effort(500, 500, 480, whole_grid=True, trained=True, judged=8)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from paper_figures import figure2, figure3, figure5, figure6, segmenting
+from paper_figures import figure2, figure3, figure5, figure6, official, segmenting
 from paper_figures.book import Book, work_through
 from paper_figures.subject import Effort, Subject
 
@@ -147,3 +147,25 @@ def test_without_the_term_in_3d_it_is_left_out(subject: Subject):
     with segmenting.Way(neighbours=False).switched():
         assert len(SPLATS) < segmenting.gradients.NEIGHBORS
     assert counted == segmenting.gradients.NEIGHBORS < len(SPLATS)
+
+
+def test_labels_as_brightnesses_make_ids_that_were_not_there():
+    labels = torch.zeros(40, 40, dtype=torch.int64)
+    labels[:, 17:] = 200
+    small = official.bicubic_labels(labels, (30, 20))
+    assert small.shape == (20, 30) and small.dtype == labels.dtype
+    assert {*small.unique().tolist()} - {0, 200}
+
+
+def test_a_squashed_style_has_the_proportions_of_the_frame_on_its_side():
+    assert official.squashed(torch.rand(50, 50, 3), (32, 18)).shape == (32, 18, 3)
+
+
+def test_where_black_counts_too_the_object_takes_on_less(subject: Subject, tmp_path: Path):
+    cells = [cell for cell in official.cells(subject) if cell.key in ("none", official.BLACK)]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, cells)]) == 2
+    found = book.results(cells)["official"]
+    plain, black = (found[cell.key].numbers for cell in cells)
+    assert plain["mask_iou"] == black["mask_iou"] and plain["strength"] != black["strength"]
+    assert len(official.told({"official": found})) == 2
