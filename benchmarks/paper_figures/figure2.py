@@ -117,9 +117,13 @@ def segmented(subject: Subject, photos: Capture, way: str, level: float) -> Spla
     The scene itself was trained with those that were given.
     """
     if way == TRAINED:
-        return subject.splats if level == 1 else ss.train(photos, TRAINING).splats
+        return subject.splats if level == 1 else _joint(photos)
     rows = [photos.cameras.index(name) for name in subject.training.names]
     return lift(subject.splats, photos, rows=rows)
+
+
+def _joint(photos: Capture) -> Splats:
+    return ss.train(photos, TRAINING, segment="joint").splats
 
 
 def _in_2d(photos: Capture, id: int, camera: Cameras) -> Tensor | None:

@@ -184,7 +184,7 @@ def _demo(output: Path) -> Path:
     folder = output / "demo-scene"
     if not (folder / "scene.json").is_file():
         photos = demo_capture(output / "demo-capture")
-        ss.save(ss.train(ss.load(photos), TRAINING), folder)
+        ss.save(ss.train(ss.load(photos), TRAINING, segment="joint"), folder)
     return folder
 
 
