@@ -124,8 +124,8 @@ def _measured(subject: Subject, way: Way) -> Outcome:
     numbers["picked"] = by_selection(subject, splats, THRESHOLD, remove=True)
     numbers["by_hand"] = _by_hand(subject, splats)
     camera = subject.best_view(subject.ids[0])
-    labels = render_labels(splats, camera)
-    return Outcome(numbers, {"labels": cut(label_colors(labels), labels == subject.ids[0])})
+    shown = label_colors(render_labels(splats, camera))
+    return Outcome(numbers, {"labels": cut(shown, subject.true_map(camera) == subject.ids[0])})
 
 
 @torch.no_grad()
