@@ -25,9 +25,9 @@ from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
-# A Gaussian that the label maps vouch for is no outlier while its neighbours are within twice its
-# own size. Without this large ones go: 12 % of what shows of the fox, lifted.
-VOUCHED, TOUCH = 0.9, 2.0  # probability; mean distance to neighbours over the standard deviation
+# A Gaussian that the label maps vouch for is no outlier while its neighbours are within four of
+# its own sizes. Without this large ones go: 12 % of what shows of the fox, lifted.
+VOUCHED, TOUCH = 0.9, 4.0  # probability; mean distance to neighbours over the standard deviation
 SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
