@@ -122,12 +122,16 @@ def median_ms(work: Callable[[], object], repeats: int = 15, warm_up: int = 3) -
 
 def processor_ms(work: Callable[[], object], repeats: int = 15) -> float:
     """Mean time of all threads together, which other processes lengthen less than wall time."""
-    start = resource.getrusage(resource.RUSAGE_SELF)
+    start = processor_seconds()
     for _ in range(repeats):
         work()
-    end = resource.getrusage(resource.RUSAGE_SELF)
-    spent = end.ru_utime + end.ru_stime - start.ru_utime - start.ru_stime
-    return 1e3 * spent / repeats
+    return 1e3 * (processor_seconds() - start) / repeats
+
+
+def processor_seconds() -> float:
+    """What all threads of this process have taken so far."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
 
 
 def memory_now() -> int:

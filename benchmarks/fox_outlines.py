@@ -1,5 +1,13 @@
 """Outlines of the fox in some of its photos, drawn by hand: x and y in pixels of 540x960."""
 
+import cv2
+import numpy as np
+import torch
+
+from stylesplat.scene.labels import Mask
+
+DRAWN = (540, 960)  # size of the photos that they were drawn in
+
 # fmt: off
 FOX: dict[str, list[tuple[int, int]]] = {
     "0001.jpg": [
@@ -51,3 +59,13 @@ FOX: dict[str, list[tuple[int, int]]] = {
     ],
 }
 # fmt: on
+
+
+def outline_mask(name: str, size: tuple[int, int]) -> Mask:
+    """What is inside the outline of a photo, at this width and height."""
+    width, height = size
+    mask = np.zeros((height, width), np.uint8)
+    scale = np.array(size) / DRAWN
+    corners = np.round((np.array(FOX[name]) + 0.5) * scale - 0.5).astype(np.int32)
+    cv2.fillPoly(mask, [corners], 1)
+    return torch.from_numpy(mask > 0)

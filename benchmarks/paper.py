@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 import torch
 import tyro
 from bench import machine
-from paper_figures import figure1, figure2, figure3, figure5, figure6, figure7
+from paper_figures import figure1, figure2, figure3, figure5, figure6, figure7, official, segmenting
 from paper_figures.book import Book, work_through
 from paper_figures.story import Chapters, html_page, markdown_page
 from paper_figures.subject import FULL, QUICK, open_subject
@@ -27,7 +27,8 @@ from paper_figures.subject import FULL, QUICK, open_subject
 from stylesplat.io.files import atomic_path
 
 FIGURES = {
-    module.NAME: module.FIGURE for module in (figure2, figure3, figure5, figure6, figure1, figure7)
+    module.NAME: module.FIGURE
+    for module in (figure2, figure3, segmenting, figure5, figure6, figure1, figure7, official)
 }
 TITLE = "The paper, remade"
 

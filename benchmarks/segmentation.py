@@ -46,7 +46,9 @@ def main(options: Options) -> None:
     folder = demo_capture(OUT / "demo")
     names = {int(id): name for id, name in read_json(folder / "object_names.json").items()}
     given, exact = ss.load(folder), ss.load(folder, masks=folder / "object_mask_exact")
-    scene = ss.train(given, max_seconds=options.seconds, max_gaussians=options.max_gaussians)
+    scene = ss.train(
+        given, segment="joint", max_seconds=options.seconds, max_gaussians=options.max_gaussians
+    )
     _, held_out = split_views(given, 8)
     pairs = list(label_pairs(given, exact, held_out))
     metrics = evaluate_views(scene.splats, exact, held_out)

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 import tyro
 from bench import DATA, STYLES, machine, table, trained_scene
-from fox_outlines import FOX
+from fox_outlines import FOX, outline_mask
 from torch import Tensor
 
 import stylesplat as ss
@@ -143,12 +143,9 @@ def fox_views(scene: Scene) -> list[View]:
     training, held_out = scene.working_views()
     every = training if held_out is None else training + held_out
     views = []
-    for name, outline in FOX.items():
+    for name in FOX:
         camera = every[every.index(name)]
-        width, height = camera.size
-        mask = np.zeros((height, width), np.uint8)
-        cv2.fillPoly(mask, [np.array(outline, np.int32)], 1)
-        views.append(View(camera, torch.from_numpy(mask > 0)))
+        views.append(View(camera, outline_mask(name, camera.size)))
     return views
 
 

@@ -51,6 +51,7 @@ SHOWN = (MASKED, STRICT, DAMPED, LIFTED)
 LR = 0.05  # the middle of the paper's Figure 6
 SCALE = 2.0  # longer side of the style, in longer sides of the object
 MARGIN = 20  # pixels around a mask: what a feature of block 3 sees
+WHOLE = 10**6  # pixels around it, to the frame's end
 REACH = 2.0  # pixels from the object's true border that are not counted as far
 CLAIM = (
     "a loss masked in 2D changes wrong Gaussians where masks err, while identities learned from "
@@ -116,9 +117,13 @@ def segmented(subject: Subject, photos: Capture, way: str, level: float) -> Spla
     The scene itself was trained with those that were given.
     """
     if way == TRAINED:
-        return subject.splats if level == 1 else ss.train(photos, TRAINING).splats
+        return subject.splats if level == 1 else _joint(photos)
     rows = [photos.cameras.index(name) for name in subject.training.names]
     return lift(subject.splats, photos, rows=rows)
+
+
+def _joint(photos: Capture) -> Splats:
+    return ss.train(photos, TRAINING, segment="joint").splats
 
 
 def _in_2d(photos: Capture, id: int, camera: Cameras) -> Tensor | None:
@@ -144,15 +149,20 @@ class Task:
     """Whether the network sees the scene before where the mask is not."""
     eps: float = EPS
     """Of Adam, which divides gradients by their size and this."""
+    black: bool = False
+    """Whether the network sees the whole frame, black where the mask is not, and all counts."""
+    style: Tensor | None = None
+    """The picture; by default the first of the scene's."""
 
 
 def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
     """Train the constant colours of some Gaussians on NNFM inside masks: one loop for all."""
     cameras = subject.training.at_most(subject.effort.side)
-    found = (_cut(camera, task.mask_of(camera)) for camera in each(cameras))
+    margin = WHOLE if task.black else MARGIN
+    found = (_cut(camera, task.mask_of(camera), margin) for camera in each(cameras))
     views = [view for view in found if view is not None]
     boxes = find_boxes(subject.splats, cameras, subject.picked(subject.ids[0]))
-    style = next(iter(subject.styles.values()))
+    style = next(iter(subject.styles.values())) if task.style is None else task.style
     length = SCALE * typical_length(boxes)
     target = style_features(style, subject.network, (3,), length=length)[0]
     sh0 = splats.sh0.clone().requires_grad_()
@@ -162,8 +172,11 @@ def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
         image = rasterize(replace(splats, sh0=sh0), camera)[0][0]
         if task.strict:
             image = torch.where(mask[..., None], image, shot(splats, camera))
+        if task.black:
+            image = image * mask[..., None]
         feats = subject.network(image)[0]
-        inside = F.interpolate(mask[None, None].float(), feats.shape[:2], mode="nearest")[0, 0] > 0
+        counted = (mask | task.black)[None, None].float()
+        inside = F.interpolate(counted, feats.shape[:2], mode="nearest")[0, 0] > 0
         if inside.any():
             optimizer.zero_grad()
             nnfm_loss(feats[inside], target).backward()
@@ -173,13 +186,13 @@ def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
     return replace(splats, sh0=sh0.detach())
 
 
-def _cut(camera: Cameras, mask: Tensor | None) -> tuple[Cameras, Tensor] | None:
+def _cut(camera: Cameras, mask: Tensor | None, margin: int) -> tuple[Cameras, Tensor] | None:
     """A view and its mask around what features of the mask see; None if it shows nothing."""
     if mask is None or not mask.any():
         return None
     places = mask.nonzero()
-    low = (places.amin(dim=0) - MARGIN).clamp(min=0)
-    high = torch.minimum(places.amax(dim=0) + 1 + MARGIN, torch.tensor(mask.shape))
+    low = (places.amin(dim=0) - margin).clamp(min=0)
+    high = torch.minimum(places.amax(dim=0) + 1 + margin, torch.tensor(mask.shape))
     (top, left), (bottom, right) = low.tolist(), high.tolist()
     cut = crop(camera, (left, top), (right - left, bottom - top))
     return cut, mask[top:bottom, left:right]

@@ -86,11 +86,11 @@ def _selected(subject: Subject, *, lifted: bool) -> Outcome:
     for threshold in THRESHOLDS:
         for kept in (True, False):
             name = f"{threshold:g}, outliers {'kept' if kept else 'removed'}"
-            numbers[name] = _by_selection(subject, splats, threshold, remove=not kept)
+            numbers[name] = by_selection(subject, splats, threshold, remove=not kept)
     return Outcome(numbers)
 
 
-def _by_selection(
+def by_selection(
     subject: Subject, splats: Splats, threshold: float, *, remove: bool
 ) -> dict[str, float]:
     """Masks of each object as its selected Gaussians cover them, against true ones."""

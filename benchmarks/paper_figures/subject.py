@@ -46,9 +46,11 @@ class Effort:
     """Train anew with each set of label maps; else lift these onto the Gaussians there are."""
     judged: int
     """Held-out views that are compared."""
+    training_steps: int | None = None
+    """Of joint training next to lifting; by default the scene's own."""
 
 
-QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3)
+QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3, training_steps=300)
 FULL = Effort(500, 500, 480, whole_grid=True, trained=True, judged=8)
 
 
@@ -182,7 +184,7 @@ def _demo(output: Path) -> Path:
     folder = output / "demo-scene"
     if not (folder / "scene.json").is_file():
         photos = demo_capture(output / "demo-capture")
-        ss.save(ss.train(ss.load(photos), TRAINING), folder)
+        ss.save(ss.train(ss.load(photos), TRAINING, segment="joint"), folder)
     return folder
 
 

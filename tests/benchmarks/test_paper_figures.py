@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from paper_figures import figure2, figure3, figure5, figure6
+from paper_figures import figure2, figure3, figure5, figure6, official, segmenting
 from paper_figures.book import Book, work_through
 from paper_figures.subject import Effort, Subject
 
@@ -14,17 +14,19 @@ from balls import CAMERAS, SPLATS
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.weights import load_weights
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.load import load
 
 LARGE = CAMERAS.downscale(1 / 4)
-EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, judged=2)
+EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, judged=2, training_steps=12)
 
 
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
     photos = load(write_ball_capture(tmp_path_factory.mktemp("capture") / "balls", LARGE))
     red = SceneObject(pick(SPLATS, object_id=3), {"ids": [3]})
-    scene = Scene(SPLATS, LARGE, held_out=LARGE.names[:2], objects={"red": red})
+    held_out, info = LARGE.names[:2], {"settings": {"max_gaussians": 300, "segment": "joint"}}
+    scene = Scene(SPLATS, LARGE, held_out=held_out, objects={"red": red}, info=info)
     style = torch.rand(96, 96, 3, generator=torch.Generator().manual_seed(0))
     styles = {"noise": style, "other": style.flip(-1)}
     return Subject("balls", scene, photos, photos, styles, load_weights("compact", depth=3), EFFORT)
@@ -73,7 +75,7 @@ def test_selection_in_3d_changes_its_gaussians_alone(subject: Subject, tmp_path:
 
 def test_exact_identities_select_what_is_there(subject: Subject):
     """At a threshold between no and yes; the balls' own label maps are the truth."""
-    found = figure3._by_selection(subject, SPLATS, 0.5, remove=False)
+    found = figure3.by_selection(subject, SPLATS, 0.5, remove=False)
     assert found["miou"] > 0.9  # labels go to the likeliest class, a cover to half of a pixel
     outcome = figure3._given(subject)
     assert {**outcome.numbers} == {"miou": 1, "boundary_miou": 1}
@@ -112,3 +114,58 @@ def test_the_grid_or_the_lines_through_its_middle(subject: Subject):
     assert len(figure6.cells(subject)) == 7
     whole = replace(subject, effort=replace(EFFORT, whole_grid=True))
     assert len(figure6.cells(whole)) == 27
+
+
+def test_each_way_to_identities_gets_the_time_of_joint_training(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+):
+    """With a clock by which a step of joint training takes thrice as long, and lifting 6 steps."""
+    monkeypatch.setattr(segmenting, "fitted", _by_the_clock)
+    config = segmenting.as_trained(subject)
+    assert (config.steps, config.max_gaussians) == (12, 300)
+    assert segmenting.affordable(subject, segmenting.WAYS["lifted"], config) == 12 * 3 - 6
+    off = segmenting.WAYS["joint, without the 3D term"]
+    assert segmenting.affordable(subject, off, config) == 12
+
+
+def _by_the_clock(_subject: Subject, way: segmenting.Way, config: TrainConfig):
+    return SPLATS, config.steps * (1.0 if way.lifted else 3.0), 6.0 * way.lifted
+
+
+def test_joint_and_lifted_are_measured_and_compared(subject: Subject, tmp_path: Path):
+    cells = {cell.key: cell for cell in segmenting.cells(subject)}
+    book, some = Book(tmp_path, {}), [cells["joint"]]
+    assert len([*work_through(book, some)]) == 1
+    numbers = book.results(some)["segmenting"]["joint"].numbers
+    assert numbers["steps"] == 12 and numbers["by_hand"] is None and numbers["lifting"] >= 0
+    better = {**numbers, "psnr": numbers["psnr"] + 1, "miou": numbers["miou"] - 0.25}
+    assert "gains +1.00 dB, -0.250 of mIoU" in segmenting._verdict(better, numbers)
+
+
+def test_without_the_term_in_3d_it_is_left_out(subject: Subject):
+    counted = segmenting.gradients.NEIGHBORS
+    with segmenting.Way(neighbours=False).switched():
+        assert len(SPLATS) < segmenting.gradients.NEIGHBORS
+    assert counted == segmenting.gradients.NEIGHBORS < len(SPLATS)
+
+
+def test_labels_as_brightnesses_make_ids_that_were_not_there():
+    labels = torch.zeros(40, 40, dtype=torch.int64)
+    labels[:, 17:] = 200
+    small = official.bicubic_labels(labels, (30, 20))
+    assert small.shape == (20, 30) and small.dtype == labels.dtype
+    assert {*small.unique().tolist()} - {0, 200}
+
+
+def test_a_squashed_style_has_the_proportions_of_the_frame_on_its_side():
+    assert official.squashed(torch.rand(50, 50, 3), (32, 18)).shape == (32, 18, 3)
+
+
+def test_where_black_counts_too_the_object_takes_on_less(subject: Subject, tmp_path: Path):
+    cells = [cell for cell in official.cells(subject) if cell.key in ("none", official.BLACK)]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, cells)]) == 2
+    found = book.results(cells)["official"]
+    plain, black = (found[cell.key].numbers for cell in cells)
+    assert plain["mask_iou"] == black["mask_iou"] and plain["strength"] != black["strength"]
+    assert len(official.told({"official": found})) == 2

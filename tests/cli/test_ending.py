@@ -71,7 +71,7 @@ def test_who_restarts_is_told_how_to_go_on_instead(tmp_path: Path):
     command = Train(tmp_path, tmp_path / "out", restart=True)
     assert "Every file" in command.after_interruption
     (tmp_path / "out.partial").mkdir()
-    (tmp_path / "out.partial" / "checkpoint_joint.pt").touch()
+    (tmp_path / "out.partial" / "checkpoint_lift.pt").touch()
     assert command.after_interruption.startswith("Without `--restart`")
 
 

@@ -101,7 +101,7 @@ def test_a_training_is_kept_and_goes_on(number: signal.Signals, capture: Path, t
     begun = Begun(tmp_path, "train", capture, "-o", out, *options)
     begun.wait_for(lambda begun: begun.says("Gaussians"))
     assert begun.ended_by(number) == CONTINUES
-    assert [p.name for p in (tmp_path / "out.partial").iterdir()] == ["checkpoint_joint.pt"]
+    assert [p.name for p in (tmp_path / "out.partial").iterdir()] == ["checkpoint_lift.pt"]
     assert run("train", capture, "-o", out, *options) == 0
     assert not (tmp_path / "out.partial").exists()
 

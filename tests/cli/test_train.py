@@ -68,13 +68,21 @@ def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):
 
 def test_labels_lifted_after_training(capture: Path, tmp_path: Path, capsys):
     out = tmp_path / "scene"
-    options = ("--steps", 40, "--segment", "lift", "--device", "cpu")
-    result(capsys, "train", capture, "-o", out, *options)
+    result(capsys, "train", capture, "-o", out, "--steps", 40, "--device", "cpu")
     scene = ss.open(out)
     assert scene.splats.classifier is not None
     assert scene.splats.classifier.ids == (0, 3, 7, 300)
     assert scene.info["settings"]["segment"] == "lift"
     assert [*tmp_path.iterdir()] == [out]
+
+
+@pytest.mark.parametrize("options", [("--preset", "paper"), ("--segment", "joint")])
+def test_labels_learned_in_training(capture: Path, tmp_path: Path, options: tuple[str, str]):
+    out = tmp_path / "scene"
+    assert run("train", capture, "-o", out, "--steps", 4, "--device", "cpu", *options) == 0
+    scene = ss.open(out)
+    assert scene.info["settings"]["segment"] == "joint"
+    assert scene.splats.identities is not None and scene.splats.confidence is None
 
 
 def test_train_keeps_what_is_there(capture: Path, scene: Path, capsys):
@@ -93,7 +101,7 @@ def test_an_interrupted_run_lies_beside_the_scene_and_continues(
     command = ("train", capture, "-o", out, "--steps", 12)
     interrupted(*command)
     assert not out.exists()
-    assert [p.name for p in (tmp_path / "scene.partial").iterdir()] == ["checkpoint_joint.pt"]
+    assert [p.name for p in (tmp_path / "scene.partial").iterdir()] == ["checkpoint_lift.pt"]
     assert run(*command) == 0
     assert "Continuing" in capsys.readouterr().err
     assert ss.open(out).metrics["steps"] == 12
@@ -109,7 +117,7 @@ def test_overwriting_continues_too_and_keeps_the_scene_until_then(
     assert {p.name: p.read_bytes() for p in scene.iterdir()} == before
     assert ss.open(scene).metrics == {"psnr": 30.0}, "still readable"
     assert "--overwrite" in complaint(capsys, *command[:-1])
-    assert (scene.parent / "scene.partial" / "checkpoint_joint.pt").exists()
+    assert (scene.parent / "scene.partial" / "checkpoint_lift.pt").exists()
     assert run(*command) == 0
     assert "Continuing" in capsys.readouterr().err
     assert ss.open(scene).metrics["steps"] == 12
@@ -122,7 +130,7 @@ def test_restart_begins_anew(capture: Path, tmp_path: Path, capsys, interrupted)
     # With other settings the run cannot be continued
     other = ("train", capture, "-o", out, "--steps", 6, "--seed", 3)
     assert "another steps, seed" in complaint(capsys, *other)
-    assert (tmp_path / "scene.partial" / "checkpoint_joint.pt").exists()
+    assert (tmp_path / "scene.partial" / "checkpoint_lift.pt").exists()
     assert run(*other, "--restart") == 0
     assert "Continuing" not in capsys.readouterr().err
     assert ss.open(out).metrics["steps"] == 6
@@ -130,7 +138,7 @@ def test_restart_begins_anew(capture: Path, tmp_path: Path, capsys, interrupted)
 
 
 def test_what_is_wrong_costs_no_checkpoint(capture: Path, tmp_path: Path, capsys):
-    checkpoint = tmp_path / "scene.partial" / "checkpoint_joint.pt"
+    checkpoint = tmp_path / "scene.partial" / "checkpoint_lift.pt"
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"hours of work")
     options = ("-o", tmp_path / "scene", "--overwrite", "--restart", "--steps")
@@ -151,7 +159,7 @@ def test_restarting_deletes_what_is_ours_only(capture: Path, tmp_path: Path, cap
     out = tmp_path / "scene"
     interrupted("train", capture, "-o", out, "--steps", 12)
     partial = tmp_path / "scene.partial"
-    (partial / ".checkpoint_joint.0123456789ab.pt").touch()
+    (partial / ".checkpoint_lift.0123456789ab.pt").touch()
     (partial / "notes.txt").write_text("mine")
     assert run("train", capture, "-o", out, "--steps", 12) == 0, "it stands in nobody's way"
     assert "Continuing" in capsys.readouterr().err
@@ -165,7 +173,7 @@ def test_restarting_deletes_what_is_ours_only(capture: Path, tmp_path: Path, cap
 def test_a_second_run_leaves_the_first_one_alone(
     capture: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ):
-    out, checkpoint = tmp_path / "scene", tmp_path / "scene.partial" / "checkpoint_joint.pt"
+    out, checkpoint = tmp_path / "scene", tmp_path / "scene.partial" / "checkpoint_lift.pt"
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"of the first")
     monkeypatch.setattr(locks, "PATIENCE", 0.1)

@@ -39,3 +39,11 @@ def test_small_sets_are_kept_whole(count: int):
 
 def test_coincident_points_are_kept():
     assert inliers(torch.ones(100, 3)).all()
+
+
+def test_a_large_one_that_reaches_its_neighbours_stays_and_a_small_one_does_not():
+    points = torch.cat([ball(500), torch.tensor([[9.0, 0.0, 0.0], [0.0, -9.0, 0.0]])])
+    reaches = torch.zeros(502)
+    reaches[500] = 12
+    assert inliers(points, reaches=reaches)[500:].tolist() == [True, False]
+    assert torch.equal(inliers(points, reaches=torch.zeros(502)), inliers(points))

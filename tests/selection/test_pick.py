@@ -1,9 +1,10 @@
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
-from balls import CAMERAS, CLASSIFIER, SPLATS
+from balls import CAMERAS, CLASSIFIER, SHARPNESS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -47,6 +48,23 @@ def test_a_floater_is_removed_unless_asked():
     splats = replace(SPLATS, means=means)
     assert not pick(splats, object_id=3)[row]
     assert pick(splats, object_id=3, remove_outliers=False)[row]
+
+
+def test_one_far_off_that_is_large_enough_to_touch_the_object_stays_if_labels_vouch_for_it():
+    """Unless its label is in doubt: 0.75 is above the threshold, and no proof."""
+    means, scales = SPLATS.means.clone(), SPLATS.scales.clone()
+    row = int(own_class(SPLATS, 1).nonzero()[0])
+    means[row] = torch.tensor([40.0, 40.0, 40.0])
+    scales[row] = torch.tensor([50.0, 1e-3, 1e-3]).log()
+    large = replace(SPLATS, means=means, scales=scales)
+    assert pick(large, object_id=3)[row]
+    assert SPLATS.identities is not None
+    identities = SPLATS.identities.clone()
+    identities[row] *= 0.5 + math.log(3) / SHARPNESS
+    doubtful = replace(large, identities=identities)
+    assert 0.7 < class_probabilities(doubtful)[row, 1] < 0.8
+    assert not pick(doubtful, object_id=3)[row]
+    assert pick(doubtful, object_id=3, remove_outliers=False)[row]
 
 
 def test_a_higher_threshold_picks_a_subset():

@@ -17,6 +17,7 @@ from stylesplat.cli.scene_pictures import look
 from stylesplat.io.files import MARK, is_there
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
+from stylesplat.training.train_config import SEGMENTS, Segment
 
 SETTINGS = (
     "steps",
@@ -57,9 +58,9 @@ class Train:
     """Every this many photos one is held out to measure quality; 0 trains on all."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
-    segment: Literal["joint", "lift"] = "joint"
-    """How Gaussians learn their objects: with their colours, as in the paper, or by lifting the
-    label maps afterwards, which is faster."""
+    segment: Segment | None = None
+    """How Gaussians learn their objects: with their colours, which `--preset paper` does, or by
+    lifting the label maps afterwards, the default otherwise."""
     color_correction: Literal["auto", "on", "off"] | None = None
     """Learn each photo's exposure and white balance, and keep them out of the splat. auto, the
     default, does where the photos differ in them."""
@@ -86,7 +87,11 @@ class Train:
 
     @property
     def _checkpoint(self) -> Path:
-        return partial_of(self.output) / f"checkpoint_{self.segment}.pt"
+        return partial_of(self.output) / f"checkpoint_{self._segment}.pt"
+
+    @property
+    def _segment(self) -> Segment:
+        return self.segment or SEGMENTS[self.preset]
 
     def run(self) -> dict[str, Any]:
         """Do it."""
@@ -121,7 +126,7 @@ class Train:
         if self.restart:
             _forget(partial)
         scene = train(
-            capture, config, segment=self.segment, device=self.device, checkpoint=checkpoint
+            capture, config, segment=self._segment, device=self.device, checkpoint=checkpoint
         )
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
         _forget(partial)

@@ -32,8 +32,8 @@ from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
 
-# The capture has many points, so that few steps make it sharp. Identities in every fourth step
-# would paint specks of other objects. Many small Gaussians on the objects carry the strokes.
+# The capture has many points, so that few steps make it sharp. Many small Gaussians on the objects
+# carry the strokes.
 TRAINING = replace(
     TRAIN_PRESETS["default"],
     steps=1250,

@@ -12,6 +12,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import require_identities
 
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
+VOUCHED = 0.9  # probability above which label maps vouch for a Gaussian
 AT_ONCE = 1 << 22  # probabilities: 16 MB
 NOBODY = -1
 
@@ -22,6 +23,8 @@ class Members:
 
     likely: Mapping[int, Int[Tensor, " _"]]
     """By id the Gaussians that are likelier its own than the threshold says."""
+    vouched: Mapping[int, Bool[Tensor, " _"]]
+    """Whether label maps vouch for these."""
     sure: Int[Tensor, " N"]
     """The label id that each Gaussian surely has, or -1."""
 
@@ -51,18 +54,21 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     known = torch.tensor(classifier.ids, device=splats.device)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
     limits = torch.tensor([SURE[id == BACKGROUND] for id in classifier.ids]).to(splats.means)
-    rows, numbers, sure = [], [], []
+    rows, numbers, vouched, sure = [], [], [], []
     for first, probabilities in _some_at_a_time(splats):
         surely = probabilities > limits
         sure.append(torch.where(surely.any(dim=1), known[surely.int().argmax(dim=1)], NOBODY))
-        likely = probabilities.index_select(1, columns) > threshold
-        row, number = likely.nonzero(as_tuple=True)
+        likely = probabilities.index_select(1, columns)
+        row, number = (likely > threshold).nonzero(as_tuple=True)
         rows.append(first + row)
         numbers.append(number)
+        vouched.append(likely[row, number] > VOUCHED)
     number = torch.cat(numbers)
-    counts = torch.bincount(number, minlength=len(ids)).tolist()
-    ordered = torch.cat(rows)[number.argsort(stable=True)].split(counts)
-    return Members(dict(zip(ids, ordered, strict=True)), torch.cat(sure))
+    counts, order = torch.bincount(number, minlength=len(ids)).tolist(), number.argsort(stable=True)
+    of_each, surely = (torch.cat(each)[order].split(counts) for each in (rows, vouched))
+    return Members(
+        dict(zip(ids, of_each, strict=True)), dict(zip(ids, surely, strict=True)), torch.cat(sure)
+    )
 
 
 def likeliest(splats: Splats) -> Int[Tensor, " N"]:

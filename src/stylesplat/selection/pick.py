@@ -22,6 +22,9 @@ from stylesplat.selection.members import members
 from stylesplat.selection.outliers import inliers
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
+# A Gaussian that the label maps vouch for is no outlier while its neighbours are within four of
+# its own sizes. Without this large ones go: 12 % of what shows of the fox, lifted.
+TOUCH = 4.0  # mean distance to neighbours over the standard deviation
 SCENE = "SCENE"  # stands for a scene's folder that nobody knows
 
 Point = tuple[float, float]
@@ -50,7 +53,8 @@ def pick(
         camera: The view that `box` or `point` refers to, at the photo's full size.
         threshold: Probability of the object above which a Gaussian belongs to it; those in doubt
             do where most of their neighbours do.
-        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object.
+        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object; large
+            ones that touch their neighbours do not.
 
     Returns:
         True for the picked Gaussians.
@@ -118,7 +122,9 @@ def each_object(
     for id in dict.fromkeys(ids):
         mask = found.mask(id)
         if remove_outliers:
-            mask[mask.clone()] = inliers(splats.means[mask])
+            rows, vouched = found.likely[id], found.vouched[id]
+            reaches = TOUCH * splats.scales[rows].exp().amax(dim=1) * vouched
+            mask[rows] = inliers(splats.means[rows], reaches=reaches)
         mask |= amid(splats, mask, found.doubtful(id))
         yield id, mask
 

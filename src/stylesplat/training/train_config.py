@@ -6,6 +6,7 @@ from typing import Literal, get_args
 from stylesplat.errors import StyleSplatError, check_choice
 
 ColorCorrection = Literal["auto", "on", "off"]
+Segment = Literal["joint", "lift"]
 
 SH_DEGREES = range(4)
 WHOLE = ("steps", "max_gaussians", "test_every", "seed", "refine_every", "identity_every")
@@ -112,3 +113,6 @@ PRESETS = {
     ),
 }
 """Named settings: `paper` follows StyleSplat and Gaussian Grouping."""
+
+SEGMENTS: dict[str, Segment] = {"default": "lift", "paper": "joint"}
+"""How Gaussians come to their objects by each preset; `benchmarks/paper.py` compares the ways."""

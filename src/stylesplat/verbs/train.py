@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.half_fits import Fits
@@ -22,10 +22,8 @@ from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.pose_shifts import refined
 from stylesplat.training.state import State
-from stylesplat.training.train_config import PRESETS, TrainConfig
+from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 from stylesplat.training.training_views import split_views
-
-Segment = Literal["joint", "lift"]
 
 LIBRARIES = ("stylesplat", "torch", "numba")
 
@@ -35,7 +33,7 @@ def train(
     config: TrainConfig | None = None,
     *,
     preset: str = "default",
-    segment: Segment = "joint",
+    segment: Segment | None = None,
     device: str = "auto",
     checkpoint: Path | None = None,
     **settings: Any,
@@ -49,7 +47,7 @@ def train(
         config: How to train; by default as the preset says.
         preset: `default`, or `paper` for 30,000 steps at the rates of the paper.
         segment: Whether Gaussians learn their objects along with their colours (`joint`), or the
-            label maps are lifted onto them afterwards (`lift`).
+            label maps are lifted onto them afterwards (`lift`, the default but for `paper`).
         device: `auto` takes an NVIDIA GPU where there is one.
         checkpoint: A file to continue from if it exists; written every minute and when
             interrupted, and left there.
@@ -71,8 +69,9 @@ def train(
         >>> import stylesplat as ss
         >>> scene = ss.train(ss.load("garden/"), max_seconds=120)  # doctest: +SKIP
     """
-    check_choice(segment, "way to segment", get_args(Segment))
     check_choice(preset, "preset", PRESETS)
+    segment = segment or SEGMENTS[preset]
+    check_choice(segment, "way to segment", get_args(Segment))
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
     config = replace(config or PRESETS[preset], **settings)
