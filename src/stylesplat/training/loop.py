@@ -9,6 +9,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
+from stylesplat.rendering.at_once import Crew
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.fingerprint import fingerprint
 from stylesplat.training.announce import Report, Tally, announced
@@ -27,6 +28,8 @@ from stylesplat.training.state import State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views, training_views
+
+MOST_AT_ONCE = 4  # photos, unless the settings say otherwise
 
 
 def fit(
@@ -95,8 +98,13 @@ def fit(
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
     _warm_up(run, state)
-    with announced(config, state, on_progress) as report:
-        return _finish(run, state, Keeper(saved, state), report)
+    crew = Crew(config.photos_at_once or MOST_AT_ONCE, device)
+    run = replace(run, crew=crew, batch=config.photos_at_once or crew.size)
+    try:
+        with announced(config, state, on_progress) as report:
+            return _finish(run, state, Keeper(saved, state), report)
+    finally:
+        crew.end()
 
 
 def _first(

@@ -1,9 +1,10 @@
 """What stays the same in the course of training."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 
+from stylesplat.rendering.at_once import Crew
 from stylesplat.scene.cameras import Cameras
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
@@ -29,12 +30,27 @@ class Run:
     """Unit of length of the scene."""
     device: torch.device
     """Where to train."""
+    batch: int = 1
+    """Photos of a round: they are looked at together, before the first one's step is taken."""
+    crew: Crew = field(default_factory=lambda: Crew(1))
+    """Looks at them."""
 
     def progress(self, state: State) -> float:
         """The share of the run that is done."""
         if self.config.max_seconds is not None:
             return min(state.seconds / self.config.max_seconds, 1.0)
         return min(state.step / max(self.config.steps, 1), 1.0)
+
+    def photos(self, state: State) -> range:
+        """Numbers of the steps of the next round; their photos are `row`s."""
+        end = state.step + self.batch
+        if self.config.max_seconds is None:
+            end = min(end, max(self.config.steps, state.step + 1))
+        return range(state.step, end)
+
+    def every(self, rounds: int, step: int) -> bool:
+        """Whether a step is of the first of so many rounds: all of a round are, or none."""
+        return step // self.batch % rounds == 0
 
     def row(self, step: int) -> int:
         """The photo of a step: every photo once, in random order, then all over again."""

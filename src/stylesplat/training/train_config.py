@@ -16,6 +16,7 @@ POSITIVE = (
     "refine_every",
     "identity_every",
     "identity_stride",
+    "photos_at_once",
 )
 
 
@@ -71,6 +72,11 @@ class TrainConfig:
 
     The mean over the photos stays where it was.
     """
+    photos_at_once: int | None = None
+    """Photos that are looked at together, each by threads of its own, before their steps are taken.
+
+    None: on the CPU as many as there are threads, at most 4; else one.
+    """
     max_memory: float = 1.0
     """GiB for photos and label maps; what does not fit is read again."""
 
@@ -88,7 +94,7 @@ class TrainConfig:
         if self.sh_degree not in SH_DEGREES:
             raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
         for name in WHOLE:
-            if not isinstance(getattr(self, name), int):
+            if not isinstance(getattr(self, name), int | None):
                 raise StyleSplatError(
                     f"Cannot train with {name} {getattr(self, name)}: give a whole number."
                 )
@@ -109,6 +115,7 @@ PRESETS = {
         bands_rate=1.25e-4,
         classifier_rate=5e-4,
         identity_geometry=True,
+        photos_at_once=1,
     ),
 }
 """Named settings: `paper` follows StyleSplat and Gaussian Grouping."""
