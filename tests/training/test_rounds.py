@@ -7,38 +7,24 @@ import numba
 import pytest
 import torch
 
+from begun_runs import begun
 from stylesplat.rendering.at_once import Crew
 from stylesplat.scene.capture import Capture
-from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.per_photo import first_of_photos
 from stylesplat.training.run import Run
-from stylesplat.training.state import State, first_state
+from stylesplat.training.state import State
 from stylesplat.training.step import _look, _take_step, train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import training_views
-
-CPU = torch.device("cpu")
 
 
 @pytest.fixture
-def one_thread() -> Iterator[None]:
-    """As each of two threads has it that share two cores."""
+def one_thread() -> Iterator[int]:
+    """As each of two threads has it that share two cores; yields how many there are else."""
     before = numba.get_num_threads(), torch.get_num_threads()
     numba.set_num_threads(1)
     torch.set_num_threads(1)
-    yield
+    yield before[0]
     numba.set_num_threads(before[0])
     torch.set_num_threads(before[1])
-
-
-def begun(capture: Capture, config: TrainConfig, batch: int) -> tuple[Run, State]:
-    rows, ids = range(len(capture)), (0, 3, 7)
-    views = training_views(capture, rows, ids=ids, device=CPU, max_memory=1.0)
-    extent = scene_extent(capture.cameras)
-    run = Run(config, tuple(rows), views, capture.cameras, extent, CPU, batch)
-    seeded = torch.Generator().manual_seed(0)
-    splats = first_splats(capture, sh_degree=3, max_gaussians=100, generator=seeded, ids=ids)
-    return run, first_state(splats).with_photos(first_of_photos(run, capture.points))
 
 
 def after(run: Run, state: State, rounds: int) -> State:
@@ -54,7 +40,7 @@ def same(one: State, other: State) -> bool:
 
 
 def test_every_step_is_of_one_round(capture: Capture, config: TrainConfig):
-    run, state = begun(capture, replace(config, steps=11), 4)
+    run, state = begun(capture, replace(config, steps=11), 4, of_photos=True)
     found = [[*run.photos(replace(state, step=step))] for step in (0, 4, 8)]
     assert found == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
     timed = replace(run, config=replace(run.config, max_seconds=9.0))
@@ -62,16 +48,16 @@ def test_every_step_is_of_one_round(capture: Capture, config: TrainConfig):
 
 
 def test_all_of_a_round_learn_identities_or_none(capture: Capture, config: TrainConfig):
-    run, _ = begun(capture, config, 3)
+    run, _ = begun(capture, config, 3, of_photos=True)
     found = [run.every(2, step) for step in range(9)]
     assert found == [True] * 3 + [False] * 3 + [True] * 3
 
 
-@pytest.mark.usefixtures("one_thread")
-def test_threads_change_nothing(capture: Capture, config: TrainConfig):
-    run, state = begun(capture, replace(config, refine_poses=True, color_correction="on"), 4)
+def test_threads_change_nothing(capture: Capture, config: TrainConfig, one_thread: int):
+    config = replace(config, refine_poses=True, color_correction="on")
+    run, state = begun(capture, config, 4, of_photos=True)
     alone = after(run, state, 3)
-    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(one_thread, 2))
     crew = Crew(4)
     try:
         assert crew.size == numba.get_num_threads()
@@ -82,17 +68,16 @@ def test_threads_change_nothing(capture: Capture, config: TrainConfig):
 
 
 def test_looks_are_of_one_moment_and_steps_in_turn(capture: Capture, config: TrainConfig):
-    run, state = begun(capture, config, 2)
+    run, state = begun(capture, config, 2, of_photos=True)
     together, again = after(run, state, 1), state.clone()
-    looks = [_look(run, again, step) for step in (0, 1)]
-    for look in looks:
-        _take_step(run, look)
+    for step, look in enumerate([_look(run, again, step) for step in (0, 1)]):
+        _take_step(run, replace(again, step=step), look)
     assert same(replace(again, step=2), together)
     assert not same(after(replace(run, batch=1), state, 2), together)
 
 
 def test_growth_within_a_round(capture: Capture, config: TrainConfig):
     config = replace(config, steps=100, refine_every=10, max_gaussians=200)
-    run, state = begun(capture, config, 4)
+    run, state = begun(capture, config, 4, of_photos=True)
     counts = [len(train_step(run, replace(state.clone(), step=step))[0].splats) for step in (4, 8)]
     assert counts[0] == len(state.splats) < counts[1]
