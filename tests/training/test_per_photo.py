@@ -145,7 +145,7 @@ def test_noisy_poses_get_better(plain: Capture, shaken: Capture, config: TrainCo
     as_given, state = (fit(shaken, replace(config, refine_poses=on)) for on in (False, True))
     found = refined(shaken, state, range(len(shaken)))
     # A turn and a shift look nearly alike in 72 pixels, so much of each stays
-    assert spread(found.cameras, plain.cameras) < 0.8 * spread(shaken.cameras, plain.cameras)
+    assert spread(found.cameras, plain.cameras) < 0.9 * spread(shaken.cameras, plain.cameras)
     assert are_rigid(found.cameras.viewmats, 1e-5).all()
     assert closeness(state, found) > closeness(as_given, shaken) + 1
 

@@ -22,6 +22,7 @@ from stylesplat.signals import WHOLE
 if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
+    from stylesplat.training.train_config import TrainConfig
 
 SETTINGS = (
     "steps",
@@ -119,12 +120,13 @@ class Train:
         from stylesplat.io.scene_folder import SCENE
         from stylesplat.training.ranks import Ranks
 
+        config, partial = self._config(), self._checkpoint.parent
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-        capture, partial = self._loaded(), self._checkpoint.parent
+        capture = self._loaded()
         if self.restart:
             _forget(partial)
         Ranks.here().meet()
-        scene = self._trained(capture)
+        scene = self._trained(capture, config)
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
         _forget(partial)
         return {**scene.metrics, **look(scene, capture, self.output, device=self.device)}
@@ -136,7 +138,7 @@ class Train:
 
         with observed(Silence()):
             Ranks.here().meet()  # the poses are found by now
-            self._trained(self._loaded())
+            self._trained(self._loaded(), self._config())
         sys.exit()
 
     def _loaded(self) -> "Capture":
@@ -145,14 +147,18 @@ class Train:
         folder = posed(self.capture, beside=self.output)
         return load(folder, downscale=self.downscale, masks=self.masks)
 
-    def _trained(self, capture: "Capture") -> "Scene":
+    def _config(self) -> "TrainConfig":
         from stylesplat.training.train_config import PRESETS
-        from stylesplat.verbs.train import train
 
         config = replace(PRESETS[self.preset], **given(self, SETTINGS))
+        return replace(config, refine_poses=self.refine_poses)
+
+    def _trained(self, capture: "Capture", config: "TrainConfig") -> "Scene":
+        from stylesplat.verbs.train import train
+
         return train(
             capture,
-            replace(config, refine_poses=self.refine_poses),
+            config,
             segment=self.segment,
             device=self.device,
             checkpoint=self._checkpoint,
