@@ -7,7 +7,7 @@ import pytest
 from job_files import VERBS, planned, write_jobs
 from stylesplat.errors import StyleSplatError
 from stylesplat.jobs.batch_plan import plan_batch
-from stylesplat.jobs.orders import order_of
+from stylesplat.jobs.orders import _command, order_of
 
 CHAIN = """
     scenes: [garden, desk]
@@ -28,6 +28,11 @@ def jobs(options: str) -> str:
     return f"scenes: [garden]\njobs:\n  - {options}\n"
 
 
+def make_photos(folder: Path) -> None:
+    (folder / "photos" / "images").mkdir(parents=True)
+    (folder / "photos" / "transforms.json").write_text("{}")
+
+
 def test_lists_multiply(tmp_path: Path):
     found = planned(tmp_path, CHAIN)
     assert len(found) == 2 * 2 * 2 * 2
@@ -42,6 +47,20 @@ def test_lists_multiply(tmp_path: Path):
     scene, folder = (tmp_path / "out" / name for name in (export.after, export.name))
     made = ("--overwrite", "--json")
     assert order.words == ("export", f"{scene}", f"--output={folder / 'vase.ply'}", *made)
+
+
+def test_a_training_on_several_gpus_is_torchrun_s(tmp_path: Path):
+    make_photos(tmp_path)
+    text = (
+        "scenes: [photos]\njobs:\n  - train: {}\n    needs: {gpus: 4}\n  - train: {}\n    name: t\n"
+    )
+    several, alone = (
+        _command(order_of(job, tmp_path, threads=1)) for job in planned(tmp_path, text).values()
+    )
+    assert several[1:3] == ["-m", "torch.distributed.run"]
+    place = several.index("--nproc-per-node")
+    assert several[place + 1 : place + 5] == ["4", "-m", "stylesplat", "train"]
+    assert alone[1:4] == ["-m", "stylesplat", "train"]
 
 
 def test_a_command_is_that_of_the_command_line(tmp_path: Path):
@@ -93,8 +112,7 @@ def test_a_name_tells_two_alike_jobs_apart(tmp_path: Path):
 
 
 def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
-    (tmp_path / "photos" / "images").mkdir(parents=True)
-    (tmp_path / "photos" / "transforms.json").write_text("{}")
+    make_photos(tmp_path)
     text = """
         scenes: [photos]
         jobs:

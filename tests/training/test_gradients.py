@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from begun_runs import begun
 from stylesplat.scene.capture import Capture
 from stylesplat.training import step as stepping
 from stylesplat.training.gradients import (
@@ -14,36 +15,11 @@ from stylesplat.training.gradients import (
     neighbors_of_some,
     rows_of,
 )
-from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.run import Run
-from stylesplat.training.state import State, first_state
+from stylesplat.training.state import first_state
 from stylesplat.training.step import RATES, rates, train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import training_views
 
-CPU = torch.device("cpu")
 GEOMETRY = ("means", "quats", "scales", "opacities")
-
-
-def begun(capture: Capture, config: TrainConfig) -> tuple[Run, State]:
-    ids = (0, 3, 7) if capture.label_maps is not None else ()
-    rows = range(len(capture))
-    run = Run(
-        config=config,
-        rows=tuple(rows),
-        views=training_views(capture, rows, ids=ids, device=CPU, max_memory=1.0),
-        cameras=capture.cameras,
-        extent=scene_extent(capture.cameras),
-        device=CPU,
-    )
-    splats = first_splats(
-        capture,
-        sh_degree=3,
-        max_gaussians=100,
-        generator=torch.Generator().manual_seed(0),
-        ids=ids,
-    )
-    return run, first_state(splats)
 
 
 def gradients(capture: Capture, config: TrainConfig, step: int = 0) -> dict[str, torch.Tensor]:

@@ -103,7 +103,7 @@ def test_the_run_goes_on_without_and_has_its_result(
 def test_an_interrupted_run_that_is_not_kept_says_so(
     capture: Capture, config: TrainConfig, tmp_path: Path, said: list[str]
 ):
-    checkpoint = tmp_path / "checkpoint.pt"
+    config, checkpoint = replace(config, photos_at_once=1), tmp_path / "checkpoint.pt"
 
     def stop_at(step: int):
         def stop(state: State, loss: float, psnr: float) -> None:

@@ -132,8 +132,16 @@ def test_no_photos_left(capture: Capture, config: TrainConfig):
 
 def test_progress_is_told_after_each_step(capture: Capture, config: TrainConfig):
     told: list[int] = []
-    fit(capture, replace(config, steps=27), on_progress=lambda state, *_: told.append(state.step))
+    config = replace(config, steps=27, photos_at_once=1)
+    fit(capture, config, on_progress=lambda state, *_: told.append(state.step))
     assert told == [*range(1, 28)]
+
+
+def test_progress_is_told_after_each_round(capture: Capture, config: TrainConfig):
+    told: list[int] = []
+    config = replace(config, steps=10, photos_at_once=4)
+    fit(capture, config, on_progress=lambda state, *_: told.append(state.step))
+    assert told == [4, 8, 10]
 
 
 def test_on_a_gpu_progress_is_told_now_and_then_and_at_the_end(
@@ -158,7 +166,7 @@ def test_an_interrupt_without_a_checkpoint_still_stops(capture: Capture, config:
         signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        fit(capture, config, on_progress=stop)
+        fit(capture, replace(config, photos_at_once=1), on_progress=stop)
 
 
 def test_photos_of_several_sizes(capture: Capture, config: TrainConfig):

@@ -41,6 +41,7 @@ def adam_update(step: int = 3) -> AdamStep:
         rows=draw(50, seed=4) > 0,
         rate=0.05,
         corrections=(1 - adam.BETA1**step, 1 - adam.BETA2**step),
+        kept=(adam.BETA1, adam.BETA2),
     )
 
 

@@ -20,7 +20,7 @@ from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import View, split_views
 from stylesplat.verbs.load import load
 
-CONFIG = TrainConfig(steps=250, max_gaussians=400)
+CONFIG = TrainConfig(steps=250, max_gaussians=400, photos_at_once=1)
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,12 @@
 """`stylesplat train`."""
 
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
@@ -17,7 +18,11 @@ from stylesplat.cli.scene_pictures import look
 from stylesplat.io.files import MARK, is_there
 from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
-from stylesplat.training.train_config import SEGMENTS, Segment
+from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
+
+if TYPE_CHECKING:
+    from stylesplat.scene.capture import Capture
+    from stylesplat.scene.scene import Scene
 
 SETTINGS = (
     "steps",
@@ -95,10 +100,14 @@ class Train:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.cli.joined import joined
         from stylesplat.io.recovery import changing
 
-        with changing(self.output):
-            return self._train()
+        with joined(self.device) as first:
+            if not first:
+                self._help()
+            with changing(self.output):
+                return self._train()
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
@@ -113,24 +122,49 @@ class Train:
     def _train(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE
-        from stylesplat.training.train_config import PRESETS
-        from stylesplat.verbs.load import load
-        from stylesplat.verbs.train import train
+        from stylesplat.training.ranks import Ranks
 
-        config = replace(PRESETS[self.preset], **given(self, SETTINGS))
-        config = replace(config, refine_poses=self.refine_poses)
+        config, partial = self._config(), self._checkpoint.parent
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-        checkpoint, partial = self._checkpoint, self._checkpoint.parent
-        folder = posed(self.capture, beside=self.output)
-        capture = load(folder, downscale=self.downscale, masks=self.masks)
+        capture = self._loaded()
         if self.restart:
             _forget(partial)
-        scene = train(
-            capture, config, segment=self._segment, device=self.device, checkpoint=checkpoint
-        )
+        Ranks.here().meet()
+        scene = self._trained(capture, config)
         save_or_rescue(scene, self.output, overwrite=self.overwrite)
         _forget(partial)
         return {**scene.metrics, **look(scene, capture, self.output, device=self.device)}
+
+    def _help(self) -> NoReturn:
+        """Train with the process that tells and keeps what comes of it."""
+        from stylesplat.progress import Silence, observed
+        from stylesplat.training.ranks import Ranks
+
+        with observed(Silence()):
+            Ranks.here().meet()  # the poses are found by now
+            self._trained(self._loaded(), self._config())
+        sys.exit()
+
+    def _loaded(self) -> "Capture":
+        from stylesplat.verbs.load import load
+
+        folder = posed(self.capture, beside=self.output)
+        return load(folder, downscale=self.downscale, masks=self.masks)
+
+    def _config(self) -> TrainConfig:
+        config = replace(PRESETS[self.preset], **given(self, SETTINGS))
+        return replace(config, refine_poses=self.refine_poses)
+
+    def _trained(self, capture: "Capture", config: TrainConfig) -> "Scene":
+        from stylesplat.verbs.train import train
+
+        return train(
+            capture,
+            config,
+            segment=self._segment,
+            device=self.device,
+            checkpoint=self._checkpoint,
+        )
 
 
 def _forget(partial: Path) -> None:

@@ -68,6 +68,11 @@ class Job:
         return any(self.verb.options[name].is_place for name, each in self.options if each.given)
 
     @property
+    def processes(self) -> int:
+        """How many train together: as many as there are GPUs for it."""
+        return max(1, self.needs.gpus or 1) if self.verb.name == "train" else 1
+
+    @property
     def inputs(self) -> Iterator[Path]:
         """Files and folders that its options name."""
         return (path for _, choice in self.options for path in choice.inputs)

@@ -111,5 +111,5 @@ def _room(job: Job, count: int) -> Room:
     return Room(
         needs.cpus or CORES,
         int(on_gpu) if needs.gpus is None else needs.gpus,
-        needs.memory or round(memory, 2),
+        needs.memory or round(job.processes * memory, 2),
     )

@@ -44,6 +44,8 @@ class Order:
     threads: int
     copied: tuple[Path, Path] | None = None
     """A capture, and where it is to be copied first."""
+    processes: int = 1
+    """How many of them train together, by `torchrun`."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ def order_of(job: Job, output: Path, *, threads: int) -> Order:
     elif job.is_in_folder:
         place = ()
     words = (*job.words(source, folder), *place, "--overwrite", "--json")
-    return Order(job.name, words, output / LOGS / f"{job.name}.log", threads, copied)
+    log = output / LOGS / f"{job.name}.log"
+    return Order(job.name, words, log, threads, copied, job.processes)
 
 
 class Running:
@@ -89,7 +92,7 @@ class Running:
             _copy_capture(*order.copied)
         with self._stdout.open("wb") as out, order.log.open("wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", SAID, *order.words],
+                _command(order),
                 env=_environment(order.threads),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -159,6 +162,14 @@ def not_started(error: OSError) -> Outcome:
 def at_node(outcome: Outcome, node: str) -> Outcome:
     """An outcome that is known to come from another machine."""
     return replace(outcome, node=node)
+
+
+def _command(order: Order) -> list[str]:
+    launcher: list[str] = []
+    if order.processes > 1:
+        launcher = ["-m", "torch.distributed.run", "--standalone"]
+        launcher += ["--nproc-per-node", str(order.processes)]
+    return [sys.executable, *launcher, "-m", SAID, *order.words]
 
 
 def _environment(threads: int) -> dict[str, str]:

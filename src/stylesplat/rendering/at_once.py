@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from itertools import islice
+from threading import Barrier
 from typing import TypeVar
 
 import torch
@@ -18,6 +19,43 @@ from stylesplat.rendering.kernels.jit import SHARED
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+class Crew:
+    """Threads that stay, each of which draws by itself on its share of the cores."""
+
+    def __init__(self, most: int, device: torch.device | str = "cpu") -> None:
+        """Start them.
+
+        Args:
+            most: Items to draw at a time, if there are as many cores.
+            device: Where they draw; several at a time on the CPU only.
+        """
+        cores = get_num_threads() if torch.device(device).type == "cpu" and SHARED else 1
+        self.size = max(1, min(most, cores))
+        self._pool: ThreadPoolExecutor | None = None
+        if self.size > 1:
+            of_others, ready = torch.get_num_threads(), Barrier(self.size)
+            self._pool = ThreadPoolExecutor(self.size, "view", _share, (cores // self.size,))
+            for begun in [self._pool.submit(ready.wait) for _ in range(self.size)]:
+                begun.result()
+            torch.set_num_threads(of_others)  # what one thread sets, later ones have too
+
+    def in_order(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
+        """What a function makes of each item; at most two results per thread wait to be asked for.
+
+        Args:
+            function: Draws something by CPU kernels, for each item alone.
+            items: What from.
+        """
+        if self._pool is None:
+            return map(function, items)
+        return _in_order(self._pool, function, items, 2 * self.size)
+
+    def end(self) -> None:
+        """Let the threads go; what waits is not drawn."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
 
 
 def at_once(
@@ -35,16 +73,17 @@ def at_once(
     if len(items) == 0:
         return
     yield function(items[0])  # loads the kernels, once
-    rest, threads = items[1:], get_num_threads()
-    workers = min(threads, len(rest))
-    if workers < 2 or torch.device(device).type != "cpu" or not SHARED:
-        yield from map(function, rest)
-        return
-    pool = ThreadPoolExecutor(workers, "view", set_num_threads, (threads // workers,))
+    crew = Crew(len(items) - 1, device)
     try:
-        yield from _in_order(pool, function, rest, 2 * workers)
+        yield from crew.in_order(function, items[1:])
     finally:
-        pool.shutdown(cancel_futures=True)
+        crew.end()
+
+
+def _share(threads: int) -> None:
+    """What a thread of its own takes: numba's part, and torch's."""
+    set_num_threads(threads)
+    torch.set_num_threads(threads)
 
 
 def _in_order(

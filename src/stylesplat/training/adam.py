@@ -54,17 +54,24 @@ def adam_step(
     rates: dict[str, float],
     step: int,
     seen: Bool[Tensor, " N"] | None = None,
+    *,
+    photos: int = 1,
 ) -> None:
     """Update the tensors that have a gradient in place.
+
+    A step for several photos at once, by the mean of their gradients, takes the rate times the
+    square root of their number, and moments that fade as in as many steps (Zhao et al. 2024, "On
+    Scaling Up 3D Gaussian Splatting Training").
 
     Args:
         params: Tensors, with their gradients in `.grad`.
         moments: Their state, updated in place.
         rates: Learning rate of each.
-        step: Number of this step, from 1.
+        step: Number of the last photo of this step, from 1.
         seen: Rows to update of the tensors with this many rows; None updates all.
+        photos: How many the gradients are the mean of.
     """
-    corrections = 1 - BETA1**step, 1 - BETA2**step
+    corrections, kept = (1 - BETA1**step, 1 - BETA2**step), (BETA1**photos, BETA2**photos)
     for name, param in params.items():
         if param.grad is None:
             continue
@@ -75,7 +82,8 @@ def adam_step(
             first=moments.first[name],
             second=moments.second[name],
             rows=param.new_ones(len(param), dtype=torch.bool) if some is None else some,
-            rate=rates[name],
+            rate=rates[name] * photos**0.5,
             corrections=corrections,
+            kept=kept,
         )
         parts_for(param.device).adam(update)

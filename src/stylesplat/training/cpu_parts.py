@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import kernel
-from stylesplat.training.adam import BETA1, BETA2, EPS
+from stylesplat.training.adam import EPS
 from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, NOISE_SHARPNESS, AdamStep, Geometry
 from stylesplat.training.photometric_cpu import photometric_loss
 
@@ -26,14 +26,15 @@ def adam(step: AdamStep) -> None:
     tensors = (step.param, step.grad, step.first, step.second)
     arrays = tuple(t.contiguous().view(len(t), -1).numpy() for t in tensors)
     rate, correction = step.rate / step.corrections[0], step.corrections[1]
-    _adam(arrays, np.float32(rate), np.float32(correction), step.rows.numpy())
+    kept = np.float32(step.kept[0]), np.float32(step.kept[1])
+    _adam(arrays, kept, np.float32(rate), np.float32(correction), step.rows.numpy())
 
 
 @no_type_check
 @kernel
-def _adam(arrays, rate, correction, rows):
+def _adam(arrays, kept, rate, correction, rows):
     param, grad, first, second = arrays
-    b1, b2, eps = np.float32(BETA1), np.float32(BETA2), np.float32(EPS)
+    (b1, b2), eps = kept, np.float32(EPS)
     one, scale = np.float32(1), np.float32(1) / correction
     for i in numba.prange(param.shape[0]):
         if rows[i]:

@@ -13,7 +13,7 @@ from gsplat.relocation import compute_relocation
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.training.adam import BETA1, BETA2, EPS
+from stylesplat.training.adam import EPS
 from stylesplat.training.losses import photometric_spec as photometric_loss
 from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, NOISE_SHARPNESS, AdamStep, Geometry
 
@@ -36,8 +36,8 @@ def adam(step: AdamStep) -> None:
         step.second,
         valid=step.rows,
         lr=step.rate * root / step.corrections[0],
-        b1=BETA1,
-        b2=BETA2,
+        b1=step.kept[0],
+        b2=step.kept[1],
         eps=EPS * root,
     )
 

@@ -48,7 +48,7 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     place = run.rows.index(row)  # in what is learned of each photo
     factor = schedule.photo_downscale(progress, run.cameras[row].size, config)
     view = run.views(row, factor)
-    classes = view.classes if state.step % config.identity_every == 0 else None
+    classes = view.classes if run.every(config.identity_every, state.step) else None
     for param in state.params.values():
         param.grad = None
     splats, changes = state.splats, state.params.get("color_maps")
@@ -106,7 +106,8 @@ def _identity_losses(
     y, x = run.offset(state.step)
     pixels, targets = (each[y::stride, x::stride].flatten(0, 1) for each in view)
     loss = identity_loss(pixels, targets.long(), splats.classifier)
-    if state.step // run.config.identity_every % NEIGHBOR_EVERY == 0 and len(splats) > NEIGHBORS:
+    looks = run.every(run.config.identity_every * NEIGHBOR_EVERY, state.step)
+    if looks and len(splats) > NEIGHBORS:
         sample, neighbors = neighbors_of_some(splats.means.detach(), generator)
         own, others = rows_of(splats.identities, sample), rows_of(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)

@@ -26,7 +26,14 @@ def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
 
 
 @torch.no_grad()
-def add_noise(params: Params, extent: float, decay: float, generator: torch.Generator) -> None:
+def add_noise(
+    params: Params,
+    extent: float,
+    decay: float,
+    generator: torch.Generator,
+    *,
+    photos: int = 1,
+) -> None:
     """Move the means at random, along their own covariance, the fainter the more.
 
     Covariances are squares of lengths: over the extent, the same scene in other units moves alike.
@@ -36,10 +43,11 @@ def add_noise(params: Params, extent: float, decay: float, generator: torch.Gene
         extent: Unit of length of the scene.
         decay: Factor that becomes smaller as training goes on.
         generator: Source of randomness, on their device.
+        photos: For how many at once: their noises' squares add up.
     """
     geometry = Geometry(**{name: params[name].detach() for name in Geometry._fields})
     noise = torch.randn(geometry.means.shape, generator=generator, device=geometry.means.device)
-    parts_for(noise.device).drift(geometry, noise, NOISE_RATE * decay / extent)
+    parts_for(noise.device).drift(geometry, noise, NOISE_RATE * decay * photos**0.5 / extent)
 
 
 @torch.no_grad()

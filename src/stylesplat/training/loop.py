@@ -9,6 +9,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
+from stylesplat.rendering.at_once import Crew
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.fingerprint import fingerprint
 from stylesplat.training.announce import Report, Tally, announced
@@ -22,11 +23,14 @@ from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.interrupt import deferred_interrupt
 from stylesplat.training.keeper import Keeper
 from stylesplat.training.per_photo import first_of_photos
+from stylesplat.training.ranks import Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views, training_views
+
+MOST_AT_ONCE = 4  # photos, unless the settings say otherwise
 
 
 def fit(
@@ -95,8 +99,15 @@ def fit(
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
     _warm_up(run, state)
-    with announced(config, state, on_progress) as report:
-        return _finish(run, state, Keeper(saved, state), report)
+    crew = Crew(config.photos_at_once or MOST_AT_ONCE, device)
+    batch, ranks = config.photos_at_once or crew.size, Ranks.here()
+    run = replace(run, crew=crew, batch=batch, ranks=ranks)
+    keeper = Keeper(saved if ranks.number == 0 else None, state)
+    try:
+        with announced(config, state, on_progress) as report:
+            return _finish(run, state, keeper, report)
+    finally:
+        crew.end()
 
 
 def _first(
@@ -136,7 +147,8 @@ def _finish(run: Run, state: State, keeper: Keeper, report: Report) -> State:
     """Train to the end of the run; Ctrl-C and SIGTERM wait for the end of a step."""
     tally = Tally()
     with deferred_interrupt() as interrupted:
-        while run.progress(state) < 1 and not interrupted():
+        state, stopped = _agreed(run, state, interrupted=interrupted())
+        while run.progress(state) < 1 and not stopped:
             start = time.perf_counter()
             after, scores = train_step(run, state)
             tally = tally.plus(scores)
@@ -146,9 +158,16 @@ def _finish(run: Run, state: State, keeper: Keeper, report: Report) -> State:
                 report(state, *means)
                 tally = Tally()
             keeper.after_step(state)
+            state, stopped = _agreed(run, state, interrupted=interrupted())
         if tally.steps:
             report(state, *tally.means())
-        keeper.at_end(state, interrupted=interrupted())
-    if interrupted():  # and the program's own handler has let it pass
+        keeper.at_end(state, interrupted=stopped)
+    if stopped:  # and the program's own handler has let it pass
         raise KeyboardInterrupt
     return state
+
+
+def _agreed(run: Run, state: State, *, interrupted: bool) -> tuple[State, bool]:
+    """The state with the time that the slowest process took; and whether any is to stop."""
+    seconds, stopped = run.ranks.largest(state.seconds, interrupted)
+    return replace(state, seconds=seconds), bool(stopped)

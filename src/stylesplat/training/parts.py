@@ -28,6 +28,8 @@ class AdamStep(NamedTuple):
     """Learning rate."""
     corrections: tuple[float, float]
     """What both means are divided by, for they started at 0."""
+    kept: tuple[float, float]
+    """The share of both that stays."""
 
 
 class Geometry(NamedTuple):

@@ -1,16 +1,18 @@
 """What stays the same in the course of training."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 
+from stylesplat.rendering.at_once import Crew
 from stylesplat.scene.cameras import Cameras
+from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import Views
 
 STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbers
-EPOCHS, NUMBERS, OFFSETS, PURPOSES = 0, 1, 2, 3  # what randomness is for, and of how many kinds
+EPOCHS, NUMBERS, OFFSETS, MOVES, PURPOSES = range(5)  # what randomness is for; how many kinds
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,12 @@ class Run:
     """Unit of length of the scene."""
     device: torch.device
     """Where to train."""
+    batch: int = 1
+    """Photos of a round: they are looked at together, before the first one's step is taken."""
+    ranks: Ranks = ALONE
+    """Which process this is; each has as many photos in a round."""
+    crew: Crew = field(default_factory=lambda: Crew(1))
+    """Looks at them."""
 
     def progress(self, state: State) -> float:
         """The share of the run that is done."""
@@ -36,18 +44,29 @@ class Run:
             return min(state.seconds / self.config.max_seconds, 1.0)
         return min(state.step / max(self.config.steps, 1), 1.0)
 
+    def photos(self, state: State) -> range:
+        """Numbers of the photos of the next round that are this process's; see `row`."""
+        turns, number, count = self.batch, self.ranks.number, self.ranks.count
+        if self.config.max_seconds is None:
+            turns = max(1, min(turns, -(-(self.config.steps - state.step) // count)))
+        return range(state.step + number, state.step + turns * count, count)
+
+    def every(self, rounds: int, step: int) -> bool:
+        """Whether a step is of the first of so many rounds: all of a round are, or none."""
+        return step // (self.batch * self.ranks.count) % rounds == 0
+
     def row(self, step: int) -> int:
         """The photo of a step: every photo once, in random order, then all over again."""
         epoch, place = divmod(step, len(self.rows))
         shuffle = _generator(self.config.seed, EPOCHS, epoch, torch.device("cpu"))
         return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
 
-    def generator(self, step: int) -> torch.Generator:
+    def generator(self, step: int, purpose: int = NUMBERS) -> torch.Generator:
         """Randomness of one step, on the device.
 
         It follows from seed and step alone, so that a run that is continued needs no memory of it.
         """
-        return _generator(self.config.seed, NUMBERS, step, self.device)
+        return _generator(self.config.seed, purpose, step, self.device)
 
     def offset(self, step: int) -> tuple[int, int]:
         """The row and column from which on every n-th pixel has its identity looked at.

@@ -38,6 +38,11 @@ class State:
         params = {name: t.detach().clone().requires_grad_() for name, t in self.params.items()}
         return replace(self, params=params, moments=self.moments.clone())
 
+    def beside(self, step: int) -> "State":
+        """The same tensors, whose gradients are its own, at another step."""
+        params = {name: t.detach().requires_grad_() for name, t in self.params.items()}
+        return replace(self, params=params, step=step)
+
     def with_photos(self, tensors: dict[str, Tensor]) -> "State":
         """With what is learned of each photo, by name; before the first step."""
         fresh = {name: t.detach().clone().requires_grad_() for name, t in tensors.items()}

@@ -17,6 +17,7 @@ POSITIVE = (
     "refine_every",
     "identity_every",
     "identity_stride",
+    "photos_at_once",
 )
 
 
@@ -72,6 +73,11 @@ class TrainConfig:
 
     The mean over the photos stays where it was.
     """
+    photos_at_once: int | None = None
+    """Photos that are looked at together, each by threads of its own, before their steps are taken.
+
+    None: on the CPU as many as there are threads, at most 4; else one.
+    """
     max_memory: float = 1.0
     """GiB for photos and label maps; what does not fit is read again."""
 
@@ -88,7 +94,7 @@ class TrainConfig:
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
         if self.sh_degree not in SH_DEGREES:
             raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
-        for name in WHOLE:
+        for name in WHOLE if self.photos_at_once is None else (*WHOLE, "photos_at_once"):
             if not isinstance(getattr(self, name), int):
                 raise StyleSplatError(
                     f"Cannot train with {name} {getattr(self, name)}: give a whole number."
@@ -110,6 +116,7 @@ PRESETS = {
         bands_rate=1.25e-4,
         classifier_rate=5e-4,
         identity_geometry=True,
+        photos_at_once=1,
     ),
 }
 """Named settings: `paper` follows StyleSplat and Gaussian Grouping."""

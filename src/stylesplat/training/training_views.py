@@ -1,6 +1,7 @@
 """Training photos and label classes at every size that the schedule asks for."""
 
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import NamedTuple
 
 import cv2
@@ -73,7 +74,7 @@ def training_views(
     """
     cache: Cache[tuple[int, int]] = Cache(int(max_memory * GIB))
     all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= max_memory * GIB
-    latest = [1]
+    latest, lock = [1], Lock()
 
     def kept(row: int, factor: int) -> Pixels:
         if factor == 1:
@@ -85,10 +86,12 @@ def training_views(
         return kept(row, 1) if all_fit else _read(capture, row, ids)
 
     def view(row: int, factor: int) -> View:
-        if factor != latest[0]:
-            latest[0] = factor
-            cache.forget(lambda key: key[1] not in ({1, factor} if all_fit else {factor}))
-        return _on(device, capture.cameras[row].downscale(factor), kept(row, factor))
+        with lock:  # the threads of a round ask at the same time
+            if factor != latest[0]:
+                latest[0] = factor
+                cache.forget(lambda key: key[1] not in ({1, factor} if all_fit else {factor}))
+            pixels = kept(row, factor)
+        return _on(device, capture.cameras[row].downscale(factor), pixels)
 
     return view
 

@@ -21,6 +21,7 @@ from stylesplat.training.initialize import scene_extent
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.pose_shifts import refined
+from stylesplat.training.ranks import Ranks
 from stylesplat.training.state import State
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 from stylesplat.training.training_views import split_views
@@ -91,7 +92,8 @@ def train(
     fits = Fits(
         "color_maps" in state.params, "pose_shifts" in state.params, scene_extent(capture.cameras)
     )
-    metrics = evaluate_views(splats, capture, held_out, fits=fits) if held_out else {}
+    measures = held_out and Ranks.here().number == 0  # of processes that train together, one
+    metrics = evaluate_views(splats, capture, held_out, fits=fits) if measures else {}
     scene = Scene(
         splats=splats.to("cpu"),
         cameras=capture.full_cameras,
