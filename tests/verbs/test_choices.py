@@ -46,6 +46,8 @@ def inverted() -> Scene:
         ({"sh_degree": 4}, "sh_degree 4: use 0 to 3"),
         ({"identity_every": 0}, "identity_every 0: it must exceed 0"),
         ({"identity_stride": 0}, "identity_stride 0: it must exceed 0"),
+        ({"photos_at_once": 0}, "photos_at_once 0: it must exceed 0"),
+        ({"photos_at_once": 1.5}, "photos_at_once 1.5: give a whole number"),
         ({"test_every": -1}, "test_every -1: it must not be less than 0"),
         ({"stepz": 3}, "no setting 'stepz'"),
         ({"preset": "best"}, r"no preset 'best'\. Use default, paper"),
