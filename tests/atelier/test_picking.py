@@ -97,8 +97,9 @@ def test_shapes_sizes_differences_and_names():
     box = pick_box(STATE, (-1.2, -0.5, 0.05), (-0.2, 0.5, 0.8))
     of_ball = masks.of(STATE.scene, "3")
     assert int((masks.of(box.scene, "pick 1") & of_ball).sum()) > 60
-    assert int(masks.of(resized(box, 0.2).scene, "pick 1").sum()) > int(of_ball.sum())
-    rest = difference(pick_names(box, ["pick 1", "3"]))
+    wide = resized(box, 0.2)
+    assert int(masks.of(wide.scene, "pick 1").sum()) > int(of_ball.sum())
+    rest = difference(pick_names(wide, ["pick 1", "3"]))
     assert not (masks.of(rest.scene, rest.picked[0]) & of_ball).any()
     named = renamed(pick_names(STATE, ["3"]), "red ball")
     assert named.picked == ("red ball",) and "3" not in names_in(named.scene)

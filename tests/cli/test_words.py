@@ -62,13 +62,14 @@ def test_objects_names_nothing_twice(scene: Path, said):
     said("select", scene, "--name", "red", "--id", 3)
     said("select", scene, "--name", "both", "--id", 3, 7, "--keep-outliers")
     said("select", scene, "--name", "all red", "--id", 3, "--keep-outliers")
+    said("select", scene, "--name", "barely red", "--id", 3, "--threshold", 1e-6)
     lines = said("objects", scene)
     assert [re.sub(r"\d+ its own, --box3d.*|, --box3d.*", "", line) for line in lines[:-2]] == [
-        "id 3, red: 79 Gaussians, ",
+        "id 3, red, all red: 80 Gaussians, ",
         "id 7: 80 Gaussians, ",
         "id 300: 80 Gaussians, ",
         "both: 160 Gaussians",
-        "all red (id 3): 80 Gaussians",
+        "barely red (id 3): 240 Gaussians",
         "all content",
     ]
 

@@ -24,7 +24,10 @@ def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
     """
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
+        temporary.touch()
+        mode = temporary.stat().st_mode  # which safetensors narrows to the owner
         safetensors.torch.save_file(whole, temporary)
+        temporary.chmod(mode)
 
 
 def read_tensors(path: Path, declared: Mapping[str, Declared], **sizes: int) -> dict[str, Tensor]:

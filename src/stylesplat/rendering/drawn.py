@@ -1,4 +1,7 @@
-"""Which Gaussians show in a view, and where; without colours, on the CPU."""
+"""Which Gaussians show in a view, and where; without colours, on the CPU.
+
+Kernels are loaded when something is looked up: to select by id none are needed.
+"""
 
 import numpy as np
 import torch
@@ -6,9 +9,7 @@ from jaxtyping import Bool, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import Gaussians, Projected, views_of
-from stylesplat.rendering.linear import reaching
 from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -27,6 +28,9 @@ def drawn(
         camera: The camera, with matrices of their type.
         pixels: Those that count; of what cannot reach one of them nothing is drawn.
     """
+    from stylesplat.rendering import cpu
+    from stylesplat.rendering.linear import reaching
+
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
     rows = _near(projected, pixels)
     seen = Projected(*(each[rows] for each in projected))
@@ -75,6 +79,8 @@ def in_picture(splats: Splats, camera: Cameras) -> Splats:
 @torch.no_grad()
 def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
     """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
+    from stylesplat.rendering import cpu
+
     views = views_of(beside(splats, camera))
     projected = cpu.project_gaussians(activated(splats), views[0])
     seen = (projected.radii > 0).all(dim=1, keepdim=True)
