@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -74,6 +74,14 @@ class Tab:
     def _box(self, element: str, label: str) -> list[float] | None:
         """Left, top, width and height of what no longer moves."""
         return self.page.evaluate(f"({RESTING})({element.replace('LABEL', json.dumps(label))})")
+
+    def unfold(self, label: str, title: str) -> None:
+        """Click a heading until a picture shows beneath; a click is lost while the panel grows."""
+        for _ in range(4):
+            self.press_button(label)
+            with suppress(AssertionError):
+                until(lambda: self._box(PICTURE, title), f"a picture {title!r}", PATIENCE / 8)
+                return
 
     def drag_on(self, title: str, start: tuple[float, float], end: tuple[float, float]) -> None:
         """From one place on a picture of the panel to another, in shares of it."""

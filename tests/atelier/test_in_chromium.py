@@ -172,7 +172,7 @@ def chooses_pictures(opened: Studio, tab: Tab, folder: Path) -> None:
     tab.give(small)
     until(lambda: tab.place_of("plain"), "a button for what was added")
     tab.press_button("Settings")
-    tab.press_button("Part of a picture")
+    tab.unfold("Part of a picture", TITLE)
     for start, end, wanted in (
         ((0.2, 0.3), (0.8, 0.5), ((20, 80), (30, 50))),
         ((0.4, 0.4), (0.4, 0.4), ((0, 100), (0, 100))),
