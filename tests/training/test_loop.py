@@ -149,7 +149,8 @@ def test_on_a_gpu_progress_is_told_now_and_then_and_at_the_end(
 ):
     told: list[int] = []
     monkeypatch.setattr(Tally, "due", lambda self, step, device: step % GPU_STEPS == 0)
-    fit(capture, replace(config, steps=27), on_progress=lambda state, *_: told.append(state.step))
+    config = replace(config, steps=27, photos_at_once=1)
+    fit(capture, config, on_progress=lambda state, *_: told.append(state.step))
     assert told == [GPU_STEPS, 2 * GPU_STEPS, 27]
 
 
