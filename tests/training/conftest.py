@@ -49,5 +49,5 @@ def capture(cameras: Cameras) -> Capture:
 
 @pytest.fixture
 def config() -> TrainConfig:
-    """Sixty steps of it."""
-    return TrainConfig(steps=60, max_gaussians=400, refine_every=20)
+    """Sixty steps of it, two at a time whatever the machine."""
+    return TrainConfig(steps=60, max_gaussians=400, refine_every=20, photos_at_once=2)
