@@ -24,8 +24,8 @@ class Export:
     """Folder of the scene."""
     file: Positional[Path | None] = None
     """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .glb
-    is glTF, .usd (.usdc, .usda) USD; .html is a page for any browser, with before and after; .npz
-    and .json list the objects' Gaussians. Or name it with -o."""
+    and .gltf are glTF, .usd (.usdc, .usda) USD; .html is a page for any browser, with before and
+    after; .npz and .json list the objects' Gaussians. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
     object: UseAppendAction[tuple[str, ...]] = ()
@@ -108,7 +108,7 @@ class Export:
         count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
         plain = file.suffix == ".ply" and not file.name.endswith(".compressed.ply")
         opened_by = "SuperSplat opens it"
-        if file.suffix.lower() == ".glb":
+        if file.suffix.lower() in (".glb", ".gltf"):
             opened_by = "What knows KHR_gaussian_splatting opens it, the rest shows points"
         if file.suffix.lower().startswith(".usd"):
             opened_by = "What knows OpenUSD's ParticleField3DGaussianSplat opens it"

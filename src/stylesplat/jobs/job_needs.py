@@ -40,7 +40,7 @@ BYTES = {  # of a file for each Gaussian, at least
     ".spz": 16,
     ".sog": 12,
     ".glb": 56,
-    ".gltf": 56,
+    ".gltf": 74,
     ".json": 12,
 }
 COMPRESSED, PACKED_BYTES = ".compressed.ply", 16  # SuperSplat's

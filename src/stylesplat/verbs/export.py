@@ -42,11 +42,10 @@ def export(
         what: A scene, or splats alone.
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
             SuperSplat compresses, four times smaller; in `.spz`, about six times smaller; in
-            `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb`, glTF
-            with Khronos' KHR_gaussian_splatting, or `.usd` (`.usdc`, `.usda`; needs the extra
-            `usd`), all as float32; or in `.html`, a page that any
-            browser opens from the disk, without a network, and that compares a styled scene with
-            what it was before.
+            `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb` or
+            `.gltf`, glTF with Khronos' KHR_gaussian_splatting, or `.usd` (`.usdc`, `.usda`; needs
+            the extra `usd`), all as float32; or in `.html`, a page that any browser opens from
+            the disk, without a network, and that compares a styled scene with what it was before.
         objects: Names or label ids of what to write alone; by default everything. It lies where
             it does in the scene, so that parts fit together again.
         without: Names or label ids of what to leave out.
@@ -65,7 +64,7 @@ def export(
     Raises:
         StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
             may not be replaced, it cannot be written, the splats reach farther than `.spz` can
-            express or are none that a `.glb` can hold, the scene has no such object, nothing is
+            express or are none that glTF can hold, the scene has no such object, nothing is
             left, or nothing would show on a page.
     """
     path = Path(path)

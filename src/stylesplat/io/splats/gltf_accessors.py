@@ -37,11 +37,13 @@ class Numbers:
     """The file."""
     loaded: dict[str | int, memoryview] = field(default_factory=dict)
     """By what names them."""
+    unpacked: dict[int, int] = field(default_factory=dict)
+    """Bytes that compressed stretches became, by number of the stretch."""
 
     @property
     def size(self) -> int:
-        """Bytes that were loaded."""
-        return sum(map(len, self.loaded.values()))
+        """Bytes that were loaded, those of compressed stretches as what they became, too."""
+        return sum(map(len, self.loaded.values())) + sum(self.unpacked.values())
 
     def rows(self, index: int, name: str, width: int) -> Float[np.ndarray, "N D"]:
         """The rows of an accessor as float32, integers as their fractions where it says so.
@@ -79,10 +81,9 @@ class Numbers:
         if accessor.sparse is not None or accessor.buffer_view is None:
             fault = f"the rows of {name} are left out or sparse, which is not read here"
             raise self.gltf.refusal(fault, "Export it without compression.")
-        view = self._part(self.gltf.document.buffer_views, accessor.buffer_view, f"view of {name}")
-        stretch = self._stretch(view, name)
         row = width * dtype.itemsize
-        stride = view.byte_stride or row
+        stretch = self.stretch(accessor.buffer_view, name)
+        stride = self._view(accessor.buffer_view, name).byte_stride or row
         end = accessor.byte_offset + (accessor.count - 1) * stride + row
         if stride < row or (accessor.count and end > len(stretch)):
             fault = f"{accessor.count} rows of {name} are to lie {stride} bytes apart"
@@ -90,7 +91,13 @@ class Numbers:
         shape, strides = (accessor.count, width), (stride, dtype.itemsize)
         return np.ndarray(shape, dtype, stretch, accessor.byte_offset, strides)
 
-    def _stretch(self, view: BufferView, name: str) -> memoryview:
+    def stretch(self, index: int, name: str) -> memoryview:
+        """The bytes of a view, for what `name` says in messages.
+
+        Raises:
+            StyleSplatError: If there are none, or fewer than it claims.
+        """
+        view = self._view(index, name)
         packed = next((each for each in view.extensions if "compression" in each), None)
         if packed is not None:
             fault = f"the rows of {name} are compressed ({brief(packed)}), which is not read here"
@@ -101,6 +108,9 @@ class Numbers:
             fault = f"the rows of {name} are to end at byte {end} of {len(content)}"
             raise self.gltf.refusal(fault)
         return content[view.byte_offset : end]
+
+    def _view(self, index: int, name: str) -> BufferView:
+        return self._part(self.gltf.document.buffer_views, index, f"view of {name}")
 
     def _buffer(self, index: int) -> memoryview:
         """The bytes of a buffer, as many as it says."""

@@ -18,6 +18,7 @@ from stylesplat.io.files import read_bytes
 from stylesplat.io.ply import say_left_over
 
 SPLATTING = "KHR_gaussian_splatting"
+SPZ = (f"{SPLATTING}_compression_spz_2", f"{SPLATTING}_compression_spz")  # now, and before
 DISPLAYED = "srgb_rec709_display"  # the colour space of all our splats
 MAGIC = b"glTF"
 HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
@@ -72,6 +73,12 @@ class Splatting(_Part, frozen=True):
     kernel: str = "ellipse"
     color_space: str = DISPLAYED
     extensions: dict[str, Any] = {}
+
+
+class Packed(_Part, frozen=True):
+    """Where SPZ lies that has all attributes of splats."""
+
+    buffer_view: Natural
 
 
 class Extensions(Struct, frozen=True, rename={"splatting": SPLATTING}):

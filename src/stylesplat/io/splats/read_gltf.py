@@ -6,7 +6,9 @@ harmonics are the INRIA code's, sign by sign.
 """
 
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -15,7 +17,9 @@ from stylesplat.errors import brief
 from stylesplat.io.splats.gltf_accessors import Numbers
 from stylesplat.io.splats.gltf_document import (
     DISPLAYED,
+    SPZ,
     Gltf,
+    Packed,
     Primitive,
     Splatting,
     harmonic,
@@ -25,6 +29,7 @@ from stylesplat.io.splats.gltf_document import (
 )
 from stylesplat.io.splats.gltf_places import placed_splats
 from stylesplat.io.splats.splat_ply import check_splats, of_degree
+from stylesplat.io.splats.spz import spz_within
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.turned import moved
@@ -64,7 +69,13 @@ def _splats(numbers: Numbers, primitive: Primitive) -> Splats:
     """The splats of a primitive, in its own frame."""
     gltf = numbers.gltf
     assert primitive.extensions.splatting is not None
-    _check_kind(gltf, primitive, primitive.extensions.splatting)
+    splatting = primitive.extensions.splatting
+    _check_kind(gltf, primitive, splatting)
+    packed = next(
+        (splatting.extensions[name] for name in SPZ if name in splatting.extensions), None
+    )
+    if packed is not None:
+        return _unpacked(numbers, primitive, packed)
     degree = _degree(gltf, primitive)
     means = _column(numbers, primitive, "POSITION", 3)
     quats = _column(numbers, primitive, named("ROTATION"), 4)
@@ -82,6 +93,22 @@ def _splats(numbers: Numbers, primitive: Primitive) -> Splats:
         sh0=_column(numbers, primitive, harmonic(0, 0), 3)[:, None],
         shN=shN,
     )
+
+
+def _unpacked(numbers: Numbers, primitive: Primitive, packed: Any) -> Splats:
+    """Those of a primitive as SPZ: its axes are the primitive's, unlike those of a `.spz`."""
+    try:
+        view = msgspec.convert(packed, Packed).buffer_view
+    except msgspec.ValidationError as error:
+        raise numbers.gltf.refusal(f"what it says of its SPZ is none ({error})") from error
+    splats = spz_within(bytes(numbers.stretch(view, "SPZ")), numbers.gltf.path)
+    numbers.unpacked[view] = sum(column.nbytes for column in splats.tensors().values())
+    places = primitive.attributes.get("POSITION")
+    expected = len(splats) if places is None else numbers.accessor(places, "POSITION").count
+    if len(splats) != expected:
+        fault = f"its splats have {expected} places, but {len(splats)} rows of SPZ"
+        raise numbers.gltf.refusal(fault)
+    return splats
 
 
 def _logits(numbers: Numbers, primitive: Primitive) -> Float[Tensor, " N"]:
@@ -111,9 +138,9 @@ def _column(numbers: Numbers, primitive: Primitive, name: str, width: int) -> Fl
 
 def _check_kind(gltf: Gltf, primitive: Primitive, splatting: Splatting) -> None:
     """Refuse splats that are stored or drawn in another way; say what else is different."""
-    packed = next((name for name in splatting.extensions if "compression" in name), None)
-    if packed is not None:
-        fault = f"its splats are compressed ({packed:.60}), which is not read here"
+    unread = [name for name in splatting.extensions if "compression" in name and name not in SPZ]
+    if unread:
+        fault = f"its splats are compressed ({unread[0]:.60}), which is not read here"
         raise gltf.refusal(fault, "Export it without compression, or as .ply or .spz.")
     if splatting.kernel != "ellipse":
         fault = f"its splats are no ellipses, but {brief(splatting.kernel)!r}"

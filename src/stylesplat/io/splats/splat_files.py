@@ -31,7 +31,7 @@ from stylesplat.io.splats.splat_usd import READ as USD
 from stylesplat.io.splats.splat_usd import WRITTEN as WRITTEN_USD
 from stylesplat.io.splats.splat_usd import read_usd, write_usd
 from stylesplat.io.splats.spz import read_spz, write_spz
-from stylesplat.io.splats.write_glb import write_glb
+from stylesplat.io.splats.write_gltf import write_glb, write_gltf
 from stylesplat.scene.splats import Splats
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
@@ -41,6 +41,7 @@ SMALLER: dict[str, Callable[[Splats, Path], None]] = {
     ".splat": write_dot_splat,
     ".sog": write_sog,
     ".glb": write_glb,
+    ".gltf": write_gltf,
     **dict.fromkeys(WRITTEN_USD, write_usd),
 }
 MAX_DEGREE = 3
@@ -95,12 +96,13 @@ def write_splats(
 
     `.ply` keeps every bit. `.spz` is about six times smaller, `.sog` seven times or more,
     `.compressed.ply` about four times: positions, colours and rotations are rounded. `.splat` has
-    one colour per Gaussian, seen the same from everywhere. `.glb` and `.usd` have all as float32.
+    one colour per Gaussian, seen the same from everywhere. `.glb`, `.gltf` and `.usd` have all as
+    float32.
 
     Args:
         splats: What to write.
         path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog`, `.glb`,
-            `.usd`, `.usdc` or `.usda`.
+            `.gltf`, `.usd`, `.usdc` or `.usda`.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
@@ -110,7 +112,7 @@ def write_splats(
     Raises:
         StyleSplatError: If the suffix is none of these or has no such degree or columns, the file
             exists and may not be replaced, it cannot be written, or the splats reach farther than
-            `.spz` can express or are none that a `.glb` can hold.
+            `.spz` can express or are none that glTF can hold.
     """
     path = Path(path)
     _refuse_unwritable(path, sh_degree)

@@ -4,6 +4,7 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import gsply
 import torch
@@ -38,14 +39,29 @@ def read_spz(path: Path | str) -> Splats:
         StyleSplatError: If the file is missing, damaged, or claims more Gaussians than it can hold.
     """
     path = Path(path)
-    content = read_bytes(path)
+    return _flipped(_read(read_bytes(path), path, path))
+
+
+def spz_within(content: bytes, path: Path) -> Splats:
+    """Read SPZ that lies in another file, here `path`, in SPZ's own axes.
+
+    Raises:
+        StyleSplatError: If it is damaged, or claims more Gaussians than it can hold.
+    """
+    with TemporaryDirectory() as folder:  # gsply reads files alone
+        unpacked = Path(folder) / "a.spz"
+        unpacked.write_bytes(content)
+        return _read(content, unpacked, path)
+
+
+def _read(content: bytes, file: Path, path: Path) -> Splats:
+    """The splats of a file with that content, which errors call by its path."""
     try:
         _check(content)
-        data = gsply.read_spz(path)
+        data = gsply.read_spz(file)
     except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
         raise StyleSplatError(f"Cannot read {path} as SPZ: {error}. Export it again.") from error
-    splats = from_gsply(data, path)
-    return _flipped(splats)
+    return from_gsply(data, path)
 
 
 def write_spz(splats: Splats, path: Path | str) -> None:
