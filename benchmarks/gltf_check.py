@@ -5,9 +5,10 @@
 
 Three things, each of random Gaussians of every degree:
 
-- Khronos' glTF-Validator finds no fault with a GLB of ours. As of 2.0.0-dev.3.10 it does not know
-  the names that extensions give to attributes, so it calls each `KHR_gaussian_splatting:...` an
-  invalid name, in the files of all programs; these lines are counted apart.
+- Khronos' glTF-Validator finds no fault with a GLB of ours, nor with the same as `.gltf`. As of
+  2.0.0-dev.3.10 it does not know the names that extensions give to attributes, so it calls each
+  `KHR_gaussian_splatting:...` an invalid name, in the files of all programs; these lines are
+  counted apart.
 - PlayCanvas's engine, which SuperSplat is built on, reads from it what the splats are.
 - What splat-transform makes of our PLY is read as that PLY.
 
@@ -162,7 +163,9 @@ def check(npm: Path, degree: int) -> tuple[list[object], bool]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_splats(splats, folder / "ours.glb", sh_degree=degree)
+        write_splats(splats, folder / "ours.gltf", sh_degree=degree)
         told, unknown = faults(npm, folder / "ours.glb")
+        told += faults(npm, folder / "ours.gltf")[0]
         engine = difference(by_engine(npm, folder / "ours.glb"), splats)
         ours = difference(read_splats(folder / "ours.glb"), splats)
         theirs = difference(by_transform(npm, splats, folder), splats)
