@@ -2,6 +2,7 @@
 
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -89,6 +90,34 @@ def test_files_that_are_refused(tmp_path: Path):
         (tmp_path / "e.usda").write_text(text.replace(old, new))
         with pytest.raises(StyleSplatError, match=fault):
             read_splats(tmp_path / "e.usda")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (b"#usda 1.0", b"#usda 1.0\n\xff\xfe"),  # of which a message is made that is no text
+        (b"point3f[] positions = [", b"point3f[] positions = [(1, 2, "),
+        (b"float[] opacities", b"float opacities = 1\nfloat[] others"),
+        (b"float3[] scales", b'string scales = "a"\nfloat3[] others'),
+    ],
+)
+def test_damaged_files(tmp_path: Path, before: bytes, after: bytes):
+    write_splats(random_splats(5), tmp_path / "a.usda")
+    content = (tmp_path / "a.usda").read_bytes()
+    assert before in content
+    (tmp_path / "b.usda").write_bytes(content.replace(before, after, 1))
+    with pytest.raises(StyleSplatError, match="as USD: it ") as caught:
+        read_splats(tmp_path / "b.usda")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_of_which_the_library_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    write_splats(random_splats(5), tmp_path / "a.usdc")
+    (tmp_path / "dying.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(splat_usd, "usd_trial", SimpleNamespace(__name__="dying"))
+    with pytest.raises(StyleSplatError, match="it is damaged .OpenUSD's library breaks down"):
+        read_splats(tmp_path / "a.usdc")
 
 
 def test_without_usd_core(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

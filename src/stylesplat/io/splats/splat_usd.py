@@ -4,6 +4,8 @@ Its scales are standard deviations and its opacities shares, where PLY has logar
 its harmonics are the INRIA code's, those of a Gaussian after each other.
 """
 
+import subprocess
+import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +19,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.files import atomic_path
+from stylesplat.io.splats import usd_trial
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.splats import Splats
@@ -78,6 +81,7 @@ def read_usd(path: Path | str) -> Splats:
             no splats or more than one set of them, or stretches them.
     """
     pxr = _library(path)
+    _try_out(path)
     try:
         layer = pxr.Sdf.Layer.FindOrOpen(str(path))
         if layer is None:
@@ -94,11 +98,20 @@ def read_usd(path: Path | str) -> Splats:
         time = pxr.Usd.TimeCode.EarliestTime()
         world = pxr.UsdGeom.Xformable(found[0]).ComputeLocalToWorldTransform(time)
         z_up = pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z
-    except (pxr.Tf.ErrorException, RuntimeError) as error:
-        raise _refusal(path, f"it is damaged ({brief(str(error))})") from error
-    splats = check_splats(_splats(pxr, found[0], path), path)
+        splats = _splats(pxr, found[0], path)
+    except (pxr.Tf.ErrorException, RuntimeError, TypeError, ValueError) as error:
+        raise _refusal(path, f"it is damaged ({type(error).__name__})") from error
+    check_splats(splats, path)
     frame = _frame(np.array(world), path, z_up=z_up)
     return splats if frame is None else check_splats(moved(splats, frame), path)
+
+
+def _try_out(path: Path | str) -> None:
+    """Refuse a file of which OpenUSD's library dies, having had another process read it."""
+    command = [sys.executable, "-m", usd_trial.__name__, str(path)]
+    done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode < 0:
+        raise _refusal(path, "it is damaged (OpenUSD's library breaks down on it)")
 
 
 def _splats(pxr: Any, prim: Any, path: Path | str) -> Splats:
