@@ -116,7 +116,7 @@ def test_files_of_which_the_library_dies(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / "dying.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(splat_usd, "usd_trial", SimpleNamespace(__name__="dying"))
-    with pytest.raises(StyleSplatError, match="it is damaged .OpenUSD's library breaks down"):
+    with pytest.raises(StyleSplatError, match=r"damaged \(OpenUSD's library"):
         read_splats(tmp_path / "a.usdc")
 
 
