@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from stylesplat.scene.cameras import Cameras
     from stylesplat.scene.splats import Splats
 
 HERE = Path(__file__).resolve().parent
@@ -33,6 +34,7 @@ OBJECT = 200_000  # Gaussians that the painted object has, about
 GIB = 2**30
 STARTED = "import stylesplat.verbs.select, stylesplat.io.scene_folder"
 PAINTED = (5, 20, 50)  # objects in one run
+VIEWS = (0, 9, 18, 27)  # of those around a splat without photos
 
 
 @dataclass(frozen=True)
@@ -83,16 +85,20 @@ class Grid:
 
 
 def shown(splats: "Splats", labels: "Tensor") -> str:
-    """A pixel of the first view that `import` gives it, amid an object."""
+    """A pixel amid an object, in that view of four that `import` gives it which shows most."""
     import torch
 
     from stylesplat.rendering.shares import coverage
     from stylesplat.scene.ring import ring_cameras
 
-    camera = ring_cameras(splats, torch.tensor([0.0, -1.0, 0.0]))[0]
-    seen = coverage(splats, camera, labels > 0)
-    middle = torch.nn.functional.avg_pool2d(seen[None], 9, 1, padding=4)[0].argmax()
-    return f"{camera.names[0]}:{int(middle) % camera.size[0]},{int(middle) // camera.size[0]}"
+    def best(camera: "Cameras") -> tuple[float, str]:
+        seen = coverage(splats, camera, labels > 0)
+        means = torch.nn.functional.avg_pool2d(seen[None], 9, 1, padding=4)[0]
+        y, x = divmod(int(means.argmax()), camera.size[0])
+        return float(means.max()), f"{camera.names[0]}:{x},{y}"
+
+    cameras = ring_cameras(splats, torch.tensor([0.0, -1.0, 0.0]))
+    return max(best(cameras[index]) for index in VIEWS)[1]
 
 
 def measured(command: list[str], log: Path) -> dict[str, float]:
@@ -181,7 +187,7 @@ def large(commands: Commands) -> None:
     run("select id, picture", "select", scene, "--name", "one", "--id", 1)
     run("stylize", "stylize", scene, "--style", f"one={style(folder, 0)}", *replaced)
     run("adjust", "adjust", styled, "--intensity", 0.7)
-    views = [word for number in (0, 9, 18, 27) for word in ("--view", f"view_{number:03d}.png")]
+    views = [word for number in VIEWS for word in ("--view", f"view_{number:03d}.png")]
     run("render 4 views", "render", styled, "-o", folder / "views", *views, "--overwrite")
     run("export", "export", styled, folder / "painted.ply", "--overwrite")
 
