@@ -62,9 +62,10 @@ def measure_painted(
             assert parents is not None
             cut = cuts[job.name]
             part, own, after = cut.studio(measured), cut.job(job), cut.styled(styled, parents)
+            fallback = cut.showing(training)
         else:
-            part, own, after = measured, job, styled
-        objects[job.name] = measure_object(part, own, after, fallback=training)
+            part, own, after, fallback = measured, job, styled, training
+        objects[job.name] = measure_object(part, own, after, fallback=fallback)
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
     return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
 

@@ -4,7 +4,7 @@ Its surroundings are looked at once per view. Everything after that takes as lon
 has nothing else.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,12 +16,14 @@ from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.drawn import drawn
 from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.survey import LARGE
 from stylesplat.stylization.overflow import reached
 from stylesplat.stylization.style_job import Studio, StyleJob
 
+SHOWN = 0.02  # share of some pixel: what shows less in a view is behind others, but for seams
 MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
 
 
@@ -31,10 +33,21 @@ class CutScene:
 
     rows: Int[Tensor, " M"]
     """Gaussians of the scene, in order."""
+    views: frozenset[str]
+    """Names of the views that show the object; in others what hides it may be missing."""
 
     def studio(self, studio: Studio) -> Studio:
         """The studio without what does not matter."""
-        return replace(studio, splats=studio.splats[self.rows])
+        return replace(
+            studio,
+            splats=studio.splats[self.rows],
+            cameras=self.showing(studio.cameras),
+            every_camera=self.showing(studio.every_camera),
+        )
+
+    def showing(self, cameras: Cameras) -> Cameras:
+        """Those of some views that show the object."""
+        return cameras[[n for n, name in enumerate(cameras.names) if name in self.views]]
 
     def job(self, job: StyleJob) -> StyleJob:
         """The job among these Gaussians."""
@@ -54,7 +67,7 @@ class CutScene:
 
 @torch.no_grad()
 def cut_scene(studio: Studio, picked: Bool[Tensor, " N"]) -> CutScene | None:
-    """Find what matters to an object; None where that is not worth its while.
+    """Find what matters to an object; None where that is not worth its while, or no view shows it.
 
     Besides its own Gaussians these are all that would show where it may be seen if it were not
     there: what hides it, and what it hides.
@@ -67,23 +80,32 @@ def cut_scene(studio: Studio, picked: Bool[Tensor, " N"]) -> CutScene | None:
     if len(splats) < LARGE or splats.device.type != "cpu":
         return None
     views = [studio.every_camera[index] for index in range(len(studio.every_camera))]
-    return CutScene(_around(splats, picked, views))
+    found = track(_around(splats, picked, views), "looking around the object", total=len(views))
+    mine, names = picked.clone(), set[str]()
+    for view, rows in zip(views, found, strict=True):
+        if rows is not None:
+            mine[rows] = True
+            names.add(view.names[0])
+    return CutScene(mine.nonzero()[:, 0], frozenset(names)) if names else None
 
 
 def _around(
     splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[Cameras]
-) -> Int[Tensor, " M"]:
-    """The picked Gaussians, and what would show in some views without them."""
-    gaussians, own = activated(splats), splats[picked.nonzero()[:, 0]]
+) -> Iterator[Int[Tensor, " M"] | None]:
+    """What would show around the picked Gaussians without them in each view that shows them."""
+    gaussians, bare, own = activated(splats), without_looks(splats), picked.nonzero()[:, 0]
     others = gaussians._replace(opacities=gaussians.opacities.masked_fill(picked, 0))
-    mine = picked.clone()
+    alone = bare[own]
 
-    def look(view: Cameras) -> Tensor:
-        near, side = reached(own, view)[None].float(), 2 * MARGIN + 1
+    def look(view: Cameras) -> Tensor | None:
+        near, side = reached(alone, view)[None].float(), 2 * MARGIN + 1
         near = max_pool2d(near, (side, 1), stride=1, padding=(MARGIN, 0))
         near = max_pool2d(near, (1, side), stride=1, padding=(0, MARGIN))[0] > 0
-        return drawn(others, beside(splats, view), near)
+        if not near.any():
+            return None
+        rows = drawn(others, beside(splats, view), near)
+        there = torch.cat([own, rows])
+        shares = coverage(bare[there], view, torch.arange(len(there)) < len(own))
+        return rows if (shares > SHOWN).any() else None
 
-    for rows in track(at_once(look, views), "looking around the object", total=len(views)):
-        mine[rows] = True
-    return mine.nonzero()[:, 0]
+    return at_once(look, views)
