@@ -128,6 +128,7 @@ class Stylize:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE, open, revise
         from stylesplat.progress import say
+        from stylesplat.runtime import tidy_heap
         from stylesplat.verbs.stylize import stylize_unmeasured
 
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
@@ -141,6 +142,7 @@ class Stylize:
         )
         save_or_rescue(painted.scene, self.output, overwrite=self.overwrite)
         say(f"The painted scene is in {self.output}. What is left is to measure and to draw it.")
+        tidy_heap()
         picture = write_before_after(painted.scene, self.output, device=self.device)
         styled = painted.measured()
         revise(painted.scene, styled, self.output)

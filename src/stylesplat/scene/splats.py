@@ -75,7 +75,7 @@ class Splats:
     def __len__(self) -> int:
         return self.means.shape[0]
 
-    def __getitem__(self, index: Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "Splats":
+    def __getitem__(self, index: slice | Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "Splats":
         return replace(self, **{name: t[index] for name, t in self.tensors().items()})
 
     @property

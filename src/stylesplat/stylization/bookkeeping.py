@@ -137,7 +137,9 @@ def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
 
 
 def chosen(mine: Bool[Tensor, " N"], one: Looks, other: Looks) -> Looks:
-    """One's looks of some Gaussians, and other ones of the rest."""
+    """One's looks of some Gaussians, and other ones of the rest; of all they take no memory."""
+    if mine.all():
+        return one
     mask = mine[:, None, None]
     return Looks(
         sh0=torch.where(mask, one.sh0, other.sh0),

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import task
+from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -123,7 +124,10 @@ def _painted_alone(studio: Studio, job: StyleJob) -> tuple[Piece, CutScene | Non
     if cut is None:
         return piece_of(_repaint_whole(studio, job), job.picked), None
     alone = _repaint_whole(cut.studio(studio), cut.job(job))
-    return piece_of(alone, job.picked[cut.rows], cut.rows), cut
+    piece = piece_of(alone, job.picked[cut.rows], cut.rows)
+    del alone
+    tidy_heap()  # copies of the whole scene follow
+    return piece, cut
 
 
 def open_studio(

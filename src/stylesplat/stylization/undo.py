@@ -61,7 +61,7 @@ def unpainted(scene: Scene, names: Collection[str] | None = None) -> Scene:
     metrics = scene.metrics.get("train", {})
     return replace(
         scene,
-        splats=_unsplit(colored, mine, painted.unsplit)[rows],
+        splats=_of_rows(_unsplit(colored, mine, painted.unsplit), rows),
         objects=objects,
         painted=_painted_still(painted, left, mine, rows) if left else None,
         path=None,
@@ -75,6 +75,12 @@ def _kept_rows(mine: Bool[Tensor, " N"], unsplit: Unsplit | None) -> Int[Tensor,
     if unsplit is not None:
         kept[unsplit.count :] = ~mine[unsplit.count :]
     return kept.nonzero()[:, 0]
+
+
+def _of_rows(splats: Splats, rows: Int[Tensor, " M"]) -> Splats:
+    """The same of some rows in order; if they are the first ones it takes no memory."""
+    first = not len(rows) or int(rows[-1]) == len(rows) - 1
+    return splats[: len(rows)] if first else splats[rows]
 
 
 def _unsplit(splats: Splats, mine: Bool[Tensor, " N"], unsplit: Unsplit | None) -> Splats:
