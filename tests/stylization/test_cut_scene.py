@@ -52,6 +52,20 @@ def test_what_the_object_hides_matters(studio: Studio):
     assert hidden in cut_to(scene, BALL).rows
 
 
+def test_views_that_hide_the_object_do_not_matter(studio: Studio):
+    """Nor is there a cut if only held-out views show it: that is refused as in the whole scene."""
+    away = CAMERAS[0]
+    turned = away.viewmats.clone()
+    turned[:, :3] *= torch.tensor([-1.0, 1.0, -1.0])[:, None]  # half a turn: it looks elsewhere
+    away = replace(away, viewmats=turned, names=("away",))
+    cut = cut_to(replace(studio, every_camera=CAMERAS + away), BALL)
+    assert cut.views == {*CAMERAS.names}
+    assert cut.showing(CAMERAS + away).names == CAMERAS.names
+    only = replace(studio, cameras=away, every_camera=away + CAMERAS)
+    assert cut_scene(only, behind(BALL)) is None
+    assert cut_scene(replace(studio, every_camera=CAMERAS + CAMERAS), behind(BALL)) is None
+
+
 def test_the_object_looks_the_same_to_the_bit(studio: Studio):
     cut = cut_to(studio, BALL)
     whole, part = studio.splats, studio.splats[cut.rows]

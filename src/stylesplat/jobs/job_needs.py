@@ -39,8 +39,8 @@ BYTES = {  # of a file for each Gaussian, at least
     ".splat": 32,
     ".spz": 16,
     ".sog": 12,
-    ".glb": 56,
-    ".gltf": 74,
+    ".glb": 16,  # as SPZ within it
+    ".gltf": 21,
     ".json": 12,
 }
 COMPRESSED, PACKED_BYTES = ".compressed.ply", 16  # SuperSplat's

@@ -70,23 +70,27 @@ def cut_scene(studio: Studio, picked: Bool[Tensor, " N"]) -> CutScene | None:
     """Find what matters to an object; None where that is not worth its while, or no view shows it.
 
     Besides its own Gaussians these are all that would show where it may be seen if it were not
-    there: what hides it, and what it hides.
+    there: what hides it, and what it hides. Whether new Gaussians show beside the object is not
+    looked at in views that hide it.
 
     Args:
         studio: The scene, and all views that it will be seen in.
         picked: The object's Gaussians.
     """
     splats = studio.splats
-    if len(splats) < LARGE or splats.device.type != "cpu":
+    names = studio.every_camera.names
+    if len(splats) < LARGE or splats.device.type != "cpu" or len({*names}) < len(names):
         return None
     views = [studio.every_camera[index] for index in range(len(studio.every_camera))]
     found = track(_around(splats, picked, views), "looking around the object", total=len(views))
-    mine, names = picked.clone(), set[str]()
-    for view, rows in zip(views, found, strict=True):
+    mine, shown = picked.clone(), set[str]()
+    for name, rows in zip(names, found, strict=True):
         if rows is not None:
             mine[rows] = True
-            names.add(view.names[0])
-    return CutScene(mine.nonzero()[:, 0], frozenset(names)) if names else None
+            shown.add(name)
+    if shown.isdisjoint(studio.cameras.names):
+        return None
+    return CutScene(mine.nonzero()[:, 0], frozenset(shown))
 
 
 def _around(

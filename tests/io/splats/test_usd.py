@@ -114,8 +114,7 @@ def test_damaged_files(tmp_path: Path, before: bytes, after: bytes):
 def test_files_of_which_the_library_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     write_splats(random_splats(5), tmp_path / "a.usdc")
     (tmp_path / "dying.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(splat_usd, "usd_trial", SimpleNamespace(__name__="dying"))
+    monkeypatch.setattr(splat_usd, "usd_trial", SimpleNamespace(__file__=tmp_path / "dying.py"))
     with pytest.raises(StyleSplatError, match=r"damaged \(OpenUSD's library"):
         read_splats(tmp_path / "a.usdc")
 

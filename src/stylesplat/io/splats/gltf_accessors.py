@@ -37,8 +37,8 @@ class Numbers:
     """The file."""
     loaded: dict[str | int, memoryview] = field(default_factory=dict)
     """By what names them."""
-    unpacked: dict[int, int] = field(default_factory=dict)
-    """Bytes that compressed stretches became, by number of the stretch."""
+    unpacked: dict[tuple[str | int, int], int] = field(default_factory=dict)
+    """Bytes that compressed stretches became, by buffer and where they begin."""
 
     @property
     def size(self) -> int:
@@ -108,6 +108,12 @@ class Numbers:
             fault = f"the rows of {name} are to end at byte {end} of {len(content)}"
             raise self.gltf.refusal(fault)
         return content[view.byte_offset : end]
+
+    def count_unpacked(self, index: int, size: int) -> None:
+        """Tell how many bytes a view became; of views of the same bytes one counts."""
+        view = self._view(index, "SPZ")
+        buffer = self.gltf.document.buffers[view.buffer].uri or view.buffer
+        self.unpacked[buffer, view.byte_offset] = size
 
     def _view(self, index: int, name: str) -> BufferView:
         return self._part(self.gltf.document.buffer_views, index, f"view of {name}")

@@ -71,11 +71,9 @@ def _splats(numbers: Numbers, primitive: Primitive) -> Splats:
     assert primitive.extensions.splatting is not None
     splatting = primitive.extensions.splatting
     _check_kind(gltf, primitive, splatting)
-    packed = next(
-        (splatting.extensions[name] for name in SPZ if name in splatting.extensions), None
-    )
-    if packed is not None:
-        return _unpacked(numbers, primitive, packed)
+    packed = [splatting.extensions[name] for name in SPZ if name in splatting.extensions]
+    if packed:
+        return _unpacked(numbers, primitive, packed[0])
     degree = _degree(gltf, primitive)
     means = _column(numbers, primitive, "POSITION", 3)
     quats = _column(numbers, primitive, named("ROTATION"), 4)
@@ -102,7 +100,7 @@ def _unpacked(numbers: Numbers, primitive: Primitive, packed: Any) -> Splats:
     except msgspec.ValidationError as error:
         raise numbers.gltf.refusal(f"what it says of its SPZ is none ({error})") from error
     splats = spz_within(bytes(numbers.stretch(view, "SPZ")), numbers.gltf.path)
-    numbers.unpacked[view] = sum(column.nbytes for column in splats.tensors().values())
+    numbers.count_unpacked(view, sum(column.nbytes for column in splats.tensors().values()))
     places = primitive.attributes.get("POSITION")
     expected = len(splats) if places is None else numbers.accessor(places, "POSITION").count
     if len(splats) != expected:

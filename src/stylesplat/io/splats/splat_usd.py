@@ -4,6 +4,7 @@ Its scales are standard deviations and its opacities shares, where PLY has logar
 its harmonics are the INRIA code's, those of a Gaussian after each other.
 """
 
+import signal
 import subprocess
 import sys
 from importlib import import_module
@@ -108,8 +109,10 @@ def read_usd(path: Path | str) -> Splats:
 
 def _try_out(path: Path | str) -> None:
     """Refuse a file of which OpenUSD's library dies, having had another process read it."""
-    command = [sys.executable, "-m", usd_trial.__name__, str(path)]
+    command = [sys.executable, "-P", str(usd_trial.__file__), str(path)]
     done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode == -signal.SIGKILL:
+        raise _refusal(path, "it takes more memory than there is")
     if done.returncode < 0:
         raise _refusal(path, "it is damaged (OpenUSD's library breaks down on it)")
 

@@ -1,7 +1,10 @@
 """Splats as SPZ, Niantic's compressed format: gzip (versions 1 to 3) or zstd (version 4)."""
 
+import re
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -39,7 +42,11 @@ def read_spz(path: Path | str) -> Splats:
         StyleSplatError: If the file is missing, damaged, or claims more Gaussians than it can hold.
     """
     path = Path(path)
-    return _flipped(_read(read_bytes(path), path, path))
+    content = read_bytes(path)
+    with _told(path):
+        _check(content)
+        data = gsply.read_spz(path)
+    return _flipped(from_gsply(data, path))
 
 
 def spz_within(content: bytes, path: Path) -> Splats:
@@ -48,20 +55,23 @@ def spz_within(content: bytes, path: Path) -> Splats:
     Raises:
         StyleSplatError: If it is damaged, or claims more Gaussians than it can hold.
     """
-    with TemporaryDirectory() as folder:  # gsply reads files alone
-        unpacked = Path(folder) / "a.spz"
-        unpacked.write_bytes(content)
-        return _read(content, unpacked, path)
-
-
-def _read(content: bytes, file: Path, path: Path) -> Splats:
-    """The splats of a file with that content, which errors call by its path."""
-    try:
+    with _told(path):
         _check(content)
-        data = gsply.read_spz(file)
-    except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
-        raise StyleSplatError(f"Cannot read {path} as SPZ: {error}. Export it again.") from error
+        with TemporaryDirectory() as folder:  # gsply reads files alone
+            unpacked = Path(folder) / "a.spz"
+            unpacked.write_bytes(content)
+            data = gsply.read_spz(unpacked)
     return from_gsply(data, path)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Tell what is wrong in one line; gsply ends with the name of the file, which may be gone."""
+    try:
+        yield
+    except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
+        fault = re.sub(r": [^:]*\.spz$", "", str(error))
+        raise StyleSplatError(f"Cannot read {path} as SPZ: {fault}. Export it again.") from error
 
 
 def write_spz(splats: Splats, path: Path | str) -> None:
