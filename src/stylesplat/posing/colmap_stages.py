@@ -8,11 +8,11 @@ with the one that started it, whose end of stdin it holds. torch is not loaded h
 import json
 import os
 import signal
-import sqlite3
+import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -20,7 +20,6 @@ from typing import Any
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.prepared import LEAST
 
-INTERVAL = 0.2  # seconds between two looks into the database
 FATAL = 3  # the level of what is logged before the process ends
 # Features in a typical photo at its own size: fox (1250) then has poses within 0.05 degrees, desk
 # (440) has a fifth to a half more error than with the 1360 of twice the size
@@ -112,27 +111,12 @@ def map_photos(task: dict[str, Any]) -> None:
     )
 
 
-class _counted:
-    """Within the block say on stdout how many rows the database has."""
-
-    def __init__(self, database: str, query: str) -> None:
-        self.database, self.query = database, query
-        self.ended = threading.Event()
-        self.thread = threading.Thread(target=self._count, daemon=True)
-
-    def __enter__(self) -> None:
-        self.thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.ended.set()
-        self.thread.join()
-
-    def _count(self) -> None:
-        uri = f"{Path(self.database).absolute().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(uri, uri=True, timeout=60.0)) as database:
-            while not self.ended.wait(INTERVAL):
-                print(database.execute(self.query).fetchone()[0], flush=True)
-            print(database.execute(self.query).fetchone()[0], flush=True)
+@contextmanager
+def _counted(database: str, query: str) -> Iterator[None]:
+    """Within the block it is said on stdout how many rows the database has."""
+    code = [sys.executable, str(Path(__file__).with_name("count_rows.py")), database, query]
+    with subprocess.Popen(code, stdin=subprocess.PIPE):  # closes its stdin, which ends it
+        yield
 
 
 STAGES: dict[str, Callable[[dict[str, Any]], None]] = {
