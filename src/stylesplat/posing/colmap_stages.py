@@ -18,6 +18,7 @@ from statistics import median
 from typing import Any
 
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.posing import count_rows
 from stylesplat.posing.prepared import LEAST
 
 FATAL = 3  # the level of what is logged before the process ends
@@ -114,8 +115,8 @@ def map_photos(task: dict[str, Any]) -> None:
 @contextmanager
 def _counted(database: str, query: str) -> Iterator[None]:
     """Within the block it is said on stdout how many rows the database has."""
-    code = [sys.executable, str(Path(__file__).with_name("count_rows.py")), database, query]
-    with subprocess.Popen(code, stdin=subprocess.PIPE):  # closes its stdin, which ends it
+    command = [sys.executable, "-P", str(count_rows.__file__), database, query]
+    with subprocess.Popen(command, stdin=subprocess.PIPE):  # closes its stdin, which ends it
         yield
 
 
