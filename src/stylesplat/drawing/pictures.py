@@ -18,7 +18,7 @@ from stylesplat.drawing.compositing import (
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import ColorPicture, ViewPicture
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -181,16 +181,15 @@ def _in_steps(depths: Float[Tensor, "H W"], step: float) -> UInt16[Tensor, "H W"
 
 
 def _paint_color(splats: Splats, camera: Cameras, behind: Background) -> ColorPicture:
-    image, alphas, _ = rasterize(splats, camera)
-    return over(image[0], alphas[0], behind)
+    return over(*render(splats, camera), behind)
 
 
 def _composite(
     splats: Splats, camera: Cameras, colors: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
     """Composite other colours than the splats' own, on black; and how much is covered."""
-    image, alphas, _ = rasterize(splats, camera, features=colors, sh_degree=0)
-    return image[0, ..., 3:], alphas[0]
+    image, alphas = render(splats, camera, features=colors, sh_degree=0)
+    return image[..., 3:], alphas
 
 
 def _paint_depth(

@@ -13,7 +13,7 @@ from stylesplat.drawing.best_views import Shown, find_views
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import CAPTION, write_line
 from stylesplat.drawing.object_sheet import MARGIN, PAPER, TITLE_SIZE
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
@@ -57,8 +57,8 @@ def _panel(
     splats: Splats, camera: Cameras, features: Float[Tensor, "N 2"]
 ) -> tuple[UInt8[np.ndarray, "_ _ 3"], str]:
     """One view and its name; the features are the pick and the shares of it that take paint."""
-    rendered, _, _ = rasterize(splats, camera, features=features)
-    image, covered, own = rendered[0].split([3, 1, 1], dim=-1)
+    rendered, _ = render(splats, camera, features=features)
+    image, covered, own = rendered.split([3, 1, 1], dim=-1)
     grey = DIM * image.mean(dim=-1, keepdim=True)
     left_out = (covered - own) * image.new_tensor(LEFT_OUT)
     panel = to_uint8(own * image + left_out + (1 - covered) * grey).cpu()

@@ -8,7 +8,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from stylesplat.drawing.compositing import to_uint8
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -45,8 +45,8 @@ class Shown:
     def render(self, camera: Cameras, background: Color) -> UInt8[Tensor, "H W 3"]:
         """The exact picture, with all bands of colour."""
         behind = torch.tensor(background).to(self.visible.means)
-        image, _, _ = rasterize(self.visible, camera, background=behind)
-        return to_uint8(image[0]).cpu()
+        image, _ = render(self.visible, camera, background=behind)
+        return to_uint8(image).cpu()
 
 
 def glowed(splats: Splats, picked: Bool[Tensor, " N"], color: Color = GLOW) -> Splats:

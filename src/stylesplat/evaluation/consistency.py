@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, project, unproject
@@ -99,10 +99,10 @@ def _look(base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " 
     small = camera.at_most(LONGER_SIDE).to(base.device)
     mine = picked.to(base.means)
     features = torch.stack([mine, mine * depths_of(base.means, small)], dim=1)
-    before, _, _ = rasterize(base, small, features=features)
-    after, _, _ = rasterize(styled, small)
-    colors = torch.cat([before[0, ..., :3], after[0]], dim=-1).clamp(0, 1)
-    return Look(small, colors, before[0, ..., 3:])
+    before, _ = render(base, small, features=features)
+    after, _ = render(styled, small)
+    colors = torch.cat([before[..., :3], after], dim=-1).clamp(0, 1)
+    return Look(small, colors, before[..., 3:])
 
 
 def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Float[Tensor, "P D"]:

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
@@ -67,11 +68,11 @@ def _fitted_on(
     """The whole render, fitted on some columns of the photo."""
     if fits.pose:
         camera = _found(splats, camera, photo, seen, fits)
-    image, alpha, _ = rasterize(splats, camera)
+    image, alpha = render(splats, camera)
     if not fits.colors:
-        return image[0]
-    change = fitted(image[0, :, seen], alpha[0, :, seen], photo[:, seen])
-    return mapped(image[0], alpha[0], change)
+        return image
+    change = fitted(image[:, seen], alpha[:, seen], photo[:, seen])
+    return mapped(image, alpha, change)
 
 
 def _found(splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fits) -> Cameras:

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.metrics.psnr import decibels
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -48,7 +48,7 @@ def object_nnfm(
     blocks: Sequence[int],
 ) -> float:
     """The mean of `view_loss` over some views."""
-    images = (rasterize(splats, view.camera)[0][0] for view in views)
+    images = (render(splats, view.camera)[0] for view in views)
     losses = [
         view_loss(image.clamp(0, 1), view, targets, network, blocks)
         for image, view in zip(images, views, strict=True)
@@ -81,7 +81,7 @@ def changes(
     outside, edge, rim = [], [], []
     for index in range(len(cameras)):
         camera = cameras[index]
-        before, after = (rasterize(s, camera)[0][0] for s in (base, styled))
+        before, after = (render(s, camera)[0] for s in (base, styled))
         difference = after.clamp(0, 1) - before.clamp(0, 1)
         covered = coverage(base, camera, picked)
         outside.append(difference[covered == 0].flatten())

@@ -13,7 +13,7 @@ from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.scene.sampling import evenly
@@ -61,7 +61,7 @@ def evaluate_views(
     scores = []
     for row in track(rows, "comparing with photos"):
         photo = capture.photos[row].to(splats.means) / 255
-        image = rasterize(splats, capture.cameras[row])[0][0]
+        image = render(splats, capture.cameras[row])[0]
         images = [image]
         if fits.names:
             images.append(fitted_render(splats, capture.cameras[row], photo, fits))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.metrics.ssim import ssim_map
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -70,8 +70,8 @@ def object_statistics_distance(
     """
 
     def one_view(view: ObjectView) -> list[Moments]:
-        image, _, _ = rasterize(splats, view.camera)
-        feats = network(image[0].clamp(0, 1), blocks)
+        image, _ = render(splats, view.camera)
+        feats = network(image.clamp(0, 1), blocks)
         return [moments(f[cells]) for f, cells in zip(feats, view.cells, strict=True)]
 
     def merge(one: list[Moments], other: list[Moments]) -> list[Moments]:
@@ -120,10 +120,10 @@ def content_ssim(
     scores = []
     for index in range(len(cameras)):
         features = picked.to(base.means)[:, None]
-        before = rasterize(base, cameras[index], features=features)[0][0]
+        before = render(base, cameras[index], features=features)[0]
         covered = before[..., 3] > COVERED
         if covered.any():
-            after = rasterize(styled, cameras[index])[0][0]
+            after = render(styled, cameras[index])[0]
             similarity = ssim_map(_luminance(before[..., :3]), _luminance(after))[0]
             scores.append(similarity[covered].mean())
     return float(torch.stack(scores).mean()) if scores else None

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cache import GIB, Cache
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -38,5 +38,5 @@ def _kept(cache: Cache[int], splats: Splats, cameras: Cameras, row: int) -> UInt
 
 @torch.no_grad()
 def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
-    image = rasterize(splats, camera)[0][0].clamp(0, 1)
+    image = render(splats, camera)[0].clamp(0, 1)
     return (255 * image).round().to(torch.uint8).cpu()

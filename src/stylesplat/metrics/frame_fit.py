@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.metrics.psnr import psnr
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame, seen_from
@@ -41,7 +41,7 @@ def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) ->
 def _gain(splats: Splats, cameras: Cameras, photos: list[Tensor]) -> float:
     gains = []
     for row, photo in enumerate(photos):
-        image = rasterize(splats, cameras[row])[0][0].clamp(0, 1)
+        image = render(splats, cameras[row])[0].clamp(0, 1)
         flat = photo.mean(dim=(0, 1)).expand_as(photo)
         gains.append(psnr(image, photo) - psnr(flat, photo))
     return float(torch.stack(gains).median())

@@ -224,6 +224,13 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     return Projected(*_Project.apply(view, view.viewmat, *gaussians))
 
 
+def padded(colors: Float[Tensor, "*B N _"]) -> Float[Tensor, "*B N D"]:
+    """Colours with as many more channels, of zeros, as there are kernels for."""
+    wanted = colors.shape[-1]
+    unused = next((count for count in CHANNELS if count >= wanted), wanted) - wanted
+    return torch.nn.functional.pad(colors, (0, unused)) if unused else colors
+
+
 def rasterize(
     gaussians: Gaussians,
     colors: Float[Tensor, "C N D"],
@@ -232,11 +239,9 @@ def rasterize(
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render; see `rasterize.Rasterizer`."""
-    wanted = colors.shape[-1]
-    unused = next((count for count in CHANNELS if count >= wanted), wanted) - wanted
-    if unused:
-        geometry_channels += unused if geometry_channels == wanted else 0
-        colors = torch.nn.functional.pad(colors, (0, unused))
+    wanted, colors = colors.shape[-1], padded(colors)
+    if geometry_channels == wanted:
+        geometry_channels = colors.shape[-1]
     images, projections = [], []
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = project_gaussians(gaussians, view)

@@ -15,6 +15,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
+EVERYONE = slice(None)
 
 
 @runtime_checkable
@@ -47,10 +48,10 @@ class Rasterizer(Protocol):
         ...
 
 
-def activated(splats: Splats) -> Gaussians:
-    """What is drawn of splats."""
-    scales, opacities = splats.scales.exp(), torch.sigmoid(splats.opacities)
-    return Gaussians(splats.means, splats.quats, scales, opacities)
+def activated(splats: Splats, part: slice = EVERYONE) -> Gaussians:
+    """What is drawn of splats, or of a part of them."""
+    scales, opacities = splats.scales[part].exp(), torch.sigmoid(splats.opacities[part])
+    return Gaussians(splats.means[part], splats.quats[part], scales, opacities)
 
 
 def beside(splats: Splats, cameras: Cameras) -> Cameras:
@@ -109,11 +110,19 @@ def rasterize(
         cameras,
         geometry_channels=colors.shape[-1] if features_move_geometry else 3,
     )
-    if background is not None:
-        padding = background.new_zeros(colors.shape[-1] - 3)
-        behind = torch.cat([background, padding]).to(render_colors)
-        render_colors = render_colors + (1 - render_alphas) * behind
-    return render_colors, render_alphas, info
+    return over_background(render_colors, render_alphas, background), render_alphas, info
+
+
+def over_background(
+    colors: Float[Tensor, "*B H W D"],
+    alphas: Float[Tensor, "*B H W 1"],
+    background: Float[Tensor, " 3"] | None,
+) -> Float[Tensor, "*B H W D"]:
+    """Images before a colour, or before black; features have 0 behind them."""
+    if background is None:
+        return colors
+    padding = background.new_zeros(colors.shape[-1] - 3)
+    return colors + (1 - alphas) * torch.cat([background, padding]).to(colors)
 
 
 def _module(backend: Backend, device: torch.device) -> Rasterizer:

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
@@ -94,8 +95,8 @@ def render_shares(
     images = []
     for some in shares.split(AT_ONCE, dim=1):
         padded = torch.nn.functional.pad(some, (0, AT_ONCE - some.shape[1]))
-        image, _, _ = rasterize(splats, camera, features=padded, sh_degree=0)
-        images.append(image[0, ..., 3 : 3 + some.shape[1]])
+        image, _ = render(splats, camera, features=padded, sh_degree=0)
+        images.append(image[..., 3 : 3 + some.shape[1]])
     return torch.cat(images, dim=-1)
 
 
@@ -103,8 +104,8 @@ def render_shares(
 def coverage(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Float[Tensor, "H W"]:
     """The opaque share of an object in each pixel of one camera, what hides it in front."""
     features = picked.to(splats.means)[:, None]
-    image, _, _ = rasterize(splats, camera, features=features, sh_degree=0)
-    return image[0, :, :, 3]
+    image, _ = render(splats, camera, features=features, sh_degree=0)
+    return image[:, :, 3]
 
 
 @torch.no_grad()
@@ -113,8 +114,8 @@ def colors_and_coverage(
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
     """The image of one camera, and the picked Gaussians' share of every pixel."""
     features = picked.to(splats.means)[:, None]
-    image, _, _ = rasterize(splats, camera, features=features)
-    return image[0, ..., :3], image[0, ..., 3:]
+    image, _ = render(splats, camera, features=features)
+    return image[..., :3], image[..., 3:]
 
 
 @torch.no_grad()
@@ -126,6 +127,6 @@ def expected_depth(
     Where hardly anything shows, the depth means nothing; where nothing does, it is 0.
     """
     depths = depths_of(splats.means, camera)[:, None]
-    image, alphas, _ = rasterize(splats, camera, features=depths, sh_degree=0)
-    alphas = alphas[0, ..., 0]
-    return image[0, ..., 3] / alphas.clamp(min=TINY_COVERAGE), alphas
+    image, alphas = render(splats, camera, features=depths, sh_degree=0)
+    alphas = alphas[..., 0]
+    return image[..., 3] / alphas.clamp(min=TINY_COVERAGE), alphas

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.splats import Classifier, Splats
@@ -68,7 +68,7 @@ def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
         StyleSplatError: If the splats have no identities.
     """
     identities, classifier = require_identities(splats)
-    image, alphas, _ = rasterize(splats, camera, features=identities, sh_degree=0)
-    classes = classifier.logits(image[0, ..., 3:]).argmax(dim=-1)
+    image, alphas = render(splats, camera, features=identities, sh_degree=0)
+    classes = classifier.logits(image[..., 3:]).argmax(dim=-1)
     labels = torch.tensor(classifier.ids, device=classes.device)[classes]
-    return torch.where(alphas[0, ..., 0] < MIN_COVERAGE, BACKGROUND, labels)
+    return torch.where(alphas[..., 0] < MIN_COVERAGE, BACKGROUND, labels)

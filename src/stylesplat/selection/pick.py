@@ -5,11 +5,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.drawn import in_picture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
@@ -167,7 +166,7 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | s
             "Coordinates are those of the photo at full size."
         )
     pixel = crop(camera, (int(x), int(y)), (1, 1))
-    label = int(_labels(splats, pixel))
+    label = int(render_labels(splats, pixel))
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
@@ -190,7 +189,7 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) ->
     x0, y0, x1, y1 = inside
     low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
     part = crop(camera, low, (high[0] - low[0], high[1] - low[1]))
-    labels = _labels(splats, part)
+    labels = render_labels(splats, part)
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
     if not len(ids):
         raise StyleSplatError(
@@ -198,8 +197,3 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) ->
             f"Choose another box, or run `{pasted('objects', folder)}` and select by id."
         )
     return int(ids[counts.argmax()])
-
-
-def _labels(splats: Splats, part: Cameras) -> Int[Tensor, "H W"]:
-    """Label ids of a part of a photo."""
-    return render_labels(in_picture(splats, part), part)

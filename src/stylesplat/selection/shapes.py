@@ -5,7 +5,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.drawn import in_picture
 from stylesplat.rendering.shares import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, unproject
@@ -56,7 +55,7 @@ def surface_point(
         )
     row, column = int(y), int(x)
     pixel = crop(camera, (column, row), (1, 1))
-    depths, alphas = expected_depth(in_picture(splats, pixel), pixel)
+    depths, alphas = expected_depth(splats, pixel)
     if alphas[0, 0] < COVERED:
         raise StyleSplatError(
             f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}. Choose another pixel."

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, Int32
 from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.drawn import drawn, pixel_bounds
-from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.seen import drawn, pixel_bounds
+from stylesplat.rendering.shares import without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -25,11 +25,11 @@ class Seen:
 
     camera: Cameras
     """The camera alone."""
-    rows: Int[Tensor, " M"]
+    rows: Int32[Tensor, " M"]
     """Gaussians of the scene."""
-    low: Int[Tensor, "M 2"]
+    low: Int32[Tensor, "M 2"]
     """The pixels that each may reach, from."""
-    high: Int[Tensor, "M 2"]
+    high: Int32[Tensor, "M 2"]
     """And to."""
 
 
@@ -55,7 +55,8 @@ class Survey:
             shown = (low < high).all(dim=1)
             if shown.any():
                 low, high = low[shown].amin(dim=0) - MARGIN, high[shown].amax(dim=0) + MARGIN
-                mine[view.rows[((view.low < high) & (view.high > low)).all(dim=1)]] = True
+                near = ((view.low < high) & (view.high > low)).all(dim=1)
+                mine[view.rows[near].long()] = True
         low, high = own.means.amin(dim=0), own.means.amax(dim=0)
         room = NEARBY * (high - low).norm()
         means = self.splats.means
@@ -73,11 +74,12 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
     """
     if len(splats) < LARGE or splats.device.type != "cpu":
         return None
-    gaussians = activated(splats)
+    bare = without_looks(splats)
 
     def look(camera: Cameras) -> Seen:
-        rows = drawn(gaussians, beside(splats, camera))
-        return Seen(camera, rows, *pixel_bounds(splats[rows], camera))
+        rows = drawn(bare, camera)
+        low, high = pixel_bounds(bare[rows], camera)
+        return Seen(camera, rows.int(), low.int(), high.int())
 
     found = at_once(look, cameras)
     return Survey(splats, [*track(found, "looking at all objects", total=len(cameras))])

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.pasted import pasted
@@ -137,8 +137,8 @@ def clear_winner(
 
 
 def _picture(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
-    image = rasterize(splats, camera)[0][0]
-    return (255 * image.detach().clamp(0, 1)).round().to(torch.uint8).cpu()
+    image, _ = render(splats, camera)
+    return (255 * image.clamp(0, 1)).round().to(torch.uint8).cpu()
 
 
 def _object_boxes(labels: Int[Tensor, "H W"]) -> tuple[list[int], Float[Tensor, "M 4"]]:

@@ -14,8 +14,7 @@ from torch.nn.functional import max_pool2d
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.drawn import drawn
-from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.seen import drawn
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -97,8 +96,8 @@ def _around(
     splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[Cameras]
 ) -> Iterator[Int[Tensor, " M"] | None]:
     """What would show around the picked Gaussians without them in each view that shows them."""
-    gaussians, bare, own = activated(splats), without_looks(splats), picked.nonzero()[:, 0]
-    others = gaussians._replace(opacities=gaussians.opacities.masked_fill(picked, 0))
+    bare, own = without_looks(splats), picked.nonzero()[:, 0]
+    others = replace(bare, opacities=bare.opacities.masked_fill(picked, -torch.inf))
     alone = bare[own]
 
     def look(view: Cameras) -> Tensor | None:
@@ -107,7 +106,7 @@ def _around(
         near = max_pool2d(near, (1, side), stride=1, padding=(0, MARGIN))[0] > 0
         if not near.any():
             return None
-        rows = drawn(others, beside(splats, view), near)
+        rows = drawn(others, view, near)
         there = torch.cat([own, rows])
         shares = coverage(bare[there], view, torch.arange(len(there)) < len(own))
         return rows if (shares > SHOWN).any() else None

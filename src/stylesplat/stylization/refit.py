@@ -17,6 +17,7 @@ from stylesplat.progress import track
 from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.rasterize import activated, beside, rasterize
 from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
@@ -134,8 +135,8 @@ def fit(
 def _look(splats: Splats, split: Split, picked: Tensor, camera: Cameras) -> _View:
     """What a camera saw, and the Gaussians that it draws now."""
     features = picked.to(splats.means)[:, None]
-    image, _, _ = rasterize(splats, camera, features=features)
-    image, coverage = image[0].split((3, 1), dim=2)
+    image, _ = render(splats, camera, features=features)
+    image, coverage = image.split((3, 1), dim=2)
     views = views_of(beside(split.splats, camera))
     shown = (cpu.project_gaussians(activated(split.splats), views[0]).radii > 0).all(dim=1)
     seen = replace(split.splats, identities=None, confidence=None)[shown]

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
@@ -87,8 +87,8 @@ def _depths(splats: Splats, picked: Tensor, camera: Cameras) -> tuple[Tensor, Te
     """The image, some Gaussians' coverage, and how far they are."""
     mine = picked.to(splats.means)
     features = torch.stack([mine, mine * depths_of(splats.means, camera)], dim=1)
-    image, _, _ = rasterize(splats, camera, features=features)
-    colors, covered, depths = image[0].split((3, 1, 1), dim=2)
+    image, _ = render(splats, camera, features=features)
+    colors, covered, depths = image.split((3, 1, 1), dim=2)
     covered, depths = covered[..., 0], depths[..., 0]
     return colors, covered, depths / covered.clamp(min=TINY_COVERAGE)
 

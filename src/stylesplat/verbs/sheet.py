@@ -15,7 +15,7 @@ from stylesplat.drawing.object_sheet import close_up
 from stylesplat.drawing.style_sheet import Place, captioned, plan_sheet
 from stylesplat.progress import Task, task
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.paintings import Source
@@ -134,4 +134,4 @@ def _repainted(studio: Studio, job: StyleJob, counted: Task) -> Repainted:
 
 @torch.no_grad()
 def _picture(splats: Splats, camera: Cameras) -> Drawn:
-    return to_uint8(rasterize(splats, camera)[0][0]).cpu()
+    return to_uint8(render(splats, camera)[0]).cpu()

@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.masks.boxes.grabcut import Box, Evidence, Look, Stroke, cut_box, evidence, refine
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.progress import Task, task
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import PRIOR, contributed
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -166,8 +166,8 @@ def _shown(
     if row not in lifted.rows:
         novel += _pixels(splats, cameras[row]) > CLOSER * lifted.closest
     carried = torch.stack([lifted.share, novel], dim=1)
-    image, _, _ = rasterize(splats, cameras[row], features=carried, sh_degree=0)
-    probability, novelty = image[0, ..., 3:].clamp(0, 1).cpu().unbind(dim=-1)
+    image, _ = render(splats, cameras[row], features=carried, sh_degree=0)
+    probability, novelty = image[..., 3:].clamp(0, 1).cpu().unbind(dim=-1)
     return probability, novelty
 
 
@@ -196,5 +196,5 @@ def _nearness(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
     """One over the depth that shows at each pixel."""
     depths = depths_of(splats.means, camera)
     inverse = 1 / depths.clamp(min=1e-6 * float(depths.abs().max()))
-    image, alphas, _ = rasterize(splats, camera, features=inverse[:, None], sh_degree=0)
-    return (image[0, ..., 3] / alphas[0, ..., 0].clamp(min=FAINT)).cpu()
+    image, alphas = render(splats, camera, features=inverse[:, None], sh_degree=0)
+    return (image[..., 3] / alphas[..., 0].clamp(min=FAINT)).cpu()

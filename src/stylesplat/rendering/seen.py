@@ -1,0 +1,124 @@
+"""Which Gaussians one camera sees, and where; without colours, on the CPU.
+
+The scene is looked through a part at a time, so that what is found takes the memory of what is
+seen. Kernels are loaded when something is looked up: to select by id none are needed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, Real
+from torch import Tensor
+from torch.nn.functional import pad
+
+from stylesplat.rendering.gaussians import Projected, views_of
+from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+PART = 1 << 16  # Gaussians whose numbers stay in the cache while they are looked at
+
+
+class Seen(NamedTuple):
+    """The Gaussians that may reach a camera's image."""
+
+    rows: Int[Tensor, " M"]
+    """Which of the scene, in order."""
+    projected: Projected
+    """What the camera sees of them."""
+    opacities: Float[Tensor, " M"]
+    """From 0 to 1."""
+
+    def some(self, places: Int[Tensor, " L"]) -> "Seen":
+        """Some of them."""
+        projected = Projected(*(each[places] for each in self.projected))
+        return Seen(self.rows[places], projected, self.opacities[places])
+
+
+@torch.no_grad()
+def seen(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> Seen:
+    """Which Gaussians may reach the image of one camera, if there were no others.
+
+    Args:
+        splats: The scene, on the CPU.
+        camera: The camera.
+        pixels: Those that count; what cannot reach one of them is left out.
+    """
+    camera = beside(splats, camera)
+    starts = range(0, max(1, len(splats)), PART)
+    parts = [_seen_part(splats, camera, start, pixels) for start in starts]
+    rows, opacities, *projected = ([*each] for each in zip(*parts, strict=True))
+    del parts  # what is joined is let go
+    return Seen(_joined(rows), Projected(*map(_joined, projected)), _joined(opacities))
+
+
+def _seen_part(
+    splats: Splats, camera: Cameras, start: int, pixels: Bool[Tensor, "H W"] | None
+) -> tuple[Tensor, ...]:
+    from stylesplat.rendering import cpu
+
+    gaussians = activated(splats, slice(start, start + PART))
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    near = (projected.radii > 0).all(dim=1)
+    if pixels is not None:
+        places, radii = projected.means2d, projected.radii
+        near &= touching((places - radii).floor(), (places + radii).ceil(), pixels)
+    rows = near.nonzero()[:, 0]
+    return start + rows, gaussians.opacities[rows], *(each[rows] for each in projected)
+
+
+def _joined(parts: list[Tensor]) -> Tensor:
+    whole = torch.cat(parts)
+    parts.clear()
+    return whole
+
+
+def touching(
+    low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
+) -> Bool[Tensor, " N"]:
+    """Which boxes of pixels, from and to, hold some that count."""
+    size = low.new_tensor([*pixels.shape[::-1]])
+    low, high = (corner.clamp(min=0).minimum(size).long() for corner in (low, high))
+    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
+    (left, top), (right, bottom) = low.unbind(1), high.unbind(1)
+    return sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > 0
+
+
+@torch.no_grad()
+def drawn(
+    splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None
+) -> Int[Tensor, " M"]:
+    """Which Gaussians reach a pixel of one camera, whatever others hide, in order.
+
+    Args:
+        splats: The scene, on the CPU.
+        camera: The camera.
+        pixels: Those that count; of what cannot reach one of them nothing is drawn.
+    """
+    return unhidden(seen(splats, camera, pixels), camera).rows
+
+
+@torch.no_grad()
+def unhidden(near: Seen, camera: Cameras) -> Seen:
+    """What of it reaches a pixel of that camera."""
+    from stylesplat.rendering import cpu
+    from stylesplat.rendering.linear import reaching
+
+    colors = near.opacities.new_zeros(len(near.rows), 3)
+    tiled = cpu.draw(near.projected, near.opacities, colors, camera.size).tiled
+    places = np.sort(tiled.order[reaching(tiled)])
+    return near.some(torch.from_numpy(places.astype(np.int64)))
+
+
+@torch.no_grad()
+def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
+    """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
+    from stylesplat.rendering import cpu
+
+    views = views_of(beside(splats, camera))
+    projected = cpu.project_gaussians(activated(splats), views[0])
+    shown = (projected.radii > 0).all(dim=1, keepdim=True)
+    low = (projected.means2d - projected.radii).floor() * shown
+    high = (projected.means2d + projected.radii).ceil() * shown
+    return low.long(), high.long()
