@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS
+from stylesplat.rendering import shares
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import (
     colors_and_coverage,
@@ -122,6 +123,18 @@ def test_what_hides_an_object_lessens_its_coverage():
     among = coverage(PLAIN, camera, PICKED)
     assert (among <= alone + ROUNDING).all()
     assert (among < alone - 0.1).any()
+
+
+@pytest.mark.parametrize("row", range(2))
+def test_in_a_large_scene_an_object_is_looked_for_where_it_may_show(
+    row: int, monkeypatch: pytest.MonkeyPatch
+):
+    few = PICKED & (torch.arange(len(PLAIN)) < len(PLAIN) // 8)
+    nobody = torch.zeros_like(few)
+    whole = coverage(PLAIN, CAMERAS[row], few)
+    monkeypatch.setattr(shares, "LARGE", 0)
+    assert torch.equal(coverage(PLAIN, CAMERAS[row], few), whole) and whole.any()
+    assert not coverage(PLAIN, CAMERAS[row], nobody).any()
 
 
 def test_colors_come_with_their_coverage():

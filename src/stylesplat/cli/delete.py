@@ -43,6 +43,7 @@ class Delete:
                 self.output,
                 lambda scene: delete(scene, self.name),
                 overwrite=self.overwrite,
+                names_only=True,
             )
             picture.unlink(missing_ok=True)
         return {"scene": folder, "deleted": self.name, "names": [*after.objects]}

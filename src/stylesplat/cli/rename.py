@@ -48,6 +48,7 @@ class Rename:
                 self.output,
                 lambda scene: rename(scene, self.old, self.new),
                 overwrite=self.overwrite,
+                names_only=True,
             )
             if shown is not None:
                 with atomic_path(target) as file:

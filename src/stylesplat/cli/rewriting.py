@@ -9,7 +9,12 @@ if TYPE_CHECKING:
 
 
 def rewritten(
-    source: Path, output: Path | None, change: "Callable[[Scene], Scene]", *, overwrite: bool
+    source: Path,
+    output: Path | None,
+    change: "Callable[[Scene], Scene]",
+    *,
+    overwrite: bool,
+    names_only: bool = False,
 ) -> "Scene":
     """Read a scene, change it, and write it.
 
@@ -18,9 +23,10 @@ def rewritten(
         output: The folder to make, and the first one stays as it is; None writes into that.
         change: Gives the scene that is wanted.
         overwrite: Whether `output` may hold something.
+        names_only: Whether only objects and their names change, and nothing is drawn for that.
 
     Returns:
-        The scene that is written.
+        The scene that is written; without higher bands of colour if they were not needed.
 
     Raises:
         StyleSplatError: If `change` does, or a folder cannot be read or written, or `output`
@@ -29,15 +35,17 @@ def rewritten(
     from stylesplat.io.folders import refuse_occupied
     from stylesplat.io.places import refuse_unwritable
     from stylesplat.io.recovery import changing
-    from stylesplat.io.scene_folder import SCENE, open, revise, save
+    from stylesplat.io.scene_folder import SCENE, open, open_without_bands, revise, save
 
     with changing(output or source):  # from reading on, so that no other's change is lost
         if output is not None:
             refuse_occupied(output, marker=SCENE, overwrite=overwrite)
-        before = open(source)
+        bands = output is not None or not names_only
+        before = open(source) if bands else open_without_bands(source)
         if output is None:
             refuse_unwritable(source)
         after = change(before)
+        assert bands or after.splats is before.splats, "what was not read would be lost"
         if output is None:
             revise(before, after, source)
         else:

@@ -102,15 +102,21 @@ class Select:
         folder = self.output or self.scene
         target = picture_of(folder, self.name)
         with changing(folder):
-            after = rewritten(self.scene, self.output, self._selected, overwrite=self.overwrite)
+            after = rewritten(
+                self.scene,
+                self.output,
+                self._selected,
+                overwrite=self.overwrite,
+                names_only=not self.text,  # words are looked for in pictures
+            )
             with suppress(OSError):
                 target.unlink()  # it shows what was called so before
         how = after.objects[self.name].how
         result = {"name": self.name, **how, "scene": folder, "picture": None}
         if self.picture and (self.json or self.verbose):  # these name the picture: it is there
-            result["picture"] = self._draw(after, target)
+            result["picture"] = self._draw(target)
         elif self.picture:
-            return Answer(result, partial(self._show, after, target))
+            return Answer(result, partial(self._show, target))
         return result
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
@@ -148,24 +154,27 @@ class Select:
             model=self.model,
         )
 
-    def _show(self, scene: "Scene", target: Path) -> None:
+    def _show(self, target: Path) -> None:
         from stylesplat.progress import say
 
-        if self._draw(scene, target):
+        if self._draw(target):
             say(self._pictured(target))
 
     def _pictured(self, target: Path) -> str:
         return f"Picture: {target}, in colour what was picked, in blue what of it gets no paint."
 
-    def _draw(self, scene: "Scene", target: Path) -> Path | None:
-        """Draw it; the picture if there is one."""
+    def _draw(self, target: Path) -> Path | None:
+        """Draw it, in the scene as it is saved; the picture if there is one."""
         from stylesplat.drawing.selection_picture import selection_picture
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
+        from stylesplat.io.scene_folder import open
         from stylesplat.progress import say
+        from stylesplat.selection.choose import find_object
 
-        picked = scene.objects[self.name].picked
         with told_if_missing(self.name):  # the selection is saved
+            scene = open(self.output or self.scene)
+            picked = find_object(scene, self.name)
             picture = selection_picture(scene.splats, scene.cameras, picked)
             if picture is None:
                 say(f"{self.name} shows in none of the views, so there is no picture of it.")

@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -110,13 +111,22 @@ def open(path: Path | str) -> Scene:
         StyleSplatError: If the folder is no scene, or a file of it is missing, damaged, or made
             for other splats.
     """
-    return settled(path, _read)
+    return settled(path, partial(_read, bands=True))
 
 
-def _read(path: Path) -> Scene:
+def open_without_bands(path: Path | str) -> Scene:
+    """Read a scene without the higher bands of colour: most of it, but needed to draw it alone.
+
+    Raises:
+        StyleSplatError: As `open` does.
+    """
+    return settled(path, partial(_read, bands=False))
+
+
+def _read(path: Path, *, bands: bool) -> Scene:
     folder = _scene_folder(path)
     declared, info = _read_info(folder / SCENE)
-    splats = with_identities(_read_gaussians(folder / SPLATS), folder / IDENTITIES)
+    splats = with_identities(_read_gaussians(folder / SPLATS, bands), folder / IDENTITIES)
     picks = read_named(folder / PICKS, PICKED, N=len(splats))
     return Scene(
         splats=splats,
@@ -152,12 +162,12 @@ def _found_capture(declared: _Info, folder: Path) -> Path | None:
     return moved if moved.is_dir() else there
 
 
-def _read_gaussians(path: Path) -> Splats:
-    """Of degree 3, as they were written."""
-    splats = read_splat_ply(path)
+def _read_gaussians(path: Path, bands: bool) -> Splats:
+    """Of degree 3, as they were written, or of none."""
+    splats = read_splat_ply(path, bands=bands)
     if not len(splats):
         raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {AGAIN}")
-    return replace(splats, shN=pad_bands(splats.shN))
+    return replace(splats, shN=pad_bands(splats.shN)) if bands else splats
 
 
 def _read_metrics(path: Path) -> dict[str, Any]:

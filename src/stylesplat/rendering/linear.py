@@ -18,10 +18,11 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import views_of
 from stylesplat.rendering.kernels import linear_blocks, vec
 from stylesplat.rendering.kernels.linear_blocks import Kept
-from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.one_view import colors_of
+from stylesplat.rendering.rasterize import beside
+from stylesplat.rendering.seen import Seen, seen
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
@@ -93,19 +94,28 @@ class Contributions:
 
 
 @torch.no_grad()
-def contributions(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Contributions:
+def contributions(
+    splats: Splats,
+    camera: Cameras,
+    picked: Bool[Tensor, " N"],
+    pixels: Bool[Tensor, "H W"] | None = None,
+) -> Contributions:
     """Render everything but some Gaussians and keep what these contribute.
 
     Args:
         splats: The scene, on the CPU.
         camera: One camera.
         picked: The Gaussians whose colours are to vary.
+        pixels: Those that are wanted, all that picked ones may reach among them; others need not be
+            right. All of them by default.
     """
-    drawing = _draw_others(splats, camera, picked)
-    numbers, shown = _number_shown(drawing.tiled, picked)
+    near = seen(splats, camera, pixels)
+    mine = picked[near.rows]
+    drawing = _draw_others(splats, camera, near, mine)
+    numbers, places = _number_shown(drawing.tiled, mine)
     background, coverage = drawing.image.split((3, 1), dim=2)
     return Contributions(
-        gaussians=shown,
+        gaussians=near.rows[places],
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
@@ -113,20 +123,21 @@ def contributions(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -
     )
 
 
-def _draw_others(splats: Splats, camera: Cameras, picked: Tensor) -> cpu.Drawing:
-    """Colours of all but the picked Gaussians, and the coverage of these."""
-    gaussians, camera = activated(splats), beside(splats, camera)
-    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    others = ((projected.radii > 0).all(dim=1) & ~picked).nonzero()[:, 0]
-    dirs = splats.means[others] - camera.positions
-    sh = splats.sh0[others], splats.shN[others]
+def _draw_others(splats: Splats, camera: Cameras, near: Seen, picked: Tensor) -> cpu.Drawing:
+    """Colours of all that is seen but the picked Gaussians, and the coverage of these."""
+    others = (~picked).nonzero()[:, 0]
     colors = picked[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
-    colors[others, :3] = cpu.spherical_harmonics(splats.sh_degree, dirs, *sh)
-    return cpu.draw(projected, gaussians.opacities, colors, camera.size)
+    colors[others, :3] = colors_of(splats, near.rows[others], beside(splats, camera).positions)
+    return cpu.draw(near.projected, near.opacities, colors, camera.size)
 
 
 def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
-    """Count the picked Gaussians that are drawn: the number of each rank or -1, and who it is."""
+    """Count the picked Gaussians that are drawn: the number of each rank or -1, and their places.
+
+    Args:
+        tiled: What was drawn.
+        picked: Which of that.
+    """
     shown = reaching(tiled) & picked.numpy()[tiled.order]
     numbers = np.where(shown, np.cumsum(shown) - 1, -1).astype(np.int32)
     return numbers, torch.from_numpy(tiled.order[shown].astype(np.int64))

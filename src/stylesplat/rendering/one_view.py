@@ -1,7 +1,7 @@
 """What one camera sees, without gradients: in the memory of what is seen."""
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.rendering.rasterize import beside, over_background, rasterize
@@ -20,6 +20,7 @@ def render(
     features: Float[Tensor, "N F"] | None = None,
     background: Float[Tensor, " 3"] | None = None,
     sh_degree: int | None = None,
+    pixels: Bool[Tensor, "H W"] | None = None,
 ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
     """Render splats from one camera, without gradients.
 
@@ -29,6 +30,7 @@ def render(
         features: More channels to composite in the same pass; they follow the three colours.
         background: RGB behind everything; black by default. Features have 0 behind them.
         sh_degree: How many bands of colour to use; all of them by default.
+        pixels: Those that are wanted; others need not be right. All of them by default.
 
     Returns:
         The image and the coverage, as `rasterize` has them.
@@ -39,30 +41,32 @@ def render(
         return images[0], alphas[0]
     from stylesplat.rendering import cpu
 
-    near = seen(splats, camera)
+    near = seen(splats, camera, pixels)
     if features is not None and len(near.rows) > MANY:
         near = unhidden(near, camera)
-    colors = _channels(splats, near.rows, beside(splats, camera).positions, features, sh_degree)
+    colors = colors_of(splats, near.rows, beside(splats, camera).positions, sh_degree, features)
     drawing = cpu.draw(near.projected, near.opacities, cpu.padded(colors), camera.size)
     image, alphas = drawing.image[..., : colors.shape[1]], drawing.alphas
     return over_background(image, alphas, background), alphas
 
 
-def _channels(
+def colors_of(
     splats: Splats,
     rows: Int[Tensor, " M"],
     origin: Float[Tensor, "1 3"],
-    features: Float[Tensor, "N F"] | None,
-    sh_degree: int | None,
+    sh_degree: int | None = None,
+    features: Float[Tensor, "N F"] | None = None,
 ) -> Float[Tensor, "M D"]:
-    """Colours of some Gaussians as seen from a point, and their features."""
+    """Colours of some Gaussians, on the CPU, as seen from a point; their features follow."""
     from stylesplat.rendering import cpu
 
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
-    higher = splats.shN[:, : (degree + 1) ** 2 - 1]
+    tensors = splats.means, splats.sh0, splats.shN[:, : (degree + 1) ** 2 - 1]
     parts = []
     for some in rows.split(PART):
-        dirs, sh = splats.means[some] - origin, (splats.sh0[some], higher[some])
-        colors = cpu.spherical_harmonics(degree, dirs, *sh)
-        parts.append(colors if features is None else torch.cat([colors, features[some]], dim=1))
-    return torch.cat(parts)
+        means, *sh = (each.index_select(0, some) for each in tensors)
+        own = cpu.spherical_harmonics(degree, means - origin, *sh)
+        if features is not None:
+            own = torch.cat([own, features.index_select(0, some)], dim=1)
+        parts.append(own)
+    return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -17,7 +17,8 @@ from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
-PART = 1 << 16  # Gaussians whose numbers stay in the cache while they are looked at
+LARGE = 400_000  # Gaussians of a scene; of fewer, looking for what matters takes what it saves
+PART = 1 << 17  # Gaussians whose numbers stay in the cache while they are looked at
 
 
 class Seen(NamedTuple):
@@ -34,6 +35,17 @@ class Seen(NamedTuple):
         """Some of them."""
         projected = Projected(*(each[places] for each in self.projected))
         return Seen(self.rows[places], projected, self.opacities[places])
+
+    def box(self, camera: Cameras) -> Bool[Tensor, "H W"]:
+        """The rectangle of that camera's pixels which they may reach."""
+        width, height = camera.size
+        inside = torch.zeros(height, width, dtype=torch.bool)
+        if len(self.rows):
+            places, radii = self.projected.means2d, self.projected.radii
+            left, top = (places - radii).amin(dim=0).floor().clamp(min=0).tolist()
+            right, bottom = (places + radii).amax(dim=0).ceil().tolist()
+            inside[int(top) : int(bottom), int(left) : int(right)] = True
+        return inside
 
 
 @torch.no_grad()
@@ -65,11 +77,12 @@ def _seen_part(
         places, radii = projected.means2d, projected.radii
         near &= touching((places - radii).floor(), (places + radii).ceil(), pixels)
     rows = near.nonzero()[:, 0]
-    return start + rows, gaussians.opacities[rows], *(each[rows] for each in projected)
+    found = (gaussians.opacities, *projected)
+    return start + rows, *(each.index_select(0, rows) for each in found)
 
 
 def _joined(parts: list[Tensor]) -> Tensor:
-    whole = torch.cat(parts)
+    whole = parts[0] if len(parts) == 1 else torch.cat(parts)
     parts.clear()
     return whole
 

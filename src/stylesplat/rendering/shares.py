@@ -13,6 +13,7 @@ from torch import Tensor
 
 from stylesplat.rendering.one_view import render
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.seen import LARGE
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.projection import depths_of
@@ -104,7 +105,11 @@ def render_shares(
 def coverage(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Float[Tensor, "H W"]:
     """The opaque share of an object in each pixel of one camera, what hides it in front."""
     features = picked.to(splats.means)[:, None]
-    image, _ = render(splats, camera, features=features, sh_degree=0)
+    pixels = None
+    if len(splats) >= LARGE:  # others need not be looked at where it cannot show
+        alone = without_looks(splats)[picked.nonzero()[:, 0]]
+        pixels = render(alone, camera, sh_degree=0)[1][..., 0] > 0
+    image, _ = render(splats, camera, features=features, sh_degree=0, pixels=pixels)
     return image[:, :, 3]
 
 

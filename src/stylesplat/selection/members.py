@@ -55,7 +55,8 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
     limits = torch.tensor([SURE[id == BACKGROUND] for id in classifier.ids]).to(splats.means)
     rows, numbers, vouched, sure = [], [], [], []
-    for first, probabilities in _some_at_a_time(splats):
+    for first, scores in _some_at_a_time(splats):
+        probabilities = scores.softmax(dim=-1)
         surely = probabilities > limits
         sure.append(torch.where(surely.any(dim=1), known[surely.int().argmax(dim=1)], NOBODY))
         likely = probabilities.index_select(1, columns)
@@ -79,14 +80,14 @@ def likeliest(splats: Splats) -> Int[Tensor, " N"]:
     """
     _, classifier = require_identities(splats)
     known = torch.tensor(classifier.ids, device=splats.device)
-    return torch.cat([known[p.argmax(dim=1)] for _, p in _some_at_a_time(splats)])
+    return torch.cat([known[each.argmax(dim=1)] for _, each in _some_at_a_time(splats)])
 
 
 def _some_at_a_time(splats: Splats) -> Iterator[tuple[int, Float[Tensor, "B K"]]]:
-    """The first row of each part of the Gaussians, and how likely these are of each class."""
+    """The first row of each part of the Gaussians, and the scores of their classes."""
     identities, classifier = require_identities(splats)
     size = max(1, AT_ONCE // len(classifier.ids))
     for first in range(0, len(splats), size):
         part = identities[first : first + size]
         with torch.no_grad():
-            yield first, classifier.logits(part).softmax(dim=-1)
+            yield first, classifier.logits(part)

@@ -14,6 +14,7 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.seen import seen
 from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
@@ -61,9 +62,10 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
     # contributions are known on the CPU only
     splats, picked = splats.to("cpu"), picked.cpu()
     ids, bare = _own_ids(splats, picked), without_looks(splats)
+    alone = bare[picked.nonzero()[:, 0]]
 
     def find(camera: Cameras) -> Place:
-        view = contributions(bare, camera, picked)
+        view = contributions(bare, camera, picked, seen(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if len(ids) and unsure.any():

@@ -9,12 +9,11 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.seen import drawn, pixel_bounds
+from stylesplat.rendering.seen import LARGE, drawn, pixel_bounds
 from stylesplat.rendering.shares import without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
-LARGE = 400_000  # Gaussians of a scene; of fewer the search takes as long as it saves
 MARGIN = 2  # pixels around what an object may reach
 NEARBY = 0.25  # of an object's extent along each axis: what it stands on lies within
 

@@ -14,11 +14,10 @@ from torch.nn.functional import max_pool2d
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.seen import drawn
+from stylesplat.rendering.seen import LARGE, drawn
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.survey import LARGE
 from stylesplat.stylization.overflow import reached
 from stylesplat.stylization.style_job import Studio, StyleJob
 

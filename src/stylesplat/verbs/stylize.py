@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast, get_args
 
+import torch
+
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
@@ -14,6 +16,7 @@ from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.paintings import Painting, Source
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
 from stylesplat.stylization.bookkeeping import (
     at_intensities,
     strengths,
@@ -198,13 +201,10 @@ def _painted(
     jobs = run.jobs(ground)
     network = load_network(styles, run.features, run.weights)
     training, held_out = ground.working_views()
-    studio = open_studio(
-        ground.splats.to(pick_device(device)),
-        training,
-        network,
-        held_out=held_out,
-        max_memory=max_memory,
+    opened = partial(
+        open_studio, cameras=training, network=network, held_out=held_out, max_memory=max_memory
     )
+    studio = opened(ground.splats.to(pick_device(device)))
     styled, seconds = paint_objects(studio, jobs)
     scene = with_paintings(ground, styled, records(run, jobs, strengths(ground)))
     staying = [job for job in jobs if job.name not in run.passing]
@@ -216,21 +216,26 @@ def _painted(
         "seconds_by_object": {job.name: seconds[job.name] for job in staying},
     }
     shown = unpainted(scene, run.passing)
-    measure = partial(_measured, studio, staying, shown, held_out)
+    measure = partial(_measured, opened, staying, shown, held_out, studio.splats.device)
     if run.passing:
         return scene, facts, measure
     return scene, facts, partial(measure, cuts=styled.cuts, parents=styled.parents)
 
 
 def _measured(
-    studio: Studio,
+    opened: Callable[[Splats], Studio],
     jobs: Sequence[StyleJob],
     scene: Scene,
     held_out: Cameras | None,
+    device: torch.device,
     **cut: Any,
 ) -> dict[str, Any]:
-    """What painting some objects did, with one entry per number; `cut` as `measure_painted` has."""
-    shown = scene.splats.to(studio.splats.device)
+    """What painting some objects did, with one entry per number; `cut` as `measure_painted` has.
+
+    The scene before is made of the one after, which remembers it: two take much memory.
+    """
+    studio = opened(unpainted(scene, {job.name for job in jobs}).splats.to(device))
+    shown = scene.splats.to(device)
     return flat_metrics(measure_painted(studio, jobs, shown, held_out=held_out, **cut))
 
 

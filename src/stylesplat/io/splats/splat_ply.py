@@ -27,8 +27,12 @@ SMALLEST_TURN = 1e-10  # of a part of a rotation: squares of less vanish in floa
 NORMALS = ("nx", "ny", "nz")  # always 0; some viewers count on them
 
 
-def read_splat_ply(path: Path | str) -> Splats:
+def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
     """Read splats of degree 0 to 3, their columns in any order; other columns are ignored.
+
+    Args:
+        path: The file.
+        bands: Whether to read the higher bands of colour, which are three quarters of it.
 
     Raises:
         StyleSplatError: If the file is missing, truncated or too long, lacks a column or holds
@@ -36,16 +40,17 @@ def read_splat_ply(path: Path | str) -> Splats:
     """
     with ply_rows(path, at_once=AT_ONCE) as rows:
         rest = _find_rest(rows.dtype, path)
-        count, bands = rows.count, len(rest) // 3
+        rest = rest if bands else ()
+        count, own = rows.count, len(rest) // 3
         groups = (MEANS, QUATS, SCALES, OPACITY, SH0)
         arrays = [np.empty((count, len(names)), np.float32) for names in groups]
-        higher = np.empty((count, bands, 3), np.float32)
+        higher = np.empty((count, own, 3), np.float32)
         places = {
             name: array[:, i]
             for names, array in zip(groups, arrays, strict=True)
             for i, name in enumerate(names)
         }
-        places |= {name: higher[:, i % bands, i // bands] for i, name in enumerate(rest)}
+        places |= {name: higher[:, i % own, i // own] for i, name in enumerate(rest)}
         first = 0
         for block in rows.blocks:
             for name, place in places.items():
