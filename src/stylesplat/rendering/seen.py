@@ -72,7 +72,7 @@ def _seen_part(
 
     gaussians = activated(splats, slice(start, start + PART))
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    near = (projected.radii > 0).all(dim=1)
+    near = projected.radii[:, 0] > 0
     if pixels is not None:
         places, radii = projected.means2d, projected.radii
         near &= touching((places - radii).floor(), (places + radii).ceil(), pixels)

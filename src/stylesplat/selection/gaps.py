@@ -6,6 +6,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.scene.content import FAINT
+from stylesplat.scene.overlap import overlapping
 from stylesplat.scene.splats import Splats
 
 NEIGHBOURS = 16  # most of which are picked around a gap
@@ -25,14 +26,13 @@ def amid(
         doubtful: Which others may be the object's.
     """
     nobody = torch.zeros_like(picked)
-    solid = torch.sigmoid(splats.opacities) >= FAINT
-    if not (picked & solid).any():
+    means, own = splats.means, picked.nonzero()[:, 0]
+    if not (torch.sigmoid(splats.opacities[own]) >= FAINT).any():
         return nobody
-    means = splats.means
-    low, high = means[picked].amin(dim=0), means[picked].amax(dim=0)
-    around = solid & ((means >= low) & (means <= high)).all(dim=1)
-    rows = around.nonzero()[:, 0]
-    wanted = (around & doubtful & ~picked).nonzero()[:, 0]
+    low, high = means[own].amin(dim=0), means[own].amax(dim=0)
+    rows = overlapping(means, means, low, high)
+    rows = rows[torch.sigmoid(splats.opacities[rows]) >= FAINT]
+    wanted = rows[doubtful[rows] & ~picked[rows]]
     if not len(wanted):
         return nobody
     tree = KDTree(means[rows].double().cpu().numpy())

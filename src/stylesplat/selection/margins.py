@@ -7,6 +7,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.content import FAINT, solid
+from stylesplat.scene.overlap import overlapping
 from stylesplat.scene.splats import Splats
 
 SLACK = 1e-6  # of a distance, more than float32 rounds
@@ -81,7 +82,7 @@ def near(
         return nobody
     low, high = others.amin(dim=0) - bound, others.amax(dim=0) + bound
     room = SLACK * torch.maximum(low.abs(), high.abs())  # float32 rounds these sums
-    rows = ((points >= low - room) & (points <= high + room)).all(dim=1).nonzero()[:, 0]
+    rows = overlapping(points, points, low - room, high + room)
     positions, targets = (each.detach().cpu().double().numpy() for each in (points[rows], others))
     distances, _ = KDTree(targets).query(positions, distance_upper_bound=bound, workers=-1)
     return nobody.index_fill(0, rows[torch.from_numpy(distances <= reach).to(rows.device)], True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.progress import track
@@ -33,6 +33,7 @@ LABELLED = 0.25  # coverage from which a pixel is the object's if its label says
 OUTSIDE, INSIDE = 0.6, 0.95
 UNSEEN = 0.02  # pixels, of all views: what shows less takes after its neighbours
 NEIGHBOURS = 9
+NO_IDS = torch.zeros(0, dtype=torch.long)
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,12 @@ class Place:
 
 
 @torch.no_grad()
-def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) -> list[Place]:
+def find_places(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    cameras: Cameras,
+    labels: Int[Tensor, " N"] | None = None,
+) -> list[Place]:
     """Where an object is in some views.
 
     It is where the picked Gaussians cover half of a pixel, or less if its label is one that most
@@ -58,10 +64,14 @@ def find_places(splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras) ->
         splats: The scene.
         picked: The object's Gaussians.
         cameras: Views to choose from.
+        labels: The likeliest label of each Gaussian, if somebody has looked.
     """
     # contributions are known on the CPU only
     splats, picked = splats.to("cpu"), picked.cpu()
-    ids, bare = _own_ids(splats, picked), without_looks(splats)
+    bare = without_looks(splats)
+    if labels is None and splats.identities is not None and splats.classifier is not None:
+        labels = likeliest(splats)
+    ids = NO_IDS if labels is None else _own_ids(labels, picked)
     alone = bare[picked.nonzero()[:, 0]]
 
     def find(camera: Cameras) -> Place:
@@ -159,11 +169,8 @@ def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"])
     return labels
 
 
-def _own_ids(splats: Splats, picked: Bool[Tensor, " N"]) -> Tensor:
+def _own_ids(labels: Int[Tensor, " N"], picked: Bool[Tensor, " N"]) -> Tensor:
     """The labels most of whose Gaussians are picked."""
-    if splats.identities is None or splats.classifier is None:
-        return torch.zeros(0, dtype=torch.long)
-    labels = likeliest(splats)
     ids, own = labels[picked].unique(return_counts=True)
     every = torch.stack([(labels == id).sum() for id in ids]) if len(ids) else own
     return ids[(2 * own > every) & (ids != BACKGROUND)]

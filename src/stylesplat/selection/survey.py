@@ -12,6 +12,7 @@ from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.seen import LARGE, drawn, pixel_bounds
 from stylesplat.rendering.shares import without_looks
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.overlap import overlapping
 from stylesplat.scene.splats import Splats
 
 MARGIN = 2  # pixels around what an object may reach
@@ -54,12 +55,11 @@ class Survey:
             shown = (low < high).all(dim=1)
             if shown.any():
                 low, high = low[shown].amin(dim=0) - MARGIN, high[shown].amax(dim=0) + MARGIN
-                near = ((view.low < high) & (view.high > low)).all(dim=1)
-                mine[view.rows[near].long()] = True
+                mine[view.rows[overlapping(view.low, view.high, low + 1, high - 1)].long()] = True
         low, high = own.means.amin(dim=0), own.means.amax(dim=0)
         room = NEARBY * (high - low).norm()
         means = self.splats.means
-        mine |= ((means >= low - room) & (means <= high + room)).all(dim=1)
+        mine[overlapping(means, means, low - room, high + room)] = True
         return mine.nonzero()[:, 0]
 
 

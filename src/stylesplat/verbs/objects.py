@@ -5,6 +5,7 @@ from typing import Any
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.progress import track
 from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
@@ -24,7 +25,8 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     Raises:
         StyleSplatError: If the scene has no identities.
     """
-    shares = OwnShares(scene.splats, scene.cameras)
+    shares, ids = OwnShares(scene.splats, scene.cameras), object_ids(scene.splats)
+    found = each_object(scene.splats, ids)
     return [
         {
             "id": id,
@@ -34,7 +36,7 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
             **_confidence(scene, mask),
             **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
         }
-        for id, mask in each_object(scene.splats, object_ids(scene.splats))
+        for id, mask in track(found, "listing objects", unit="object", total=len(ids))
     ]
 
 
