@@ -46,6 +46,13 @@ def test_the_answer_comes_before_the_picture(scene: Path, said: list[str]):
     assert read_image(picture).shape[1] > 3 * 480
 
 
+def test_colors_that_are_not_read_are_not_lost(scene: Path):
+    before = (scene / "splats.ply").read_bytes()
+    assert scene_folder.open(scene).splats.shN.shape[1] == 15
+    found = selected(scene, "red", 3)
+    assert found["picture"] is not None and (scene / "splats.ply").read_bytes() == before
+
+
 def test_a_picture_that_cannot_be_written(scene: Path, capsys):
     """What was asked for is done and told all the same."""
     (scene / "selections").write_text("mine")

@@ -24,6 +24,13 @@ def test_round_trip(tmp_path: Path, make: Callable[[], Scene]):
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
 
 
+def test_without_higher_bands_all_else_is_the_same(tmp_path: Path):
+    scene = full_scene()
+    scene_folder.save(scene, tmp_path / "scene")
+    bare = replace(scene, splats=replace(scene.splats, shN=scene.splats.shN[:, :0]))
+    assert_same(scene_folder.open_without_bands(tmp_path / "scene"), bare)
+
+
 def test_what_undoes_a_split_comes_back(tmp_path: Path):
     shape = Unsplit(4, torch.tensor([0, 3]), random(2, 3), random(2))
     split = replace(full_scene(), painted=replace(painted(), unsplit=shape))

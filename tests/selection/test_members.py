@@ -30,8 +30,16 @@ def test_as_the_whole_table_says(doubtful, threshold: float):
         limits = torch.tensor([threshold if each == id else 0.5 for each in ids])
         limits[0] = 0.9
         assert torch.equal(found.mask(id), own > threshold)
-        assert torch.equal(found.doubtful(id), (table <= limits).all(dim=1))
+        rows = torch.arange(0, len(table), 2)
+        assert torch.equal(found.doubtful(id, rows), (table <= limits).all(dim=1)[rows])
     assert torch.equal(likeliest(doubtful), torch.tensor(ids)[table.argmax(dim=1)])
+
+
+@pytest.mark.parametrize("threshold", [0.0, 0.1, 0.5, 0.8, 1.0])
+def test_what_is_surely_background_is_not_looked_at(doubtful, threshold: float):
+    one, all_of_them = (members(doubtful, ids, threshold) for ids in ((3,), IDS))
+    assert torch.equal(one.likely[3], all_of_them.likely[3])
+    assert torch.equal(one.vouched[3], all_of_them.vouched[3])
 
 
 def test_objects_of_one_pass_are_those_of_many(doubtful):

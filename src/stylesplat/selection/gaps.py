@@ -1,7 +1,9 @@
 """Gaps in a pick: Gaussians amid an object that label maps have left in doubt."""
 
+from collections.abc import Callable
+
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -14,7 +16,9 @@ NEIGHBOURS = 16  # most of which are picked around a gap
 
 @torch.no_grad()
 def amid(
-    splats: Splats, picked: Bool[Tensor, " N"], doubtful: Bool[Tensor, " N"]
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    doubtful: Callable[[Int[Tensor, " M"]], Bool[Tensor, " M"]],
 ) -> Bool[Tensor, " N"]:
     """Gaussians that are not picked, but most of whose neighbours are.
 
@@ -23,7 +27,7 @@ def amid(
     Args:
         splats: The scene.
         picked: The object's Gaussians so far.
-        doubtful: Which others may be the object's.
+        doubtful: Says which of some others may be the object's.
     """
     nobody = torch.zeros_like(picked)
     means, own = splats.means, picked.nonzero()[:, 0]
@@ -32,7 +36,8 @@ def amid(
     low, high = means[own].amin(dim=0), means[own].amax(dim=0)
     rows = overlapping(means, means, low, high)
     rows = rows[torch.sigmoid(splats.opacities[rows]) >= FAINT]
-    wanted = rows[doubtful[rows] & ~picked[rows]]
+    others = rows[~picked[rows]]
+    wanted = others[doubtful(others)]
     if not len(wanted):
         return nobody
     tree = KDTree(means[rows].double().cpu().numpy())

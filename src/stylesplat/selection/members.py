@@ -14,29 +14,33 @@ from stylesplat.selection.identities import require_identities
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 VOUCHED = 0.9  # probability above which label maps vouch for a Gaussian
 AT_ONCE = 1 << 22  # probabilities: 16 MB
-NOBODY = -1
+ROUNDING = 1e-2  # of scores, by far
+FEW = 0.5  # of the classes, of which it pays to compare them with the background first
 
 
 @dataclass(frozen=True)
 class Members:
     """What identities say of the objects of some label ids."""
 
+    splats: Splats
+    """The scene."""
     likely: Mapping[int, Int[Tensor, " _"]]
     """By id the Gaussians that are likelier its own than the threshold says."""
     vouched: Mapping[int, Bool[Tensor, " _"]]
     """Whether label maps vouch for these."""
-    sure: Int[Tensor, " N"]
-    """The label id that each Gaussian surely has, or -1."""
 
     def mask(self, id: int) -> Bool[Tensor, " N"]:
         """The Gaussians that are likely an object's."""
-        nobody = torch.zeros_like(self.sure, dtype=torch.bool)
+        nobody = torch.zeros(len(self.splats), dtype=torch.bool, device=self.splats.device)
         return nobody.index_fill(0, self.likely[id], True)
 
-    def doubtful(self, id: int) -> Bool[Tensor, " N"]:
-        """Those that are not, and not surely another's."""
-        doubtful = (self.sure == NOBODY) | (self.sure == id)
-        return doubtful.index_fill(0, self.likely[id], False)
+    def doubtful(self, id: int, rows: Int[Tensor, " M"]) -> Bool[Tensor, " M"]:
+        """Which of some Gaussians are not likely an object's, and not surely anything else's."""
+        _, classifier = require_identities(self.splats)
+        limits = [SURE[each == BACKGROUND] if each != id else 1.0 for each in classifier.ids]
+        limits = torch.tensor(limits).to(self.splats.means)
+        parts = [(p <= limits).all(dim=1) for _, p in _probabilities(self.splats, rows)]
+        return torch.cat(parts) & ~self.mask(id)[rows]
 
 
 def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
@@ -51,24 +55,19 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
         StyleSplatError: If the splats have no identities.
     """
     _, classifier = require_identities(splats)
-    known = torch.tensor(classifier.ids, device=splats.device)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
-    limits = torch.tensor([SURE[id == BACKGROUND] for id in classifier.ids]).to(splats.means)
-    rows, numbers, vouched, sure = [], [], [], []
-    for first, scores in _some_at_a_time(splats):
-        probabilities = scores.softmax(dim=-1)
-        surely = probabilities > limits
-        sure.append(torch.where(surely.any(dim=1), known[surely.int().argmax(dim=1)], NOBODY))
+    rows, numbers, vouched = [], [], []
+    for some, probabilities in _probabilities(splats, _possible(splats, columns, threshold)):
         likely = probabilities.index_select(1, columns)
         row, number = (likely > threshold).nonzero(as_tuple=True)
-        rows.append(first + row)
+        rows.append(some[row])
         numbers.append(number)
         vouched.append(likely[row, number] > VOUCHED)
     number = torch.cat(numbers)
     counts, order = torch.bincount(number, minlength=len(ids)).tolist(), number.argsort(stable=True)
     of_each, surely = (torch.cat(each)[order].split(counts) for each in (rows, vouched))
     return Members(
-        dict(zip(ids, of_each, strict=True)), dict(zip(ids, surely, strict=True)), torch.cat(sure)
+        splats, dict(zip(ids, of_each, strict=True)), dict(zip(ids, surely, strict=True))
     )
 
 
@@ -78,16 +77,41 @@ def likeliest(splats: Splats) -> Int[Tensor, " N"]:
     Raises:
         StyleSplatError: If the splats have no identities.
     """
-    _, classifier = require_identities(splats)
-    known = torch.tensor(classifier.ids, device=splats.device)
-    return torch.cat([known[each.argmax(dim=1)] for _, each in _some_at_a_time(splats)])
-
-
-def _some_at_a_time(splats: Splats) -> Iterator[tuple[int, Float[Tensor, "B K"]]]:
-    """The first row of each part of the Gaussians, and the scores of their classes."""
     identities, classifier = require_identities(splats)
-    size = max(1, AT_ONCE // len(classifier.ids))
-    for first in range(0, len(splats), size):
-        part = identities[first : first + size]
-        with torch.no_grad():
-            yield first, classifier.logits(part)
+    known = torch.tensor(classifier.ids, device=splats.device)
+    parts = identities.detach().split(_size(splats))
+    return torch.cat([known[classifier.logits(part).argmax(dim=1)] for part in parts])
+
+
+def _possible(splats: Splats, columns: Int[Tensor, " L"], threshold: float) -> Int[Tensor, " M"]:
+    """All Gaussians but those that are too likely background to be of some classes.
+
+    No class is likelier than it were if there were only itself and the background.
+    """
+    identities, classifier = require_identities(splats)
+    every = torch.arange(len(splats), device=splats.device)
+    known = classifier.ids
+    behind = known.index(BACKGROUND) if BACKGROUND in known else None
+    if behind is None or behind in columns or len(columns) > FEW * len(known):
+        return every
+    weight = classifier.weight[columns] - classifier.weight[behind]
+    bias = classifier.bias[columns] - classifier.bias[behind]
+    least = torch.logit(torch.tensor(threshold)).item() - ROUNDING
+    parts = zip(every.split(AT_ONCE), identities.detach().split(AT_ONCE), strict=True)
+    return torch.cat([rows[((p @ weight.T + bias) > least).any(dim=1)] for rows, p in parts])
+
+
+def _probabilities(
+    splats: Splats, rows: Int[Tensor, " M"]
+) -> Iterator[tuple[Int[Tensor, " B"], Float[Tensor, "B K"]]]:
+    """Some of the Gaussians at a time, and how likely these are of each class."""
+    identities, classifier = require_identities(splats)
+    for some in rows.split(_size(splats)):
+        part = identities.detach().index_select(0, some)
+        yield some, classifier.logits(part).softmax(dim=-1)
+
+
+def _size(splats: Splats) -> int:
+    """How many Gaussians are looked at together."""
+    _, classifier = require_identities(splats)
+    return max(1, AT_ONCE // len(classifier.ids))

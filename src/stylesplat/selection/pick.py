@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -124,7 +125,7 @@ def each_object(
             rows, vouched = found.likely[id], found.vouched[id]
             reaches = TOUCH * splats.scales[rows].exp().amax(dim=1) * vouched
             mask[rows] = inliers(splats.means[rows], reaches=reaches)
-        mask |= amid(splats, mask, found.doubtful(id))
+        mask |= amid(splats, mask, partial(found.doubtful, id))
         yield id, mask
 
 
