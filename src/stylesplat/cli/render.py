@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError
 if TYPE_CHECKING:
     from stylesplat.scene.cameras import Cameras
     from stylesplat.scene.scene import Scene
+    from stylesplat.verbs.render import Views
 
 MOST_RATE = 1000  # frames a second, and seconds
 
@@ -60,21 +61,10 @@ class Render:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.scene_folder import open
-        from stylesplat.io.view_files import is_video, refuse_taken, write_views
-        from stylesplat.verbs.render import render
+        from stylesplat.io.view_files import refuse_taken, write_views
 
         refuse_taken(self.output, overwrite=self.overwrite)
-        cameras, fps = self._cameras(scene := open(self.scene))
-        as_colors = self.what == "labels" and is_video(self.output, len(cameras))
-        views = render(
-            scene,
-            cameras,
-            what="label-colors" if as_colors else self.what,
-            background=self.background,
-            downscale=self.downscale,
-            device=self.device,
-        )
+        views, fps = self._views()
         write_views(
             views.names,
             views.pictures,
@@ -91,6 +81,24 @@ class Render:
         from stylesplat.scene.one_line import counted
 
         yield f"{self.output}: {counted(result['views'], 'view')}."
+
+    def _views(self) -> "tuple[Views, float | None]":
+        """What to draw, and its speed; what else the scene holds, such as colours before, goes."""
+        from stylesplat.io.scene_folder import open
+        from stylesplat.io.view_files import is_video
+        from stylesplat.verbs.render import render
+
+        cameras, fps = self._cameras(scene := open(self.scene))
+        as_colors = self.what == "labels" and is_video(self.output, len(cameras))
+        views = render(
+            scene,
+            cameras,
+            what="label-colors" if as_colors else self.what,
+            background=self.background,
+            downscale=self.downscale,
+            device=self.device,
+        )
+        return views, fps
 
     def _cameras(self, scene: "Scene") -> "tuple[Cameras, float | None]":
         """What to render from, and how many frames a second were asked for."""

@@ -144,6 +144,7 @@ class Stylize:
         say(f"The painted scene is in {self.output}. What is left is to measure and to draw it.")
         tidy_heap()
         picture = write_before_after(painted.scene, self.output, device=self.device)
+        tidy_heap()
         styled = painted.measured()
         revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
