@@ -146,6 +146,11 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         ("scenes: [wave.jpg]\njobs: [{render: {}}]\n", "wave.jpg"),
         (jobs("train: {}"), "line 3: train works on captures, not on garden"),
         (jobs("stylize: {style: {a: wav.jpg}}"), "line 3: style: there is no "),
+        (
+            "scenes:\n  - s3://a/garden\njobs: [{render: {}}]\n",
+            "line 2: 's3://a/garden' is an address",
+        ),
+        (jobs("stylize: {style: {a: gs://b/wave.jpg}}"), "line 3: 'gs://b/wave.jpg' is an address"),
         (jobs("stylize: {recipe: no.yaml}"), "line 3: recipe: there is no "),
         (jobs("stylize: {style: a=wave.jpg}"), "line 3: style is a map"),
         (jobs("stylize: {scale: fast}"), "line 3: --scale: expected a number, got 'fast'"),
