@@ -59,8 +59,8 @@ class Sheet:
     seed: int | None = None
     """The same seed and number of threads give the same result."""
     cells: Path | None = None
-    """Folder to keep the painted scenes in, one for each cell: what is there already is not painted
-    again, be it another sheet's or that of one that was interrupted."""
+    """Folder to keep the painted scenes in, each painted by a process of its own. What is there
+    already is not painted again: an interrupted sheet goes on."""
     workers: int | None = None
     """With --cells, processes at a time, each with its share of the cores."""
     device: Device = "auto"
