@@ -62,6 +62,8 @@ def test_a_folder_of_others_is_left_alone(scene: Path, tmp_path: Path, capsys):
     assert "at least one worker" in complaint(
         capsys, "batch", jobs, "-o", tmp_path / "y", "--workers", 0
     )
+    assert "is an address" in complaint(capsys, "batch", jobs, "-o", "s3://bucket/results")
+    assert "is an address" in complaint(capsys, "batch", "gs://bucket/jobs.yaml", "-o", tmp_path)
     assert "No such file" in complaint(capsys, "batch", tmp_path / "no.yaml", "-o", tmp_path / "x")
     assert not (tmp_path / "x").exists()
 

@@ -111,6 +111,19 @@ def test_a_name_tells_two_alike_jobs_apart(tmp_path: Path):
     assert list(planned(tmp_path, text)) == ["garden-render", "garden-deep"]
 
 
+def test_a_sheet_has_a_style_and_two_things_that_vary(tmp_path: Path):
+    text = jobs(
+        "sheet: {output: a.png, style: {vase: [wave.jpg, night.jpg]}, "
+        'vary: [["scale=1,2", "color=style,keep"]]}'
+    )
+    planned_jobs = planned(tmp_path, text)
+    assert [*planned_jobs] == ["garden-sheet-vase-wave", "garden-sheet-vase-night"]
+    place = tmp_path / "garden-sheet-vase-wave"
+    found = order_of(planned_jobs[place.name], tmp_path, threads=1).words
+    assert found[:2] == ("sheet", str(tmp_path / "garden")) and f"--output={place}/a.png" in found
+    assert {"--vary=scale=1,2", "--vary=color=style,keep"} <= {*found} and "-o" not in found
+
+
 def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
     make_photos(tmp_path)
     text = """
@@ -146,6 +159,11 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         ("scenes: [wave.jpg]\njobs: [{render: {}}]\n", "wave.jpg"),
         (jobs("train: {}"), "line 3: train works on captures, not on garden"),
         (jobs("stylize: {style: {a: wav.jpg}}"), "line 3: style: there is no "),
+        (
+            "scenes:\n  - s3://a/garden\njobs: [{render: {}}]\n",
+            "line 2: 's3://a/garden' is an address",
+        ),
+        (jobs("stylize: {style: {a: gs://b/wave.jpg}}"), "line 3: 'gs://b/wave.jpg' is an address"),
         (jobs("stylize: {recipe: no.yaml}"), "line 3: recipe: there is no "),
         (jobs("stylize: {style: a=wave.jpg}"), "line 3: style is a map"),
         (jobs("stylize: {scale: fast}"), "line 3: --scale: expected a number, got 'fast'"),
@@ -155,6 +173,8 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("stylize: {hard: 3}"), "hard is true or false, not 3"),
         (jobs("select: {id: 1}"), "--name"),
         (jobs("export: {}"), "line 3: export makes a file in the job's folder. Name it with"),
+        (jobs("sheet: {style: {a: wave.jpg}}"), "line 3: sheet makes a file in the job's folder"),
+        (jobs("sheet: {output: a.png, cells: x}"), "there is no key 'cells'"),
         (jobs("export: {output: ../x.ply}"), "output is a name in the job's own folder"),
         (jobs("render: {}\n    then: [{render: {}}]"), "nothing can follow render"),
         (jobs("render: {}\n    needs: {cpu: 1}"), "line 4: there is no key 'cpu'. Did you mean"),
@@ -183,4 +203,4 @@ def test_every_option_of_the_verbs_is_known():
     assert VERBS["import"].options["capture"].is_word
     assert VERBS["select"].options["no-picture"].count == 0
     for verb in VERBS.values():
-        assert not {"json", "verbose", "overwrite"} & {*verb.options}
+        assert not {"json", "verbose", "overwrite", "workers"} & {*verb.options}

@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -20,7 +21,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.jobs import ray_cluster
 from stylesplat.jobs.job_journal import JOURNAL
 from stylesplat.jobs.job_needs import MEASURED, Room, gaussians_at, rooms_of
-from stylesplat.jobs.ray_cluster import check_fits, check_nodes
+from stylesplat.jobs.ray_cluster import check_fits, check_nodes, connect
 
 NODES = Path(__file__).parents[1] / "ray_nodes.py"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(ss.__file__).parents[1])}
@@ -82,6 +83,24 @@ def test_nodes_that_are_unfit(answer, fault: str | None, tmp_path: Path, monkeyp
         return
     with pytest.raises(StyleSplatError, match=fault):
         check_nodes(ray, tmp_path / JOURNAL)
+
+
+@pytest.mark.parametrize("kind", [ConnectionError, RayError])
+def test_something_else_answers(kind: type[Exception], monkeypatch, capfd):
+    def init(**_: object) -> None:
+        os.write(2, b"gcs_client.cc:210: Failed to get cluster ID")
+        raise kind("Failed to connect to 10.0.0.1. See the manual.\nIt may help.")
+
+    ray = ModuleType("ray")
+    errors = SimpleNamespace(RayError=RayError)
+    vars(ray).update(init=init, exceptions=errors, is_initialized=lambda: False)
+    monkeypatch.setattr(ray_cluster, "_ray", lambda: ray)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(StyleSplatError, match=r": Failed to connect to 10\.0\.0\.1\. Somet"):
+            connect(address)
+    os.write(2, b"heard")
+    assert capfd.readouterr().err == "heard", "what Ray prints at every try is not shown"
 
 
 @pytest.mark.parametrize(

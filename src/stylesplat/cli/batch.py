@@ -47,7 +47,7 @@ class Batch:
         ]
         ends = {status: len(done.of(status)) for status in ("done", "failed", "skipped")}
         result = {"output": self.output, "page": done.page, "kept": done.kept, **ends}
-        return Answer({**result, "jobs": jobs}, lambda: _refuse_failed(done))
+        return Answer({**result, "jobs": jobs}, lambda: refuse_failed(done))
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
@@ -78,12 +78,14 @@ def batch(
             something else; or if the cluster cannot be reached, or is unfit.
     """
     from stylesplat.cli.batch_verbs import batch_verbs
+    from stylesplat.jobs.batch_plan import plan_batch
     from stylesplat.jobs.run_batch import run_batch
 
-    return run_batch(Path(jobs), Path(output), batch_verbs(), workers=workers, ray=ray)
+    planned = plan_batch(Path(jobs), batch_verbs())
+    return run_batch(planned, Path(output), workers=workers, ray=ray)
 
 
-def _refuse_failed(done: "Done") -> None:
+def refuse_failed(done: "Done") -> None:
     """Raise a StyleSplatError if jobs are not done."""
     failed, skipped = done.of("failed"), done.of("skipped")
     if failed:

@@ -14,13 +14,20 @@ from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.render import Render
 from stylesplat.cli.select import Select
+from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.wrong_usage import WrongUsage
 from stylesplat.jobs.job_verbs import Content, JobOption, JobVerb
 
 OURS = ("json", "verbose", "overwrite", "restart", "output", "file")  # what a batch itself says
-PLACES = {Export: ("output", "each"), Render: ("output",)}  # what is made in the job's folder
+WITHIN = ("cells", "workers")  # what would make a batch of a job
+PLACES = {  # what is made in the job's folder
+    Export: ("output", "each"),
+    Render: ("output",),
+    Sheet: ("output",),
+}
+NAMED = (Export, Sheet)  # what makes a file there, whose name says of what kind
 PATH, _ = CALLED[Path]
 WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "train": (Train, ("capture",), "scene"),
@@ -28,6 +35,7 @@ WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "mask": (Mask, ("capture", "scene"), None),
     "select": (Select, ("scene",), "scene"),
     "stylize": (Stylize, ("scene",), "scene"),
+    "sheet": (Sheet, ("scene",), "files"),
     "render": (Render, ("scene",), "files"),
     "export": (Export, ("scene",), "files"),
 }
@@ -41,7 +49,7 @@ def batch_verbs() -> dict[str, JobVerb]:
             options=dict(_options(command)),
             takes=takes,
             makes=makes,
-            needs_place=command is Export,
+            needs_place=command in NAMED,
             check=partial(_fault, command, name),
         )
         for name, (command, takes, makes) in WORKS.items()
@@ -53,7 +61,7 @@ def _options(command: type) -> Iterator[tuple[str, JobOption]]:
     places = PLACES.get(command, ())
     _, *fields = zip(dataclasses.fields(command), known(command), strict=True)
     for field, option in fields:
-        if field.name in OURS and field.name not in places:
+        if field.name in (*OURS, *WITHIN) and field.name not in places:
             continue
         marks = get_args(field.type)
         name = option.names[-1].removeprefix("--").lower()

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from stylesplat.drawing.palettes import meant, nearest, palette_of
 from stylesplat.io.splats.morton import morton_order
-from stylesplat.io.splats.smallest_three import LARGEST, smallest_three
+from stylesplat.io.splats.rotations import LARGEST, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.constants import MIN_ALPHA

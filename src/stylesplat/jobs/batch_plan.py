@@ -11,6 +11,7 @@ from stylesplat.io.files import is_there
 from stylesplat.io.kinds import Kind, kind_of, no_capture, no_scene, no_splat
 from stylesplat.jobs.job_file import Entry, Needs, read_job_file
 from stylesplat.jobs.job_names import parts_of, result_name
+from stylesplat.jobs.job_paths import refuse_address
 from stylesplat.jobs.job_verbs import Content, JobVerb
 from stylesplat.jobs.products import Choice, choices
 
@@ -89,14 +90,28 @@ def plan_batch(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Job, ...]:
         StyleSplatError: If the file is wrong, something that it names is missing, or two jobs
             would have one result.
     """
+    refuse_address(path)
     entries = read_job_file(path, verbs)
     with within(f"Cannot use the jobs in {path}"):
-        jobs: list[Job] = []
-        for entry in entries:
-            for name, place in entry.scenes:
-                jobs += _expanded(entry, path.parent, name, place=place)
-                _check_count(len(jobs))
-        _check_names(jobs)
+        return jobs_of(entries, path.parent)
+
+
+def jobs_of(entries: Sequence[Entry], folder: Path) -> tuple[Job, ...]:
+    """The jobs that entries multiply to, each behind the one that it follows.
+
+    Args:
+        entries: Verbs with all the values of their options.
+        folder: What their paths are relative to.
+
+    Raises:
+        StyleSplatError: As `plan_batch` does.
+    """
+    jobs: list[Job] = []
+    for entry in entries:
+        for name, place in entry.scenes:
+            jobs += _expanded(entry, folder, name, place=place)
+            _check_count(len(jobs))
+    _check_names(jobs)
     return tuple(jobs)
 
 

@@ -1,6 +1,5 @@
 """Job files: which verbs, over which scenes, with which options; see docs/batch.md."""
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -14,6 +13,7 @@ from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import SPLATS
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
+from stylesplat.jobs.job_paths import path_in
 from stylesplat.jobs.job_verbs import JobVerb
 
 TOP = ("scenes", "jobs")  # the keys of a job file
@@ -64,7 +64,7 @@ def read_job_file(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Entry, ...]
     with within(f"Cannot use the jobs in {path}"):
         text = read_bytes(path, most=MAX_YAML)
         content = parse_yaml(text)
-        reader = _Reader(Path(os.path.abspath(path.parent)), verbs, lines_of(text))  # noqa: PTH100
+        reader = _Reader(path.parent, verbs, lines_of(text))
         return reader.entries(content)
 
 
@@ -124,7 +124,8 @@ class _Reader:
             listed = self._listed(scenes, place, "Write `scenes: [garden]`.", empty=True)
             texts = {}
             for number, each in enumerate(listed):
-                name = _name_of(self._path(each)) if isinstance(each, str) else str(each)
+                path = self._path(each, (*place, number)) if isinstance(each, str) else None
+                name = _name_of(path) if path else str(each)
                 if name in texts:
                     both = f"{texts[name]} and {each}"
                     remedy = "Name them: `scenes: {one: FOLDER, other: FOLDER}`."
@@ -133,11 +134,11 @@ class _Reader:
         for name, text in texts.items():
             if not isinstance(text, str) or not text:
                 raise self._wrong((*place, name), "a scene is the path of a folder or a file.")
-        return tuple((name, self._path(text)) for name, text in texts.items())
+        return tuple((name, self._path(text, (*place, name))) for name, text in texts.items())
 
-    def _path(self, text: str) -> Path:
-        """A path of the file as one that holds everywhere."""
-        return Path(os.path.abspath(self._folder / text))  # noqa: PTH100 - links stay
+    def _path(self, text: str, place: Place) -> Path:
+        with within(f"line {self._line(place)}"):
+            return path_in(self._folder, text)
 
     def _name(self, job: dict[str, Any], place: Place) -> str | None:
         name = job.get("name")

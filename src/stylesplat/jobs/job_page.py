@@ -18,7 +18,7 @@ from stylesplat.jobs.job_journal import JobLine
 
 PAGE = "jobs.html"
 TEMPLATE = Path(__file__).with_name(PAGE)
-PICTURES = ("before_after", "picture", "preview")  # what results call theirs
+PICTURES = ("before_after", "picture", "preview", "sheet")  # what results call theirs
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".gif")
 SIDE, QUALITY = 420, 80  # pixels at most, and JPEG's quality: some 20 KB a job
 MAX_NUMBERS = 14  # of a job: the journal has all

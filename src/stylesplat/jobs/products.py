@@ -1,11 +1,11 @@
 """From the values of an option in a job file to those that it takes in turn."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.jobs.job_paths import path_in
 from stylesplat.jobs.job_verbs import JobOption
 
 Shown = tuple[str, tuple[str | Path, ...]]
@@ -71,7 +71,7 @@ def _choice(name: str, option: JobOption, value: Any, folder: Path) -> Choice:
         return Choice(words, shown=(("", words),))
     if not option.is_path:
         return Choice(words, shown=((name, words),))
-    paths = tuple(_path(folder, word) for word in words)
+    paths = tuple(path_in(folder, word) for word in words)
     return Choice(tuple(map(str, paths)), ((name, paths),), paths)
 
 
@@ -94,7 +94,7 @@ def _painting(name: str, picture: Any, folder: Path) -> Choice:
     several = picture if isinstance(picture, list) else [picture]
     if not all(isinstance(each, str) and each for each in several) or not several:
         raise StyleSplatError(f"the style of {name} is no path: {picture!r}.")
-    paths = tuple(_path(folder, each) for each in several)
+    paths = tuple(path_in(folder, each) for each in several)
     if len(paths) > 1 and any("," in str(path) for path in paths):
         raise StyleSplatError(f"a picture of {name} has a comma in its path. Rename it.")
     word = f"{name}={','.join(map(str, paths))}"
@@ -118,7 +118,3 @@ def _check_place(name: str, word: str) -> None:
         raise StyleSplatError(
             f"{name} is a name in the job's own folder, without folders, not {word!r}."
         )
-
-
-def _path(folder: Path, text: str) -> Path:
-    return Path(os.path.abspath(folder / text))  # noqa: PTH100 - links stay

@@ -3,8 +3,9 @@
 import os
 import signal
 import socket
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -22,6 +23,10 @@ ANSWER = 5.0  # seconds in which a machine must answer at all
 SURVEY = 120.0  # seconds in which all nodes must: the first task there starts Python
 STORE = 100 * 2**20  # bytes of the object store of a local cluster: results are small
 START = "Start one with `ray start --head`, or use --ray local."
+TOKEN = (
+    "Something answers there: if it is a cluster that asks for a token, set RAY_AUTH_MODE=token "
+    "and RAY_AUTH_TOKEN."
+)
 
 
 def connect(address: str) -> tuple[ModuleType, bool]:
@@ -46,16 +51,32 @@ def connect(address: str) -> tuple[ModuleType, bool]:
         options |= {"include_dashboard": False, "object_store_memory": STORE}
     before = signal.getsignal(signal.SIGTERM)
     try:
-        with kept_signals():
+        with kept_signals(), _muted():
             ray.init(log_to_driver=False, logging_level="ERROR", **options)
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        said = " ".join(str(error).split()).partition(". ")[0].rstrip(".")
+        remedy = START if address in HERE else TOKEN
         raise StyleSplatError(
-            f"Cannot reach a Ray cluster at {address}: {reason(error).rstrip('.')}. {START}"
+            f"Cannot reach a Ray cluster at {address}: {said}. {remedy}"
         ) from error
     finally:
         with suppress(ValueError, TypeError):  # in a thread, where Ray has not changed it either
             signal.signal(signal.SIGTERM, before)
     return ray, True
+
+
+@contextmanager
+def _muted() -> Iterator[None]:
+    """Keep what Ray's native part prints at each of its tries off the terminal."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def rooms(ray: ModuleType) -> list[Room]:

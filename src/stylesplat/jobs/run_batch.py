@@ -10,11 +10,11 @@ from msgspec.structs import replace
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.folders import refuse_occupied
 from stylesplat.io.recovery import changing
-from stylesplat.jobs.batch_plan import Job, plan_batch
+from stylesplat.jobs.batch_plan import Job
 from stylesplat.jobs.job_inputs import fingerprints
 from stylesplat.jobs.job_journal import JOURNAL, JobJournal, JobLine, read_journal, still_valid
 from stylesplat.jobs.job_page import PAGE, write_job_page
-from stylesplat.jobs.job_verbs import JobVerb
+from stylesplat.jobs.job_paths import refuse_address
 from stylesplat.jobs.local_crew import Crew, LocalCrew
 from stylesplat.jobs.orders import Outcome, order_of
 from stylesplat.progress import say, task
@@ -47,27 +47,26 @@ class Batch:
 
 
 def run_batch(
-    path: Path,
+    jobs: tuple[Job, ...],
     output: Path,
-    verbs: Mapping[str, JobVerb],
     *,
     workers: int = 1,
     ray: str | None = None,
 ) -> Batch:
-    """Do what a job file asks for.
+    """Run jobs, but for those that an earlier run has done.
 
     Args:
-        path: The job file.
+        jobs: Each behind the one that it follows.
         output: The folder of all results; what an earlier run has done there is kept.
-        verbs: What jobs can be.
         workers: Processes at a time.
         ray: `local`, or the address of a Ray cluster that runs the jobs instead.
 
     Raises:
-        StyleSplatError: If the file is wrong or names what is not there, the folder holds
-            something else, or the cluster is unfit. Jobs that fail raise nothing.
+        StyleSplatError: If what they name cannot be read, the folder holds something else or is an
+            address, or the cluster is unfit. Jobs that fail raise nothing.
     """
-    jobs, output = plan_batch(path, verbs), output.resolve()
+    refuse_address(output)
+    output = output.resolve()
     _refuse_other(output)
     prints = fingerprints(jobs)
     with changing(output):

@@ -1,6 +1,6 @@
 """`sheet`: one object in a grid of styles and settings, to choose from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import draw_grid
 from stylesplat.drawing.object_sheet import close_up
-from stylesplat.drawing.style_sheet import Place, captioned, plan_sheet
+from stylesplat.drawing.style_sheet import Place, SheetPlan, captioned, plan_sheet
 from stylesplat.progress import Task, task
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.one_view import render
@@ -22,6 +22,7 @@ from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
+from stylesplat.stylization.bookkeeping import at_intensities
 from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.paint_objects import REPORT_EVERY, check_jobs, moved, open_studio
 from stylesplat.stylization.repaint import Repainted, repaint
@@ -87,22 +88,75 @@ def sheet(
     """
     several = [(s,) if isinstance(s, str | Path | Tensor) else tuple(s) for s in styles]
     variations = [(key, tuple(values)) for key, values in (vary or {}).items()]
-    plan = plan_sheet(several, variations, settings=settings)
-    runs, picked = plan.runs(), find_object(scene, name)
-    splats = scene.splats.to(pick_device(device))
-    jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in runs]
-    check_jobs(jobs[:1])
-    jobs = [moved(job, splats) for job in jobs]
-    cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
-    camera = close_up(splats, cameras, jobs[0].picked)
+    looked = _looked(scene, name, plan_sheet(several, variations, settings=settings), view, device)
+    runs, splats = looked.plan.runs(), looked.splats
     file = Source(Path(weights)) if weights else None
     network = load_network([style for style, _ in runs], features, file)
     training, held_out = scene.working_views()
     studio = open_studio(splats, training, network, held_out=held_out)
-    planned = [(job, places) for job, (_, places) in zip(jobs, runs, strict=True)]
-    pictures = _painted(studio, planned, camera)
-    grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
-    return Sheet(grid, camera.names[0], len(pictures), len(jobs))
+    planned = [(moved(job, splats), p) for job, (_, p) in zip(looked.jobs, runs, strict=True)]
+    return looked.drawn(_painted(studio, planned, looked.camera))
+
+
+def sheet_of(
+    scene: Scene,
+    name: str,
+    plan: SheetPlan,
+    painted: Iterable[Scene],
+    *,
+    view: str | None = None,
+    device: str = "auto",
+) -> Sheet:
+    """As `sheet`, of what was painted elsewhere.
+
+    Args:
+        scene: Where the object is.
+        name: The object.
+        plan: What to draw.
+        painted: The scene with each of `plan.runs()` painted; asked for when all is checked.
+        view: The photo to look from; by default the one that shows most of the object.
+        device: Where to draw.
+
+    Raises:
+        StyleSplatError: As `sheet` does.
+    """
+    looked = _looked(scene, name, plan, view, device)
+    pictures = {}
+    for (_, places), each in zip(plan.runs(), painted, strict=True):
+        for place in places:
+            splats = at_intensities(each, {name: place.intensity}).splats
+            pictures[place.row, place.column] = _picture(
+                splats.to(looked.splats.device), looked.camera
+            )
+    return looked.drawn(pictures)
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """An object of which a sheet is to be drawn."""
+
+    plan: SheetPlan
+    splats: Splats
+    jobs: Sequence[StyleJob]
+    """Those of `plan.runs()`."""
+    camera: Cameras
+
+    def drawn(self, pictures: Mapping[tuple[int, int], Drawn]) -> Sheet:
+        """The sheet of what its cells show, by row and column."""
+        before = _picture(self.splats, self.camera)
+        grid = draw_grid(captioned(self.plan, pictures, before))
+        return Sheet(grid, self.camera.names[0], len(pictures), len(self.jobs))
+
+
+def _looked(scene: Scene, name: str, plan: SheetPlan, view: str | None, device: str) -> _Looked:
+    """An object as a sheet shows it, checked."""
+    picked = find_object(scene, name)
+    jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in plan.runs()]
+    check_jobs(jobs[:1])
+    splats = scene.splats.to(pick_device(device))
+    cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
+    camera = close_up(splats, cameras, picked.to(splats.device))
+    return _Looked(plan, splats, jobs, camera)
 
 
 def _painted(

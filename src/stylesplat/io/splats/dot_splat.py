@@ -9,6 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import atomic_path, read_bytes
+from stylesplat.io.splats.rotations import unit_quats
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.splats import SH_C0, Splats
 
@@ -50,8 +51,7 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     rows["mean"] = splats.means[order].numpy()
     rows["scale"] = splats.scales[order].exp().clamp(min=SMALLEST).numpy()
     rows["rgba"] = _bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
-    quats = torch.nn.functional.normalize(splats.quats, dim=1)
-    rows["quat"] = _bytes(128 + 128 * quats)[order]
+    rows["quat"] = _bytes(128 + 128 * unit_quats(splats.quats))[order]
     with atomic_path(path) as temporary:
         temporary.write_bytes(rows.tobytes())
 

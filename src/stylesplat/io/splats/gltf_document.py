@@ -194,6 +194,20 @@ def open_gltf(path: Path) -> Gltf:
     return Gltf(path, document, binary)
 
 
+def open_json(path: Path) -> Gltf:
+    """As `open_gltf`, but of a GLB only the JSON is read: its bytes are not there.
+
+    Raises:
+        StyleSplatError: If it is missing, or that is damaged.
+    """
+    head = read_bytes(path, first=HEADER.size + CHUNK.size)
+    if not head.startswith(MAGIC) or len(head) < HEADER.size + CHUNK.size:
+        return open_gltf(path)
+    size, _ = CHUNK.unpack_from(head, HEADER.size)
+    text = read_bytes(path, first=len(head) + size)[len(head) :]
+    return Gltf(path, _document(path, text), None)
+
+
 def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
     """The JSON of a GLB, and its bytes if it has some."""
     if len(content) < HEADER.size + CHUNK.size:

@@ -26,6 +26,7 @@ from stylesplat.io.splats.gltf_document import (
     higher_bands,
     named,
     open_gltf,
+    open_json,
 )
 from stylesplat.io.splats.gltf_places import placed_splats
 from stylesplat.io.splats.splat_ply import check_splats, of_degree
@@ -63,6 +64,17 @@ def read_gltf(path: Path | str) -> Splats:
             fault = f"it shows {count} Gaussians, which {numbers.size} bytes cannot hold"
             raise gltf.refusal(fault, "Export it without instances.")
     return parts[0] if len(parts) == 1 else _together(parts)
+
+
+def announced_in_gltf(path: Path | str) -> int:
+    """How many Gaussians a glTF file says that it shows; what it has of them is not read.
+
+    Raises:
+        StyleSplatError: If the file is missing, its JSON is damaged, or it holds no splats.
+    """
+    numbers = Numbers(open_json(Path(path)))
+    places = (each.attributes.get("POSITION") for each, _ in placed_splats(numbers.gltf))
+    return sum(numbers.accessor(n, "POSITION").count for n in places if n is not None)
 
 
 def _splats(numbers: Numbers, primitive: Primitive) -> Splats:

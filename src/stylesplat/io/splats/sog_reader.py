@@ -17,7 +17,7 @@ from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.json_files import json_object
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.lossless_webp import webp_pixels, webp_size
-from stylesplat.io.splats.smallest_three import LARGEST, whole_quats
+from stylesplat.io.splats.rotations import LARGEST, whole_quats
 from stylesplat.io.splats.sog_members import Members, sog_members
 from stylesplat.io.splats.sog_meta import Codebook, Palette, SogMeta, sog_meta
 from stylesplat.io.splats.splat_ply import check_splats

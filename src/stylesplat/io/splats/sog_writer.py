@@ -19,7 +19,7 @@ from stylesplat.io.splats.clusters import clustered
 from stylesplat.io.splats.codebooks import codebook_of, coded
 from stylesplat.io.splats.lossless_webp import LONGEST, webp_of
 from stylesplat.io.splats.morton import morton_order
-from stylesplat.io.splats.smallest_three import LARGEST, smallest_three
+from stylesplat.io.splats.rotations import LARGEST, smallest_three
 from stylesplat.io.splats.sog_members import write_bundle
 from stylesplat.io.splats.sog_meta import PALETTE, VERSION
 from stylesplat.io.splats.sog_reader import COLUMNS, FIRST_TAG

@@ -21,6 +21,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.files import atomic_path
 from stylesplat.io.splats import usd_trial
+from stylesplat.io.splats.rotations import unit_quats
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.splats import Splats
@@ -55,7 +56,7 @@ def write_usd(splats: Splats, path: Path | str) -> None:
     low, high = (means.min(axis=0), means.max(axis=0)) if len(means) else np.zeros((2, 3))
     columns = {
         "positions": Vt.Vec3fArray.FromNumpy(means),
-        "orientations": Vt.QuatfArray.FromNumpy(_unit(splats.quats)[:, [1, 2, 3, 0]].numpy()),
+        "orientations": Vt.QuatfArray.FromNumpy(unit_quats(splats.quats)[:, [1, 2, 3, 0]].numpy()),
         "scales": Vt.Vec3fArray.FromNumpy(splats.scales.exp().numpy()),
         "opacities": Vt.FloatArray.FromNumpy(torch.sigmoid(splats.opacities).numpy()),
         "radiance:sphericalHarmonicsDegree": splats.sh_degree,
@@ -167,10 +168,6 @@ def _frame(world: np.ndarray, path: Path | str, *, z_up: bool) -> Frame | None:
         raise _refusal(path, "its transform stretches or mirrors the splats")
     same = torch.equal(linear, torch.eye(3).double()) and not shift.any()
     return None if same else Frame(rotation, scale, shift)
-
-
-def _unit(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
-    return torch.nn.functional.normalize(quats, dim=1)
 
 
 def _library(path: Path | str) -> Any:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -32,6 +32,7 @@ from stylesplat.io.splats.gltf_document import (
 )
 from stylesplat.io.splats.gltf_places import HALF_TURN_XYZW
 from stylesplat.io.splats.read_gltf import POINTS, SMALLEST
+from stylesplat.io.splats.rotations import unit_quats
 from stylesplat.io.splats.splat_ply import REMEDY, splat_fault
 from stylesplat.scene.splats import SH_C0, Splats
 
@@ -137,7 +138,7 @@ def _columns(splats: Splats) -> list[Column]:
     return [
         Column("POSITION", "VEC3", FLOAT, lambda: splats.means),
         Column("COLOR_0", "VEC4", SHORT, lambda: _fallback(splats)),
-        Column(named("ROTATION"), "VEC4", FLOAT, lambda: _unit(splats.quats)[:, [1, 2, 3, 0]]),
+        Column(named("ROTATION"), "VEC4", FLOAT, lambda: unit_quats(splats.quats)[:, [1, 2, 3, 0]]),
         Column(named("SCALE"), "VEC3", FLOAT, lambda: splats.scales.exp().clamp_(min=SMALLEST)),
         Column(named("OPACITY"), "SCALAR", FLOAT, splats.opacities.sigmoid),
         *(
@@ -145,11 +146,6 @@ def _columns(splats: Splats) -> list[Column]:
             for name, color in zip(names, colors, strict=True)
         ),
     ]
-
-
-def _unit(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
-    """The same rotations of norm 1, also those whose squares float32 cannot hold."""
-    return torch.nn.functional.normalize(quats.double(), dim=1).float()
 
 
 def _fallback(splats: Splats) -> Shaped[Tensor, "N 4"]:
