@@ -15,6 +15,7 @@ from torch.nn.functional import pad
 from stylesplat.rendering.gaussians import Projected, views_of
 from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.overlap import overlapping
 from stylesplat.scene.splats import Splats
 
 LARGE = 400_000  # Gaussians of a scene; of fewer, looking for what matters takes what it saves
@@ -72,11 +73,10 @@ def _seen_part(
 
     gaussians = activated(splats, slice(start, start + PART))
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    near = projected.radii[:, 0] > 0
+    rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
     if pixels is not None:
-        places, radii = projected.means2d, projected.radii
-        near &= touching((places - radii).floor(), (places + radii).ceil(), pixels)
-    rows = near.nonzero()[:, 0]
+        places, radii = projected.means2d[rows], projected.radii[rows]
+        rows = rows[touching((places - radii).floor(), (places + radii).ceil(), pixels)]
     found = (gaussians.opacities, *projected)
     return start + rows, *(each.index_select(0, rows) for each in found)
 
@@ -91,11 +91,18 @@ def touching(
     low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
 ) -> Bool[Tensor, " N"]:
     """Which boxes of pixels, from and to, hold some that count."""
+    touched = torch.zeros(len(low), dtype=torch.bool)
+    places = pixels.nonzero().flip(1)  # x, y
+    if not len(places):
+        return touched
+    first, last = (corner.to(low) for corner in torch.aminmax(places, dim=0))
+    rows = overlapping(low, high, first, last + 1)  # few are near a small object
     size = low.new_tensor([*pixels.shape[::-1]])
-    low, high = (corner.clamp(min=0).minimum(size).long() for corner in (low, high))
+    corners = (corner[rows].clamp(min=0).minimum(size).long() for corner in (low, high))
+    (left, top), (right, bottom) = (corner.unbind(1) for corner in corners)
     sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
-    (left, top), (right, bottom) = low.unbind(1), high.unbind(1)
-    return sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > 0
+    counts = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    return touched.index_fill(0, rows[counts > 0], True)
 
 
 @torch.no_grad()
