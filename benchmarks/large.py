@@ -5,11 +5,11 @@
 
 SCENE is a trained one with objects, such as fox. What it is of is made finer, by copies of
 Gaussians beside the originals, until its largest object has about 200,000; copies of that stand on
-a grid. With `--labels` there are so many copies instead, each with one object, and 5, 20 and 50 of
-these are painted. Every command is a process of its own; its seconds (start of Python included),
-those of all cores together, which other programs lengthen less, and its most resident memory are
-told. DIR keeps what they make. Targets with ten million Gaussians: import 60 s, select by point 5 s
-besides the start, stylize 3 min, export 30 s, 12 GB.
+a grid. With `--labels` it stands there once, as fine as is wanted and cut into so many pieces, each
+an object, and the 5, 20 and 50 that show most are painted. Every command is a process of its own;
+its seconds (start of Python included), those of all cores together, which other programs lengthen
+less, and its most resident memory are told. DIR keeps what they make. Targets with ten million
+Gaussians: import 60 s, select by point 5 s besides the start, stylize 3 min, export 30 s, 12 GB.
 """
 
 import argparse
@@ -47,14 +47,10 @@ class Grid:
 
     def make(self, folder: Path) -> None:
         """Write the splat, the label of each Gaussian, and where one object stands."""
-        import numpy as np
         import torch
         from bench import resized
 
         import stylesplat as ss
-        from stylesplat.demo.demo_capture import STYLES
-        from stylesplat.io.images import write_image
-        from stylesplat.io.splats.splat_files import write_splats
         from stylesplat.scene.content import content_of, extent_of
         from stylesplat.selection.identities import class_probabilities
 
@@ -62,10 +58,15 @@ class Grid:
         extent = content_of(splats).extent
         inside = ((splats.means >= extent.low) & (splats.means <= extent.high)).all(dim=1)
         splats = splats[inside]
+        if self.labels:
+            many = resized(splats, self.gaussians)
+            labels = pieces(many, self.labels)
+            facts = {"gaussians": len(many), "objects": self.labels}
+            return self.write(folder, many, labels, facts | {"seen": seen_most(many, labels)})
         classes = class_probabilities(splats).argmax(dim=1)
         largest = int(torch.bincount(classes)[1:].argmax()) + 1
         share = float((classes == largest).float().mean())
-        copies = self.labels or max(1, round(self.gaussians * share / OBJECT))
+        copies = max(1, round(self.gaussians * share / OBJECT))
         one = resized(splats, self.gaussians // copies)
         own = class_probabilities(one).argmax(dim=1) == largest
         width, depth = 1.02 * float(extent.size[0]), 1.02 * float(extent.size[2])
@@ -74,11 +75,22 @@ class Grid:
         many = one[torch.arange(len(one)).repeat(copies)]
         many.means.view(copies, -1, 3).add_(torch.tensor(places)[:, None])
         labels = (torch.arange(1, copies + 1)[:, None] * own).flatten()
-        write_splats(many, folder / "grid.ply")
-        np.save(folder / "labels.npy", labels.numpy().astype(np.int32))
         box = extent_of(one, own)
         facts = {"gaussians": len(many), "object": int(own.sum()), "copies": copies}
         facts |= {"box": [*box.low.tolist(), *box.high.tolist()], "point": shown(many, labels)}
+        self.write(folder, many, labels, facts)
+
+    def write(self, folder: Path, splats: "Splats", labels: "Tensor", facts: dict) -> None:
+        """Write all that commands are given."""
+        import numpy as np
+        import torch
+
+        from stylesplat.demo.demo_capture import STYLES
+        from stylesplat.io.images import write_image
+        from stylesplat.io.splats.splat_files import write_splats
+
+        write_splats(splats, folder / "grid.ply")
+        np.save(folder / "labels.npy", labels.numpy().astype(np.int32))
         for name, draw in STYLES.items():
             write_image(torch.from_numpy(draw()), folder / f"{name}.png")
         (folder / "facts.json").write_text(json.dumps(facts))
@@ -99,6 +111,32 @@ def shown(splats: "Splats", labels: "Tensor") -> str:
 
     cameras = ring_cameras(splats, torch.tensor([0.0, -1.0, 0.0]))
     return max(best(cameras[index]) for index in VIEWS)[1]
+
+
+def pieces(splats: "Splats", count: int) -> "Tensor":
+    """A label for each Gaussian: which of some of them, drawn at random, it is nearest to."""
+    import torch
+    from scipy.spatial import KDTree
+
+    generator = torch.Generator().manual_seed(0)
+    middles = splats.means[torch.randperm(len(splats), generator=generator)[:count]]
+    _, nearest = KDTree(middles.double().numpy()).query(splats.means.double().numpy(), workers=-1)
+    return 1 + torch.from_numpy(nearest)
+
+
+def seen_most(splats: "Splats", labels: "Tensor") -> list[int]:
+    """The objects that have most pixels in those views, in order."""
+    import torch
+
+    from stylesplat.rendering.linear import contributions
+    from stylesplat.scene.ring import ring_cameras
+
+    pixels, everyone = torch.zeros(int(labels.max()) + 1), torch.ones(len(splats)).bool()
+    cameras = ring_cameras(splats, torch.tensor([0.0, -1.0, 0.0]))
+    for index in VIEWS:
+        view = contributions(splats, cameras[index], everyone)
+        pixels.index_add_(0, labels[view.gaussians], view.weights())
+    return pixels.argsort(descending=True)[: max(PAINTED)].tolist()
 
 
 def measured(command: list[str], log: Path) -> dict[str, float]:
@@ -200,8 +238,9 @@ def labelled(commands: Commands) -> None:
     commands.run("import", "import", *files, "-o", scene, "--overwrite")
     commands.run("objects", "objects", scene)
     commands.run("select id", "select", scene, "--name", "one", "--id", 1, "--no-picture")
+    ids = json.loads((folder / "facts.json").read_text())["seen"]
     for count in PAINTED:
-        pictures = [f"{id}={style(folder, id)}" for id in range(1, count + 1)]
+        pictures = [f"{id}={style(folder, id)}" for id in ids[:count]]
         words = [word for picture in pictures for word in ("--style", picture)]
         options = ("--quality", "draft", "-o", folder / "styled", "--overwrite")
         commands.run(f"stylize {count}", "stylize", scene, *words, *options)
