@@ -1,10 +1,10 @@
 """Which Gaussians every object has, by their identities: without a table of all by all labels."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.scene.labels import BACKGROUND
@@ -13,7 +13,6 @@ from stylesplat.selection.identities import require_identities
 
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 VOUCHED = 0.9  # probability above which label maps vouch for a Gaussian
-AT_ONCE = 1 << 22  # probabilities: 16 MB
 NOBODY = -1
 
 
@@ -39,6 +38,7 @@ class Members:
         return doubtful.index_fill(0, self.likely[id], False)
 
 
+@torch.no_grad()
 def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     """Find the Gaussians of some objects, all in one pass.
 
@@ -50,17 +50,18 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     Raises:
         StyleSplatError: If the splats have no identities.
     """
-    _, classifier = require_identities(splats)
+    identities, classifier = require_identities(splats)
     known = torch.tensor(classifier.ids, device=splats.device)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
     limits = torch.tensor([SURE[id == BACKGROUND] for id in classifier.ids]).to(splats.means)
     rows, numbers, vouched, sure = [], [], [], []
-    for first, probabilities in _some_at_a_time(splats):
+    for part, scores in classifier.some_at_a_time(identities):
+        probabilities = scores.softmax(dim=-1)
         surely = probabilities > limits
         sure.append(torch.where(surely.any(dim=1), known[surely.int().argmax(dim=1)], NOBODY))
         likely = probabilities.index_select(1, columns)
         row, number = (likely > threshold).nonzero(as_tuple=True)
-        rows.append(first + row)
+        rows.append(part.start + row)
         numbers.append(number)
         vouched.append(likely[row, number] > VOUCHED)
     number = torch.cat(numbers)
@@ -71,22 +72,12 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     )
 
 
+@torch.no_grad()
 def likeliest(splats: Splats) -> Int[Tensor, " N"]:
     """The label id that each Gaussian has most likely.
 
     Raises:
         StyleSplatError: If the splats have no identities.
     """
-    _, classifier = require_identities(splats)
-    known = torch.tensor(classifier.ids, device=splats.device)
-    return torch.cat([known[p.argmax(dim=1)] for _, p in _some_at_a_time(splats)])
-
-
-def _some_at_a_time(splats: Splats) -> Iterator[tuple[int, Float[Tensor, "B K"]]]:
-    """The first row of each part of the Gaussians, and how likely these are of each class."""
     identities, classifier = require_identities(splats)
-    size = max(1, AT_ONCE // len(classifier.ids))
-    for first in range(0, len(splats), size):
-        part = identities[first : first + size]
-        with torch.no_grad():
-            yield first, classifier.logits(part).softmax(dim=-1)
+    return classifier.likeliest(identities)
