@@ -53,23 +53,31 @@ def test_more_labels_than_fit_in_one_pass():
         assert votes[:, id].sum() == pytest.approx(float(alphas[squares == id].sum()), abs=1e-2)
 
 
-def test_votes_are_those_of_a_table_of_all_labels():
-    """Of 49 labels that move from view to view: sums of the same numbers in the same order."""
-    rows, columns = torch.meshgrid(torch.arange(36), torch.arange(48), indexing="ij")
-    squares = rows // 6 * 8 + columns // 6
-    maps = [squares.roll(5 * view, dims=1) + 100 * (view % 2) for view in range(4)]
-    ids, votes = label_votes(PLAIN, CAMERAS, enumerate(maps))
+def table_of_all(maps: list[torch.Tensor], ids: tuple[int, ...]) -> torch.Tensor:
+    """Votes by whole passes over the views, in a table of all Gaussians by all labels."""
     table = torch.zeros(len(PLAIN), len(ids))
     for view, labels in enumerate(maps):
-        present = labels.unique()
-        for some in present.split(16):
+        for some in labels.unique().split(16):
             wanted = torch.zeros(36, 48, 16)
             wanted[..., : len(some)] = labels[..., None] == some
             weights = contributed(PLAIN, CAMERAS[view], wanted)
             table[:, torch.searchsorted(torch.tensor(ids), some)] += weights[:, : len(some)]
-    assert ids == (*range(48), *range(100, 148))
-    assert torch.equal(torch.from_numpy(votes.toarray()), table)
-    assert votes.nnz == table.count_nonzero() < 0.3 * table.numel()
+    return table
+
+
+@pytest.mark.parametrize("side", [12, 6, 3])
+def test_votes_are_those_of_a_table_of_all_labels(side: int):
+    """Of squares, 12, 48 or 192 in a view, that move from view to view, before a background."""
+    rows, columns = torch.meshgrid(torch.arange(36), torch.arange(48), indexing="ij")
+    squares = 1 + rows // side * (48 // side) + columns // side
+    squares[:, 20:23] = 0
+    maps = [squares.roll(5 * view, dims=1) + 1000 * (view % 2) for view in range(4)]
+    ids, votes = label_votes(PLAIN, CAMERAS, enumerate(maps))
+    table, found = table_of_all(maps, ids), torch.from_numpy(votes.toarray())
+    if side == 12:  # the same sums in the same order
+        assert torch.equal(found, table)
+    torch.testing.assert_close(found, table, atol=1e-3, rtol=ROUNDING)
+    assert votes.nnz < 0.4 * table.numel() and votes.nnz == found.count_nonzero()
 
 
 def test_the_largest_shown_is_that_of_all_shown():

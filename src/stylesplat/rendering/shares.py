@@ -4,7 +4,7 @@ A render is `B + W c` (see `linear.py`). Column sums say how much each Gaussian 
 pixels, and so how label maps vote for Gaussians; products with W how Gaussians vote for pixels.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.sparse import csc_array, csr_array
 from torch import Tensor
 from torch.nn.functional import pad
 
+from stylesplat.rendering.drawn import pixel_bounds
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
@@ -22,6 +23,7 @@ from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 
 AT_ONCE = IDENTITY_SIZE  # columns in one pass, whatever they are: kernels are compiled for these
 NOBODY = -1  # no label
+TALL = 0.25  # of a view, beyond which a label counts as tall
 COVERED = 0.5  # the opaque share from which a pixel or a feature is an object's
 TINY_COVERAGE = 1e-6  # of a pixel, below which an average over it is undefined
 PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
@@ -76,37 +78,59 @@ def label_votes(
     """
     columns, total = {BACKGROUND: 0}, csr_array((len(splats), 1), dtype=np.float32)
     for row, labels in label_maps:
-        present = labels.unique()
-        for id in present.tolist():
+        for id in labels.unique().tolist():
             columns.setdefault(id, len(columns))
         total.resize((len(splats), len(columns)))
-        more = _votes_of_view(splats, cameras[row], labels, present, columns)
+        more = _votes_of_view(splats, cameras[row], labels, columns)
         total = csr_array(total + more)
     ids = tuple(sorted(columns))
     return ids, total[:, [columns[id] for id in ids]]
 
 
 def _votes_of_view(
-    splats: Splats,
-    camera: Cameras,
-    labels: Int[Tensor, "H W"],
-    present: Int[Tensor, " L"],
-    columns: Mapping[int, int],
+    splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"], columns: Mapping[int, int]
 ) -> csr_array:
     """The votes of one view, in columns by label id."""
-    rows, found, values = [], [], []
-    for some in present.split(AT_ONCE):
+    gaussians, found, values = [], [], []
+    for some, rows in _some_labels(splats, camera, labels):
         wanted = labels[..., None] == pad(some, (0, AT_ONCE - len(some)), value=NOBODY)
-        weights = contributed(splats, camera, wanted.to(splats.means))[:, : len(some)]
+        within = splats if rows is None else splats[rows]
+        weights = contributed(within, camera, wanted.to(splats.means))[:, : len(some)]
         row, number = weights.nonzero(as_tuple=True)
-        rows.append(row.cpu().numpy())
+        gaussians.append((row if rows is None else rows[row]).cpu().numpy())
         found.append(np.array([columns[id] for id in some.tolist()])[number.cpu().numpy()])
         values.append(weights[row, number].cpu().numpy())
-    places = np.concatenate(rows), np.concatenate(found)
+    places = np.concatenate(gaussians), np.concatenate(found)
     shape = len(splats), len(columns)
     votes = csr_array((np.concatenate(values), places), shape=shape)
     votes.sort_indices()  # sums of sorted ones need no sorting
     return votes
+
+
+def _some_labels(
+    splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"]
+) -> Iterator[tuple[Int[Tensor, " L"], Int[Tensor, " M"] | None]]:
+    """As many label ids as one pass takes, and the Gaussians that may reach their pixels.
+
+    Of more than one pass on the CPU each has labels that lie at one height of the view, and the
+    Gaussians there: many small labels take not much longer than few large ones. None is for all.
+    """
+    ids, where = labels.unique(return_inverse=True)
+    if len(ids) <= AT_ONCE or splats.device.type != "cpu":
+        yield from ((some, None) for some in ids.split(AT_ONCE))
+        return
+    height = len(labels)
+    y = torch.arange(height)[:, None].expand_as(labels).flatten()
+    tops, lasts = (
+        y.new_zeros(len(ids)).scatter_reduce(0, where.flatten(), y, how, include_self=False)
+        for how in ("amin", "amax")
+    )
+    tall = lasts - tops > TALL * height  # in passes of their own, so that the others' are low
+    low, high = pixel_bounds(splats, camera)
+    for some in torch.where(tall, -1, tops).argsort(stable=True).split(AT_ONCE):
+        top, last = tops[some].min(), lasts[some].max()
+        reaching = (low < high).all(dim=1) & (low[:, 1] <= last) & (high[:, 1] > top)
+        yield ids[some], reaching.nonzero()[:, 0]
 
 
 def scaled_rows(votes: csr_array, factors: Float[np.ndarray, " N"]) -> csr_array:
