@@ -17,7 +17,7 @@ from torch.nn.functional import pad
 from stylesplat.rendering.drawn import pixel_bounds
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 
@@ -78,10 +78,12 @@ def label_votes(
     """
     columns, total = {BACKGROUND: 0}, csr_array((len(splats), 1), dtype=np.float32)
     for row, labels in label_maps:
-        for id in labels.unique().tolist():
+        present = sorted(ids_of(labels))
+        for id in present:
             columns.setdefault(id, len(columns))
         total.resize((len(splats), len(columns)))
-        more = _votes_of_view(splats, cameras[row], labels, columns)
+        more = _votes_of_view(splats, cameras[row], labels, {id: columns[id] for id in present})
+        more.resize((len(splats), len(columns)))
         total = csr_array(total + more)
     ids = tuple(sorted(columns))
     return ids, total[:, [columns[id] for id in ids]]
@@ -90,9 +92,9 @@ def label_votes(
 def _votes_of_view(
     splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"], columns: Mapping[int, int]
 ) -> csr_array:
-    """The votes of one view, in columns by label id."""
+    """The votes of one view, in columns by the label ids that it has, which ascend."""
     gaussians, found, values = [], [], []
-    for some, rows in _some_labels(splats, camera, labels):
+    for some, rows in _some_labels(splats, camera, labels, labels.new_tensor([*columns])):
         wanted = labels[..., None] == pad(some, (0, AT_ONCE - len(some)), value=NOBODY)
         within = splats if rows is None else splats[rows]
         weights = contributed(within, camera, wanted.to(splats.means))[:, : len(some)]
@@ -101,25 +103,24 @@ def _votes_of_view(
         found.append(np.array([columns[id] for id in some.tolist()])[number.cpu().numpy()])
         values.append(weights[row, number].cpu().numpy())
     places = np.concatenate(gaussians), np.concatenate(found)
-    shape = len(splats), len(columns)
+    shape = len(splats), max(columns.values()) + 1
     votes = csr_array((np.concatenate(values), places), shape=shape)
     votes.sort_indices()  # sums of sorted ones need no sorting
     return votes
 
 
 def _some_labels(
-    splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"]
+    splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"], ids: Int[Tensor, " K"]
 ) -> Iterator[tuple[Int[Tensor, " L"], Int[Tensor, " M"] | None]]:
     """As many label ids as one pass takes, and the Gaussians that may reach their pixels.
 
     Of more than one pass on the CPU each has labels that lie at one height of the view, and the
     Gaussians there: many small labels take not much longer than few large ones. None is for all.
     """
-    ids, where = labels.unique(return_inverse=True)
     if len(ids) <= AT_ONCE or splats.device.type != "cpu":
         yield from ((some, None) for some in ids.split(AT_ONCE))
         return
-    height = len(labels)
+    height, where = len(labels), torch.searchsorted(ids, labels)
     y = torch.arange(height)[:, None].expand_as(labels).flatten()
     tops, lasts = (
         y.new_zeros(len(ids)).scatter_reduce(0, where.flatten(), y, how, include_self=False)
