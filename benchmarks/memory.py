@@ -1,28 +1,31 @@
-"""The most memory that training on many large photos takes.
+"""The most memory that training on many photos takes, and how soon it begins.
 
     .venv/bin/python benchmarks/memory.py                # 300 photos of 1600x1066, 300 steps
+    .venv/bin/python benchmarks/memory.py --scene fox --photos 1000 --max-gaussians 50000
 
-The photos are noise, which no JPEG compresses well, with label maps of noise in blocks; they are
-made in a temporary folder, in less than a minute. Training runs in a process of its own, whose
-peak is everything: Python, torch, the kernels, what is kept of photos, and the Gaussians.
+The photos are noise, which no JPEG compresses well, with label maps of noise in blocks; or those of
+a real scene, again and again under other names, with a little noise. They are made in a temporary
+folder, in a minute or two. Training runs in a process of its own, whose peak is everything: Python,
+torch, the kernels, what is kept of photos, and the Gaussians.
 """
 
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import torch
 import tyro
-from bench import MIB, machine, peak_memory
+from bench import MIB, capture, machine, peak_memory
 from PIL import Image
 
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
 from stylesplat.scene.poses import look_at
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
@@ -31,6 +34,7 @@ from stylesplat.verbs.load import load
 
 OBJECTS = 6
 BLOCK = 100  # pixels of a label
+NOISE = 2.0  # standard deviation, of 255
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,8 @@ class Options:
     """Of a photo."""
     steps: int = 300
     """Of training."""
+    scene: str | None = None
+    """Folder in `../shared/data`, whose photos are repeated at their size."""
     max_gaussians: int = 3000
     """Gaussians at most: few, for noise makes them large, and then the rasteriser's lists grow."""
     max_memory: float = 1.0
@@ -69,6 +75,23 @@ def make_capture(folder: Path, options: Options) -> None:
     write_transforms(cameras, folder, points=points)
 
 
+def repeat_capture(folder: Path, options: Options, scene: Capture) -> None:
+    """Photos of a scene with noise, and its label maps."""
+    random, count = np.random.default_rng(0), len(scene)
+    (folder / "images").mkdir(parents=True)
+    rows = [number % count for number in range(options.photos)]
+    names = tuple(f"{number:04d}.jpg" for number in range(options.photos))
+    for row, name in zip(rows, names, strict=True):
+        noise = random.normal(0, NOISE, scene.photos[row].shape)
+        pixels = (scene.photos[row].numpy() + noise).round().clip(0, 255).astype(np.uint8)
+        Image.fromarray(pixels).save(folder / "images" / name, quality=95)
+        labels = scene.labels(row)
+        if labels is not None:
+            write_label_map(labels, folder / "object_mask" / f"{Path(name).stem}.png")
+    cameras = replace(scene.cameras[rows], names=names)
+    write_transforms(cameras, folder, points=scene.points)
+
+
 def ring(options: Options) -> Cameras:
     """Cameras around the origin."""
     count, size = options.photos, torch.tensor([options.width, options.height])
@@ -89,14 +112,23 @@ def train(folder: Path, options: Options) -> None:
     config = TrainConfig(
         steps=options.steps, max_gaussians=options.max_gaussians, max_memory=options.max_memory
     )
-    states: list[State] = []
-    start = perf_counter()
-    checkpoint = folder / "out" / "checkpoint.pt"
-    peak = peak_memory(lambda: states.append(fit(load(folder), config, checkpoint=checkpoint)))
+    states, starts = list[State](), list[float]()
+    begun = perf_counter()
+
+    def note(state: State, loss: float, train_psnr: float) -> None:
+        starts.append(perf_counter() - state.seconds - begun)
+
+    def work() -> None:
+        checkpoint = folder / "out" / "checkpoint.pt"
+        states.append(fit(load(folder), config, checkpoint=checkpoint, on_progress=note))
+
+    peak = peak_memory(work)
+    width, height = load(folder).cameras[0].size
     print(
-        f"{options.photos} photos of {options.width}x{options.height}, {options.steps} steps, "
+        f"{options.photos} photos of {width}x{height}, {options.steps} steps, "
         f"max_memory {options.max_memory:g} GiB: peak {peak / MIB:,.0f} MiB resident; "
-        f"{perf_counter() - start:.0f} s in all, {states[0].seconds:.0f} s of it steps",
+        f"{perf_counter() - begun:.0f} s in all, the first step after {starts[0]:.1f} s, "
+        f"{states[0].seconds:.0f} s of steps",
         flush=True,
     )
 
@@ -108,7 +140,10 @@ def main(options: Options) -> None:
     print(machine(), flush=True)
     with tempfile.TemporaryDirectory() as name:
         start = perf_counter()
-        make_capture(Path(name) / "capture", options)
+        if options.scene is None:
+            make_capture(Path(name) / "capture", options)
+        else:
+            repeat_capture(Path(name) / "capture", options, capture(options.scene))
         print(f"photos made in {perf_counter() - start:.0f} s", flush=True)
         folder = ["--folder", str(Path(name) / "capture")]
         subprocess.run([sys.executable, __file__, *sys.argv[1:], *folder], check=True)

@@ -1,7 +1,10 @@
+from collections.abc import Iterable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.rendering import shares
@@ -12,7 +15,9 @@ from stylesplat.rendering.shares import (
     coverage,
     expected_depth,
     label_votes,
+    largest_shown,
     render_shares,
+    scaled_rows,
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of
@@ -25,8 +30,15 @@ PICKED = torch.arange(len(PLAIN)) % 3 == 0
 ROUNDING = 1e-4  # float32 sums of the same weights in another order
 
 
+def vote_table(
+    splats: Splats, maps: Iterable[tuple[int, torch.Tensor]]
+) -> tuple[tuple[int, ...], torch.Tensor]:
+    ids, votes = label_votes(splats, CAMERAS, maps)
+    return ids, torch.from_numpy(votes.toarray())
+
+
 def test_votes_are_the_pixels_that_show_a_gaussian():
-    ids, votes = label_votes(PLAIN, CAMERAS, enumerate(TRUTH))
+    ids, votes = vote_table(PLAIN, enumerate(TRUTH))
     assert ids == (0, *BALLS)
     alphas = sum(rasterize(PLAIN, CAMERAS[row])[1].sum() for row in range(len(CAMERAS)))
     assert votes.sum() == pytest.approx(float(alphas), rel=1e-4)
@@ -35,11 +47,55 @@ def test_votes_are_the_pixels_that_show_a_gaussian():
 def test_more_labels_than_fit_in_one_pass():
     rows, columns = torch.meshgrid(torch.arange(36), torch.arange(48), indexing="ij")
     squares = 1 + rows // 6 * 8 + columns // 6  # 48 labels
-    ids, votes = label_votes(PLAIN, CAMERAS, [(0, squares)])
+    ids, votes = vote_table(PLAIN, [(0, squares)])
     assert ids == tuple(range(49)) and not votes[:, 0].any()
     alphas = rasterize(PLAIN, CAMERAS[0])[1][0, ..., 0]
     for id in (1, 17, 48):
         assert votes[:, id].sum() == pytest.approx(float(alphas[squares == id].sum()), abs=1e-2)
+
+
+def table_of_all(maps: list[torch.Tensor], ids: tuple[int, ...]) -> torch.Tensor:
+    """Votes by whole passes over the views, in a table of all Gaussians by all labels."""
+    table = torch.zeros(len(PLAIN), len(ids))
+    for view, labels in enumerate(maps):
+        for some in labels.unique().split(16):
+            wanted = torch.zeros(36, 48, 16)
+            wanted[..., : len(some)] = labels[..., None] == some
+            weights = contributed(PLAIN, CAMERAS[view], wanted)
+            table[:, torch.searchsorted(torch.tensor(ids), some)] += weights[:, : len(some)]
+    return table
+
+
+@pytest.mark.parametrize("side", [12, 6, 3])
+def test_votes_are_those_of_a_table_of_all_labels(side: int):
+    """Of squares, 12, 48 or 192 in a view, that move from view to view, before a background."""
+    rows, columns = torch.meshgrid(torch.arange(36), torch.arange(48), indexing="ij")
+    squares = 1 + rows // side * (48 // side) + columns // side
+    squares[:, 20:23] = 0
+    maps = [squares.roll(5 * view, dims=1) + 1000 * (view % 2) for view in range(4)]
+    ids, votes = label_votes(PLAIN, CAMERAS, enumerate(maps))
+    table, found = table_of_all(maps, ids), torch.from_numpy(votes.toarray())
+    if side == 12:  # the same sums in the same order
+        assert torch.equal(found, table)
+    torch.testing.assert_close(found, table, atol=1e-3, rtol=ROUNDING)
+    assert votes.nnz < 0.4 * table.numel() and votes.nnz == found.count_nonzero()
+
+
+def test_the_largest_shown_is_that_of_all_shown():
+    shares = torch.rand(len(PLAIN), 40, generator=torch.Generator().manual_seed(0))
+    shares *= shares > 0.8
+    most, column = largest_shown(PLAIN, CAMERAS[1], csr_array(shares.numpy()))
+    expected = render_shares(PLAIN, CAMERAS[1], shares).max(dim=-1)
+    assert torch.equal(most, expected.values)
+    covered = most > 0  # where nothing shows no column is larger than another
+    assert torch.equal(column[covered], expected.indices[covered]) and column.max() >= 32
+
+
+def test_scaled_rows():
+    votes = csr_array(torch.tensor([[0.0, 2.0], [0.0, 0.0], [3.0, 4.0]]).numpy())
+    scaled = scaled_rows(votes, np.array([2.0, 9.0, 0.5]))
+    assert scaled.toarray().tolist() == [[0, 4], [0, 0], [1.5, 2]]
+    assert votes.toarray().tolist() == [[0, 2], [0, 0], [3, 4]]
 
 
 def test_shares_are_rendered_in_any_number():
@@ -81,22 +137,22 @@ def test_contributed_is_the_transpose_of_the_render():
 
 
 def test_votes_of_views_and_of_parts_add_up():
-    _, both = label_votes(PLAIN, CAMERAS, [(0, TRUTH[0]), (3, TRUTH[3])])
-    single = [label_votes(PLAIN, CAMERAS, [(row, TRUTH[row])])[1] for row in (0, 3)]
+    _, both = vote_table(PLAIN, [(0, TRUTH[0]), (3, TRUTH[3])])
+    single = [vote_table(PLAIN, [(row, TRUTH[row])])[1] for row in (0, 3)]
     torch.testing.assert_close(both, single[0] + single[1], atol=1e-3, rtol=ROUNDING)
 
 
 def test_votes_follow_the_names_of_labels():
-    ids, votes = label_votes(PLAIN, CAMERAS, [(0, TRUTH[0])])
+    ids, votes = vote_table(PLAIN, [(0, TRUTH[0])])
     renamed = torch.where(TRUTH[0] == 3, 9000, TRUTH[0])
-    others, same = label_votes(PLAIN, CAMERAS, [(0, renamed)])
+    others, same = vote_table(PLAIN, [(0, renamed)])
     assert others == (0, 7, 300, 9000) and ids == (0, 3, 7, 300)
     torch.testing.assert_close(votes[:, [0, 2, 3, 1]], same)
 
 
 def test_what_no_view_shows_has_no_vote():
     away = torch.where(PICKED[:, None], PLAIN.means + 500, PLAIN.means)
-    _, votes = label_votes(replace(PLAIN, means=away), CAMERAS, enumerate(TRUTH))
+    _, votes = vote_table(replace(PLAIN, means=away), enumerate(TRUTH))
     assert not votes[PICKED].any() and votes[~PICKED].any()
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from balls import SPLATS
-from stylesplat.selection import members as finding
+from stylesplat.scene import splats as nouns
 from stylesplat.selection.identities import class_probabilities
 from stylesplat.selection.members import likeliest, members
 from stylesplat.selection.pick import pick, pick_objects
@@ -15,7 +15,7 @@ IDS = (3, 7, 300)
 @pytest.fixture
 def doubtful(monkeypatch: pytest.MonkeyPatch):
     """Identities with noise, looked at a few at a time."""
-    monkeypatch.setattr(finding, "AT_ONCE", 12)  # three Gaussians of four classes
+    monkeypatch.setattr(nouns, "AT_ONCE", 12)  # three Gaussians of four classes
     noise = torch.randn(len(SPLATS), 16, generator=torch.Generator().manual_seed(0))
     assert SPLATS.identities is not None
     return replace(SPLATS, identities=SPLATS.identities + 0.4 * noise)

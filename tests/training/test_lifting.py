@@ -2,15 +2,18 @@ from dataclasses import replace
 
 import pytest
 import torch
+from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import label_votes
+from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import pick_objects
-from stylesplat.training.lifting import class_codes, lift
+from stylesplat.selection.identities import class_probabilities, render_labels
+from stylesplat.selection.pick import THRESHOLD, pick_objects
+from stylesplat.training import lifting
+from stylesplat.training.lifting import REPULSIONS, class_codes, lift, with_labels_of
 from stylesplat.training.object_sizes import object_share
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
@@ -71,6 +74,41 @@ def test_more_classes_than_numbers_per_gaussian():
     assert torch.equal(class_codes(37), codes)
 
 
+@pytest.mark.parametrize("count", [16, 17, 300, 1000])
+def test_labels_are_told_apart_however_many_there_are(monkeypatch, count: int):
+    """Gaussians of which seven tenths are one label's, the rest two others'."""
+    monkeypatch.setattr(lifting, "REPULSIONS", min(REPULSIONS, 20_000 // count))  # fast
+    generator, rows = torch.Generator().manual_seed(0), torch.arange(len(PLAIN))
+    own, one, other = torch.randint(count, (3, len(PLAIN)), generator=generator)
+    table = torch.zeros(len(PLAIN), count)
+    for labels, pixels in ((own, 70), (one, 10), (other, 20)):
+        table[rows, labels] += pixels
+    monkeypatch.setattr(lifting, "label_votes", lambda *_: (tuple(range(count)), csr_array(table)))
+    found = class_probabilities(lift(PLAIN, capture(TRUTH)))
+    most = table.max(dim=1)
+    sure = most.values > 65  # where both others are one, a little closer to it
+    assert sure.all() and (found[rows, most.indices] > THRESHOLD).float().mean() > 0.98
+
+
+def test_labels_on_top_of_others_are_those_of_whole_tables(monkeypatch):
+    """Some of new ids, one in the place of an earlier one; looked at a few rows at a time."""
+    earlier = lift(PLAIN, capture(TRUTH))
+    halves = [torch.where(torch.arange(48) < 24, labels, 0) for labels in TRUTH]
+    newer, renamed = lift(PLAIN, capture(halves)), {3: 7, 7: 301, 300: 302}
+    before, after = class_probabilities(earlier), class_probabilities(newer)
+    shares, ids = torch.zeros(len(PLAIN), 6), (0, 3, 7, 300, 301, 302)
+    for column, id in enumerate((0, 3, 0, 300)):  # 7 gives way
+        shares[:, ids.index(id)] += after[:, 0] * before[:, column]
+    for column, id in enumerate((3, 7, 300), start=1):
+        shares[:, ids.index(renamed[id])] += after[:, column]
+    monkeypatch.setattr(nouns, "AT_ONCE", 40)
+    found = with_labels_of(earlier, newer, renamed)
+    assert found.classifier is not None and found.classifier.ids == ids
+    assert found.identities is not None
+    # float32 in another order
+    torch.testing.assert_close(found.identities, shares @ class_codes(6), atol=1e-5, rtol=0)
+
+
 def test_codes_of_few_classes_do_not_mix():
     codes = class_codes(16)
     assert torch.equal(codes @ codes.T, torch.eye(16))
@@ -85,7 +123,8 @@ def test_nothing_to_lift():
 
 
 def votes(label_maps, rows) -> tuple[tuple[int, ...], torch.Tensor]:
-    return label_votes(PLAIN, CAMERAS, [(row, label_maps[row]) for row in rows])
+    ids, found = label_votes(PLAIN, CAMERAS, [(row, label_maps[row]) for row in rows])
+    return ids, torch.from_numpy(found.toarray())
 
 
 def test_renaming_labels_renames_the_ids_and_nothing_else():

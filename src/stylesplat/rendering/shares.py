@@ -4,23 +4,27 @@ A render is `B + W c` (see `linear.py`). Column sums say how much each Gaussian 
 pixels, and so how label maps vote for Gaussians; products with W how Gaussians vote for pixels.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csc_array, csr_array
 from torch import Tensor
+from torch.nn.functional import pad
 
 from stylesplat.rendering.one_view import render
 from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.seen import LARGE
+from stylesplat.rendering.seen import LARGE, pixel_bounds
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 
 AT_ONCE = IDENTITY_SIZE  # columns in one pass, whatever they are: kernels are compiled for these
 NOBODY = -1  # no label
+TALL = 0.25  # of a view, beyond which a label counts as tall
 COVERED = 0.5  # the opaque share from which a pixel or a feature is an object's
 TINY_COVERAGE = 1e-6  # of a pixel, below which an average over it is undefined
 PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
@@ -60,8 +64,10 @@ def label_votes(
     splats: Splats,
     cameras: Cameras,
     label_maps: Iterable[tuple[int, Int[Tensor, "H W"]]],
-) -> tuple[tuple[int, ...], Float[Tensor, "N K"]]:
+) -> tuple[tuple[int, ...], csr_array]:
     """How many pixels of each label a Gaussian makes up, over some views.
+
+    Each Gaussian shows in pixels of a few labels, however many there are: only these are kept.
 
     Args:
         splats: The scene.
@@ -69,21 +75,71 @@ def label_votes(
         label_maps: Rows of cameras, and the labels of their pixels.
 
     Returns:
-        The ids that occur, background first, and the votes.
+        The ids that occur, background first, and the votes: [N, K] in float32.
     """
-    found: dict[int, Tensor] = {BACKGROUND: splats.means.new_zeros(len(splats))}
+    columns, total = {BACKGROUND: 0}, csr_array((len(splats), 1), dtype=np.float32)
     for row, labels in label_maps:
-        present = labels.unique().tolist()
-        for start in range(0, len(present), AT_ONCE):
-            some = present[start : start + AT_ONCE]
-            columns = labels.new_full((AT_ONCE,), NOBODY)
-            columns[: len(some)] = torch.tensor(some)
-            wanted = (labels[..., None] == columns).to(splats.means)
-            weights = contributed(splats, cameras[row], wanted)
-            for column, id in enumerate(some):
-                found[id] = found.get(id, 0) + weights[:, column]
-    ids = tuple(sorted(found))
-    return ids, torch.stack([found[id] for id in ids], dim=1)
+        present = sorted(ids_of(labels))
+        for id in present:
+            columns.setdefault(id, len(columns))
+        total.resize((len(splats), len(columns)))
+        more = _votes_of_view(splats, cameras[row], labels, {id: columns[id] for id in present})
+        more.resize((len(splats), len(columns)))
+        total = csr_array(total + more)
+    ids = tuple(sorted(columns))
+    return ids, total[:, [columns[id] for id in ids]]
+
+
+def _votes_of_view(
+    splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"], columns: Mapping[int, int]
+) -> csr_array:
+    """The votes of one view, in columns by the label ids that it has, which ascend."""
+    gaussians, found, values = [], [], []
+    for some, rows in _some_labels(splats, camera, labels, labels.new_tensor([*columns])):
+        wanted = labels[..., None] == pad(some, (0, AT_ONCE - len(some)), value=NOBODY)
+        within = splats if rows is None else splats[rows]
+        weights = contributed(within, camera, wanted.to(splats.means))[:, : len(some)]
+        row, number = weights.nonzero(as_tuple=True)
+        gaussians.append((row if rows is None else rows[row]).cpu().numpy())
+        found.append(np.array([columns[id] for id in some.tolist()])[number.cpu().numpy()])
+        values.append(weights[row, number].cpu().numpy())
+    places = np.concatenate(gaussians), np.concatenate(found)
+    shape = len(splats), max(columns.values()) + 1
+    votes = csr_array((np.concatenate(values), places), shape=shape)
+    votes.sort_indices()  # sums of sorted ones need no sorting
+    return votes
+
+
+def _some_labels(
+    splats: Splats, camera: Cameras, labels: Int[Tensor, "H W"], ids: Int[Tensor, " K"]
+) -> Iterator[tuple[Int[Tensor, " L"], Int[Tensor, " M"] | None]]:
+    """As many label ids as one pass takes, and the Gaussians that may reach their pixels.
+
+    Of more than one pass on the CPU each has labels that lie at one height of the view, and the
+    Gaussians there: many small labels take not much longer than few large ones. None is for all.
+    """
+    if len(ids) <= AT_ONCE or splats.device.type != "cpu":
+        yield from ((some, None) for some in ids.split(AT_ONCE))
+        return
+    height, where = len(labels), torch.searchsorted(ids, labels)
+    y = torch.arange(height)[:, None].expand_as(labels).flatten()
+    tops, lasts = (
+        y.new_zeros(len(ids)).scatter_reduce(0, where.flatten(), y, how, include_self=False)
+        for how in ("amin", "amax")
+    )
+    tall = lasts - tops > TALL * height  # in passes of their own, so that the others' are low
+    low, high = pixel_bounds(splats, camera)
+    for some in torch.where(tall, -1, tops).argsort(stable=True).split(AT_ONCE):
+        top, last = tops[some].min(), lasts[some].max()
+        reaching = (low < high).all(dim=1) & (low[:, 1] <= last) & (high[:, 1] > top)
+        yield ids[some], reaching.nonzero()[:, 0]
+
+
+def scaled_rows(votes: csr_array, factors: Float[np.ndarray, " N"]) -> csr_array:
+    """Votes with a factor on those of each Gaussian."""
+    scaled = votes.copy()
+    scaled.data *= np.repeat(factors, np.diff(votes.indptr))
+    return scaled
 
 
 @torch.no_grad()
@@ -95,10 +151,32 @@ def render_shares(
     """What one camera sees of numbers that Gaussians carry, such as shares of labels."""
     images = []
     for some in shares.split(AT_ONCE, dim=1):
-        padded = torch.nn.functional.pad(some, (0, AT_ONCE - some.shape[1]))
+        padded = pad(some, (0, AT_ONCE - some.shape[1]))
         image, _ = render(splats, camera, features=padded, sh_degree=0)
         images.append(image[..., 3 : 3 + some.shape[1]])
     return torch.cat(images, dim=-1)
+
+
+@torch.no_grad()
+def largest_shown(
+    splats: Splats, camera: Cameras, shares: csr_array
+) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W"]]:
+    """The largest in each pixel of what `render_shares` shows, and its column.
+
+    Args:
+        splats: The scene.
+        camera: One camera.
+        shares: [N, K], most of them 0.
+    """
+    width, height = camera.size
+    most, column = torch.full((height, width), -torch.inf), torch.zeros(height, width).long()
+    by_column = csc_array(shares)
+    for columns in torch.arange(len(by_column.indptr) - 1).split(AT_ONCE):
+        some = torch.from_numpy(by_column[:, columns.numpy()].toarray()).to(splats.means)
+        values, places = render_shares(splats, camera, some).cpu().max(dim=-1)
+        column = torch.where(values > most, columns[places], column)
+        most = torch.maximum(values, most)
+    return most, column
 
 
 @torch.no_grad()

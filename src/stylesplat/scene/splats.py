@@ -1,5 +1,6 @@
 """The `Splats` noun: a set of 3D Gaussians, with the objects they belong to."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -10,6 +11,7 @@ from stylesplat.scene.one_line import counted, one_line
 
 SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour
 IDENTITY_SIZE = 16  # numbers per Gaussian that encode its object (Gaussian Grouping)
+AT_ONCE = 1 << 22  # scores: 16 MB, while those of all Gaussians by all labels may be 40 GB
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,22 @@ class Classifier:
     def logits(self, identities: Float[Tensor, "*B 16"]) -> Float[Tensor, "*B K"]:
         """Class scores before the softmax, one column per entry of `ids`."""
         return identities @ self.weight.T + self.bias
+
+    def some_at_a_time(
+        self, identities: Float[Tensor, "N 16"]
+    ) -> Iterator[tuple[slice, Float[Tensor, "B K"]]]:
+        """The same of so many rows at a time that no table of all is ever there."""
+        size = max(1, AT_ONCE // len(self.ids))
+        for first in range(0, max(len(identities), 1), size):
+            rows = slice(first, min(first + size, len(identities)))
+            yield rows, self.logits(identities[rows])
+
+    def likeliest(self, identities: Float[Tensor, "*B 16"]) -> Int[Tensor, "*B"]:
+        """The label id of the highest score."""
+        flat = identities.flatten(0, -2)
+        classes = [scores.argmax(dim=-1) for _, scores in self.some_at_a_time(flat)]
+        known = torch.tensor(self.ids, device=identities.device)
+        return known[torch.cat(classes)].unflatten(0, identities.shape[:-1])
 
     def to(self, device: torch.device | str) -> "Classifier":
         """The same classifier on another device."""

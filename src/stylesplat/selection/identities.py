@@ -46,6 +46,8 @@ def object_ids(splats: Splats) -> tuple[int, ...]:
 def class_probabilities(splats: Splats) -> Float[Tensor, "N K"]:
     """How likely each Gaussian belongs to each class of the classifier (softmax).
 
+    Of many Gaussians and classes see `Classifier.some_at_a_time`: this table would be too large.
+
     Raises:
         StyleSplatError: If the splats have no identities.
     """
@@ -69,6 +71,5 @@ def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
     """
     identities, classifier = require_identities(splats)
     image, alphas = render(splats, camera, features=identities, sh_degree=0)
-    classes = classifier.logits(image[..., 3:]).argmax(dim=-1)
-    labels = torch.tensor(classifier.ids, device=classes.device)[classes]
+    labels = classifier.likeliest(image[..., 3:])
     return torch.where(alphas[..., 0] < MIN_COVERAGE, BACKGROUND, labels)

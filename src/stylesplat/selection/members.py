@@ -13,7 +13,7 @@ from stylesplat.selection.identities import require_identities
 
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 VOUCHED = 0.9  # probability above which label maps vouch for a Gaussian
-AT_ONCE = 1 << 22  # probabilities: 16 MB
+AT_ONCE = 1 << 20  # Gaussians whose identities are gathered: 64 MB
 ROUNDING = 1e-2  # of scores, by far
 FEW = 0.5  # of the classes, of which it pays to compare them with the background first
 
@@ -34,6 +34,7 @@ class Members:
         nobody = torch.zeros(len(self.splats), dtype=torch.bool, device=self.splats.device)
         return nobody.index_fill(0, self.likely[id], True)
 
+    @torch.no_grad()
     def doubtful(self, id: int, rows: Int[Tensor, " M"]) -> Bool[Tensor, " M"]:
         """Which of some Gaussians are not likely an object's, and not surely anything else's."""
         _, classifier = require_identities(self.splats)
@@ -43,6 +44,7 @@ class Members:
         return torch.cat(parts) & ~self.mask(id)[rows]
 
 
+@torch.no_grad()
 def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     """Find the Gaussians of some objects, all in one pass.
 
@@ -71,6 +73,7 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     )
 
 
+@torch.no_grad()
 def likeliest(splats: Splats) -> Int[Tensor, " N"]:
     """The label id that each Gaussian has most likely.
 
@@ -78,9 +81,7 @@ def likeliest(splats: Splats) -> Int[Tensor, " N"]:
         StyleSplatError: If the splats have no identities.
     """
     identities, classifier = require_identities(splats)
-    known = torch.tensor(classifier.ids, device=splats.device)
-    parts = identities.detach().split(_size(splats))
-    return torch.cat([known[classifier.logits(part).argmax(dim=1)] for part in parts])
+    return classifier.likeliest(identities.detach())
 
 
 def _possible(splats: Splats, columns: Int[Tensor, " L"], threshold: float) -> Int[Tensor, " M"]:
@@ -97,7 +98,7 @@ def _possible(splats: Splats, columns: Int[Tensor, " L"], threshold: float) -> I
     weight = classifier.weight[columns] - classifier.weight[behind]
     bias = classifier.bias[columns] - classifier.bias[behind]
     least = torch.logit(torch.tensor(threshold)).item() - ROUNDING
-    parts = zip(every.split(AT_ONCE), identities.detach().split(AT_ONCE), strict=True)
+    parts = zip(every.split(AT_ONCE), identities.split(AT_ONCE), strict=True)
     return torch.cat([rows[((p @ weight.T + bias) > least).any(dim=1)] for rows, p in parts])
 
 
@@ -106,12 +107,6 @@ def _probabilities(
 ) -> Iterator[tuple[Int[Tensor, " B"], Float[Tensor, "B K"]]]:
     """Some of the Gaussians at a time, and how likely these are of each class."""
     identities, classifier = require_identities(splats)
-    for some in rows.split(_size(splats)):
-        part = identities.detach().index_select(0, some)
-        yield some, classifier.logits(part).softmax(dim=-1)
-
-
-def _size(splats: Splats) -> int:
-    """How many Gaussians are looked at together."""
-    _, classifier = require_identities(splats)
-    return max(1, AT_ONCE // len(classifier.ids))
+    for some in rows.split(AT_ONCE):
+        for part, scores in classifier.some_at_a_time(identities.index_select(0, some)):
+            yield some[part], scores.softmax(dim=-1)

@@ -17,7 +17,6 @@ from stylesplat.scene.same_gaussians import Match, match_gaussians
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.turned import moved
-from stylesplat.selection.identities import class_probabilities
 
 EDITED = 0.1  # of a constant band: colours that differ by more, at the median, were edited
 DEGREE = 3  # of the splats of scenes
@@ -74,7 +73,9 @@ def _identified(
     nobody = known.identities.new_zeros(known.identities.shape[1])
     if BACKGROUND in known.classifier.ids:
         column = known.classifier.ids.index(BACKGROUND)
-        nobody = known.identities[class_probabilities(known)[:, column].argmax()]
+        scores = known.classifier.some_at_a_time(known.identities)
+        shares = torch.cat([each.softmax(dim=-1)[:, column] for _, each in scores])
+        nobody = known.identities[shares.argmax()]
     confidence = known.confidence
     return replace(
         splats,

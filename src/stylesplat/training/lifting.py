@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -47,15 +48,17 @@ def lift(
     """
     maps = _label_maps(capture, rows)
     ids, votes = label_votes(splats, capture.cameras, maps)
-    if not votes.any():
+    if not votes.nnz:
         raise StyleSplatError(
             "None of the Gaussians shows in the capture's label maps. Check that the splat and the "
             "cameras share a world frame."
         )
-    seen = votes.sum(dim=1)
-    confidence = votes.amax(dim=1) / seen.clamp(min=PRIOR)
-    votes[:, ids.index(BACKGROUND)] += PRIOR
-    return _labelled(splats, ids, votes / votes.sum(dim=1, keepdim=True), confidence)
+    codes, classifier = _decoder(ids)
+    seen = votes.sum(axis=1)
+    confidence = votes.max(axis=1).toarray() / np.maximum(seen, PRIOR)
+    coded = votes @ codes.numpy() + PRIOR * codes[ids.index(BACKGROUND)].numpy()
+    identities = coded / (seen + PRIOR)[:, None]
+    return _labelled(splats, classifier, *map(torch.from_numpy, (identities, confidence)))
 
 
 @torch.no_grad()
@@ -69,38 +72,48 @@ def with_labels_of(splats: Splats, newer: Splats, renamed: Mapping[int, int]) ->
             ids of the earlier labels replace these.
     """
     assert splats.classifier is not None and newer.classifier is not None
-    before, after = _probabilities(splats), _probabilities(newer)
+    assert splats.identities is not None and newer.identities is not None
     ids = (BACKGROUND, *sorted({*splats.classifier.ids, *renamed.values()} - {BACKGROUND}))
-    columns = {id: column for column, id in enumerate(ids)}
-    shares = before.new_zeros(len(splats), len(ids))
-    left = after[:, newer.classifier.ids.index(BACKGROUND)]
-    for column, id in enumerate(splats.classifier.ids):
-        kept = BACKGROUND if id in renamed.values() else id
-        shares[:, columns[kept]] += left * before[:, column]
-    for column, id in enumerate(newer.classifier.ids):
-        if id != BACKGROUND:
-            shares[:, columns[renamed[id]]] += after[:, column]
+    codes, classifier = _decoder(ids)
+    kept = [BACKGROUND if id in renamed.values() else id for id in splats.classifier.ids]
+    given = [({BACKGROUND: BACKGROUND} | {**renamed})[id] for id in newer.classifier.ids]
+    of_kept, of_given = (codes[[ids.index(id) for id in some]] for some in (kept, given))
+    nothing = newer.classifier.ids.index(BACKGROUND)
+    of_given[nothing] = 0  # what the newer labels leave is as it was
+    identities = torch.empty_like(splats.identities)
+    left = identities.new_empty(len(splats))
+    for rows, scores in newer.classifier.some_at_a_time(newer.identities):
+        shares = scores.softmax(dim=-1)
+        identities[rows], left[rows] = shares @ of_given.to(shares), shares[:, nothing]
+    for rows, scores in splats.classifier.some_at_a_time(splats.identities):
+        identities[rows] += left[rows, None] * (scores.softmax(dim=-1) @ of_kept.to(scores))
     confidence = newer.confidence
     if confidence is not None and splats.confidence is not None:
         confidence = torch.where(left > 0.5, splats.confidence, confidence)
-    return _labelled(splats, ids, shares, confidence)
-
-
-def _probabilities(splats: Splats) -> Float[Tensor, "N K"]:
-    assert splats.identities is not None and splats.classifier is not None
-    return splats.classifier.logits(splats.identities).softmax(dim=-1)
+    return _labelled(splats, classifier, identities, confidence)
 
 
 def _labelled(
     splats: Splats,
-    ids: tuple[int, ...],
-    shares: Float[Tensor, "N K"],
+    classifier: Classifier,
+    identities: Float[Tensor, "N 16"],
     confidence: Float[Tensor, " N"] | None,
 ) -> Splats:
-    """Splats whose identities say what share each label has of them."""
-    codes = class_codes(len(ids)).to(shares)
-    classifier = Classifier(SHARPNESS * codes, shares.new_zeros(len(ids)), ids)
-    return replace(splats, identities=shares @ codes, classifier=classifier, confidence=confidence)
+    """Splats with identities, beside their tensors."""
+    found = replace(splats, identities=identities, classifier=classifier, confidence=confidence)
+    return found.to(splats.device)
+
+
+def _decoder(ids: tuple[int, ...]) -> tuple[Float[Tensor, "K 16"], Classifier]:
+    """The codes of classes, and what tells from an identity how much of each there is in it.
+
+    The closer the codes, the sharper: beside a thousand others a Gaussian of one label alone would
+    be as likely any of them.
+    """
+    codes = class_codes(len(ids))
+    closest = float((codes @ codes.T).fill_diagonal_(-1).max())
+    sharpness = max(SHARPNESS, math.log(len(ids) / DOUBT) / (1 - closest))
+    return codes, Classifier(sharpness * codes, codes.new_zeros(len(ids)), ids)
 
 
 @torch.no_grad()
@@ -128,12 +141,8 @@ def labelled(splats: Splats, labels: Int[Tensor, " N"]) -> Splats:
             f"There are {len(ids) - 1:,} objects in labels from {int(ids[0])} to {int(ids[-1])}. "
             f"Label 1 to {MANY - 1:,} objects with 1 to {MAX_ID}, and all else with 0."
         )
-    codes = class_codes(len(ids)).to(splats.means)
-    closest = float((codes @ codes.T).fill_diagonal_(-1).max())
-    sharpness = max(SHARPNESS, math.log(len(ids) / DOUBT) / (1 - closest))
-    classifier = Classifier(sharpness * codes, codes.new_zeros(len(ids)), tuple(ids.tolist()))
-    identities = codes[classes[1:].to(codes.device)]
-    return replace(splats, identities=identities, classifier=classifier, confidence=None)
+    codes, classifier = _decoder(tuple(ids.tolist()))
+    return _labelled(splats, classifier, codes[classes[1:]], None)
 
 
 def class_codes(count: int) -> Float[Tensor, "K 16"]:

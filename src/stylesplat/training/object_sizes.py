@@ -15,7 +15,8 @@ def object_share(splats: Splats) -> Float[Tensor, " N"] | None:
     """Probability of each Gaussian to belong to any object; None without identities."""
     if splats.identities is None or splats.classifier is None:
         return None
-    return 1 - splats.classifier.logits(splats.identities).softmax(dim=-1)[:, 0]
+    scores = splats.classifier.some_at_a_time(splats.identities)
+    return torch.cat([1 - some.softmax(dim=-1)[:, 0] for _, some in scores])
 
 
 @torch.no_grad()

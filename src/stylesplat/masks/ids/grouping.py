@@ -60,8 +60,10 @@ def pixels_of(splats: Splats, camera: Cameras, labels: Labels) -> tuple[tuple[in
     small = at_work(camera)
     width, height = small.size
     ids, votes = label_votes(splats, small, [(0, resize_labels(labels, (height, width)))])
-    pixels = votes.cpu().numpy() * (labels.numel() / (width * height))
-    return ids, csr_array(np.where(pixels > FAINT, pixels, 0))
+    pixels = csr_array(votes * (labels.numel() / (width * height)))
+    pixels.data[pixels.data <= FAINT] = 0
+    pixels.eliminate_zeros()
+    return ids, pixels
 
 
 def at_work(camera: Cameras) -> Cameras:

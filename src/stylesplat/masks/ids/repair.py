@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from stylesplat.masks.ids.grouping import (
@@ -21,7 +22,7 @@ from stylesplat.masks.ids.grouping import (
     pixels_of,
 )
 from stylesplat.progress import track
-from stylesplat.rendering.shares import PRIOR, render_shares
+from stylesplat.rendering.shares import PRIOR, largest_shown, scaled_rows
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND, Labels, OwnLabels, resize_labels
 from stylesplat.scene.splats import Splats
@@ -68,16 +69,18 @@ def _settle(splats: Splats, cameras: Cameras, maps: list[OwnLabels]) -> bool:
     votes = [pixels_of(splats, cameras[row], labels) for row, labels in enumerate(counted)]
     ids = torch.tensor(sorted({id for some, _ in votes for id in some}))
     columns = [torch.searchsorted(ids, torch.tensor(some)).numpy() for some, _ in votes]
-    total, views = np.zeros((len(splats), len(ids)), np.float32), np.zeros(len(ids), int)
-    for some, (_, own) in zip(columns, votes, strict=True):
-        total[:, some] += own.toarray()
-        views[some] += 1
-    total[:, views == 1] = 0  # what one view alone shows must not spread to others
+    views = sum((np.isin(np.arange(len(ids)), some) for some in columns), np.zeros(len(ids), int))
+    shape = len(splats), len(ids)
+    own = [
+        csr_array((each.data, some[each.indices], each.indptr), shape=shape)
+        for some, (_, each) in zip(columns, votes, strict=True)
+    ]
+    total = csr_array(sum(own, csr_array(shape, dtype=np.float32)))
+    total.data *= views[total.indices] > 1  # what one view alone shows must not spread to others
     changed = False
-    for row, (_, own) in enumerate(track(votes, "checking ids in 3D", unit="photo")):
-        others = total.copy()
-        others[:, columns[row]] -= own.toarray()
-        shown, certainty = _shown(splats, cameras[row], others.clip(min=0), own.sum(axis=1) > 0)
+    for row, mine in enumerate(track(own, "checking ids in 3D", unit="photo")):
+        others = csr_array((total - mine).maximum(0))
+        shown, certainty = _shown(splats, cameras[row], others, mine.sum(axis=1) > 0)
         settled = _voted(maps[row], ids[shown].to(maps[row]), certainty)
         changed |= not torch.equal(settled, maps[row])
         maps[row] = settled
@@ -87,16 +90,20 @@ def _settle(splats: Splats, cameras: Cameras, maps: list[OwnLabels]) -> bool:
 def _shown(
     splats: Splats,
     camera: Cameras,
-    votes: Float[np.ndarray, "N K"],
+    votes: csr_array,
     visible: Bool[np.ndarray, " N"],
 ) -> tuple[Int[Tensor, "H W"], Float[Tensor, "H W"]]:
     """The column that most Gaussians in a pixel vote for, background first, and their share."""
-    votes[:, 0] = NOTHING * votes[:, 0] + PRIOR
-    shares = votes / votes.sum(axis=1, keepdims=True)
-    firsts = np.unique(shares[visible].argmax(axis=1))  # others win nowhere: less to render
-    columns = np.union1d([0], firsts)
-    asked = torch.from_numpy(shares[:, columns]).to(splats.means)
-    certainty, best = render_shares(splats, at_work(camera), asked).cpu().max(dim=-1)
+    votes.data[votes.indices == 0] *= NOTHING
+    rows = np.arange(len(splats) + 1)
+    prior = np.full(len(splats), PRIOR, np.float32), 0 * rows[1:], rows
+    votes = votes + csr_array(prior, shape=votes.shape)
+    shares = scaled_rows(votes, 1 / votes.sum(axis=1))
+    counts = np.diff(shares.indptr)
+    largest = shares.data == np.repeat(shares.max(axis=1).toarray(), counts)
+    firsts = np.unique(shares.indices[largest & np.repeat(visible, counts)])
+    columns = np.union1d([0], firsts)  # others win nowhere: less to render
+    certainty, best = largest_shown(splats, at_work(camera), shares[:, columns])
     width, height = camera.size
     shown = resize_labels(torch.from_numpy(columns)[best], (height, width))
     return shown, resize_labels(certainty, (height, width))

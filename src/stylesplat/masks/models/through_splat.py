@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from stylesplat.masks.models.associate import to_labels, to_masks
-from stylesplat.rendering.shares import PRIOR, label_votes, render_shares
+from stylesplat.rendering.shares import PRIOR, label_votes, largest_shown, scaled_rows
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND, Mask
 from stylesplat.scene.splats import Splats
@@ -35,9 +35,9 @@ def follow_through(
         return [{} for _ in rows]
     labels = to_labels(seeds, next(iter(seeds.values())).shape)
     ids, votes = label_votes(splats, cameras, [(rows[0], labels)])
-    shares = votes / (votes.sum(dim=1, keepdim=True) + PRIOR)
+    shares = scaled_rows(votes, 1 / (votes.sum(axis=1) + PRIOR))
     known, found = torch.tensor(ids), [dict(seeds)]
     for row in rows[1:]:
-        certainty, column = render_shares(splats, cameras[row], shares).cpu().max(dim=-1)
+        certainty, column = largest_shown(splats, cameras[row], shares)
         found.append(to_masks(torch.where(certainty > SURE, known[column], BACKGROUND)))
     return found
