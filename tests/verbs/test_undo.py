@@ -194,6 +194,23 @@ def test_names_are_known_before_anything_is_cleared_or_painted(folder: Path, sai
         assert not said, "not even the first is begun"
 
 
+@pytest.mark.parametrize("first", ["red", "green"])
+def test_one_after_the_other_gives_what_was_before_both(folder: Path, first: str):
+    """Without a folder in between, as in a program; each has Gaussians that were split."""
+    trained, style = opened(folder / "trained"), Style(folder / "night.png", config=FAST)
+    both = stylize(trained, {"red": style, "green": style}, device="cpu")
+    assert paint_of(both).unsplit is not None
+    other = "green" if first == "red" else "red"
+    one = adjust(both, objects=first, undo=True)
+    gone = adjust(one, objects=other, undo=True)
+    assert gone.painted is None
+    for name, tensor in trained.splats.tensors().items():
+        assert torch.equal(gone.splats.tensors()[name], tensor), name
+    for looks in (paint_of(one).before, paint_of(one).full):
+        mine = trained.objects[first].picked
+        assert torch.equal(looks.opacities[: len(mine)][mine], trained.splats.opacities[mine])
+
+
 def test_nothing_is_told_of_what_is_painted_only_in_passing(folder: Path, tmp_path: Path):
     """Be it painted before what stays, or with it."""
     night, wave = folder / "night.png", folder / "wave.png"

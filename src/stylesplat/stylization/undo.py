@@ -59,11 +59,12 @@ def unpainted(scene: Scene, names: Collection[str] | None = None) -> Scene:
         if each.picked[rows].any() or not each.picked.any()  # not of what goes alone
     }
     metrics = scene.metrics.get("train", {})
+    splats = _of_rows(_unsplit(colored, mine, painted.unsplit), rows)
     return replace(
         scene,
-        splats=_of_rows(_unsplit(colored, mine, painted.unsplit), rows),
+        splats=splats,
         objects=objects,
-        painted=_painted_still(painted, left, mine, rows) if left else None,
+        painted=_painted_still(painted, left, mine, rows, splats) if left else None,
         path=None,
         metrics={"train": metrics} if left else metrics,
     )
@@ -101,12 +102,19 @@ def _painted_still(
     left: Sequence[Painting],
     mine: Bool[Tensor, " N"],
     rows: Int[Tensor, " M"],
+    splats: Splats,
 ) -> Painted:
     """What is known of the paintings that are left."""
+
+    def whole_again(looks: Looks) -> Looks:
+        """Those that were split for what is gone have their opacities again, as in the splats."""
+        opacities = torch.where(mine[rows], splats.opacities, looks.opacities[rows])
+        return replace(looks[rows], opacities=opacities)
+
     return Painted(
         paintings=tuple(replace(each, picked=each.picked[rows]) for each in left),
-        before=painted.before[rows],
-        full=chosen(mine, painted.before, painted.full)[rows],
+        before=whole_again(painted.before),
+        full=whole_again(chosen(mine, painted.before, painted.full)),
         unsplit=_still_split(painted.unsplit, mine, len(rows)),
         origin=painted.origin,
         gone=_gone(painted, {each.name for each in left}),
