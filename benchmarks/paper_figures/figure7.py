@@ -1,10 +1,12 @@
 """Figure 7 and the text: content kept, discoloration, frames a second, times."""
 
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
 from bench import machine, median_ms
 
+from paper_figures import figure1, segmenting
 from paper_figures.book import Cell, Outcome, Results
 from paper_figures.figure2 import WAYS
 from paper_figures.story import Block, Figure, Table, Text, digits, percent
@@ -20,7 +22,7 @@ SIDES = (None, 960)  # pixels of the longer side; None is as it was trained
 
 
 def cells(subject: Subject) -> list[Cell]:
-    """Rendering and what the scene says of its training; the rest is other figures'."""
+    """Rendering and what the scene says of its photos; the rest is other figures'."""
     return [Cell(NAME, "speed", partial(_speed, subject))]
 
 
@@ -33,7 +35,7 @@ def _speed(subject: Subject) -> Outcome:
         width, height = sized.size
         numbers["fps"][f"{width}x{height}"] = 1e3 / milliseconds
     trained = subject.scene.metrics.get("train", subject.scene.metrics)
-    names = ("psnr", "ssim", "seconds", "steps")
+    names = ("psnr", "ssim", "steps")
     return Outcome(numbers | {f"train_{n}": trained.get(n) for n in names})
 
 
@@ -46,8 +48,8 @@ def told(results: Results) -> list[Block]:
     rows = [[f"frames a second, {size}", digits(fps, 1)] for size, fps in n["fps"].items()]
     rows += [
         ["Gaussians", f"{n['gaussians']:,}"],
-        ["training and segmenting", f"{n['train_steps']:,} steps in {n['train_seconds']:.0f} s"],
         ["held-out PSNR, SSIM", f"{digits(n['train_psnr'], 2)} dB, {digits(n['train_ssim'])}"],
+        *_times(results),
     ]
     blocks: list[Block] = [Table(("what", f"on {n['machine']}"), rows)]
     other = results.get("figure2", {})
@@ -69,6 +71,25 @@ def told(results: Results) -> list[Block]:
         Text("No GPU and no NeRF of S2RF's kind were run: the loss is S2RF's, the scene is not.")
     )
     return blocks
+
+
+def _times(results: Results) -> list[list[str]]:
+    """What other figures took, of one core: other work beside them does not count."""
+    trained = {
+        f"training, {name}": f"{n['steps']:,} steps in {n['training'] + n['lifting']:.0f} s"
+        for name, n in _numbers(results, segmenting.NAME, (segmenting.JOINT, segmenting.LIFTED))
+    }
+    painted = {
+        f"painting, {name}": f"{n['painting']:.0f} s"
+        for name, n in _numbers(results, figure1.NAME, results.get(figure1.NAME, {}))
+        if "painting" in n
+    }
+    return [[f"{what}, of one core", took] for what, took in (trained | painted).items()]
+
+
+def _numbers(results: Results, figure: str, keys: Iterable[str]) -> list[tuple[str, Any]]:
+    found = results.get(figure, {})
+    return [(key, found[key].numbers) for key in keys if key in found]
 
 
 FIGURE = Figure(NAME, "Figure 7 and the text: content, discoloration, speed", CLAIM, cells, told)

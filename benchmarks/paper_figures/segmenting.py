@@ -60,10 +60,10 @@ class Way:
         return nullcontext() if self.neighbours else off
 
 
-JOINT, LIFTED = "joint", "lifted"
+JOINT, WITHOUT, LIFTED = "joint", "joint, without the 3D term", "lifted"
 WAYS = {
     JOINT: Way(),
-    "joint, without the 3D term": Way(neighbours=False),
+    WITHOUT: Way(neighbours=False),
     "joint, gradients to geometry": Way(geometry=True),
     LIFTED: Way(lifted=True),
 }
