@@ -113,19 +113,20 @@ def _whole(found: Sized) -> bool:
 
 def _grids(found: Mapping[str, Any]) -> list[Grid]:
     """A grid for each group of layers, or one of the lines through the middle."""
-    lines: dict[str, dict[str, list[Setting]]] = {
+    layers: dict[str, dict[str, list[Setting]]] = {
         f"Layers {name}: scale across, rate down": {
             f"rate {r:g}": [(group, s, r) for s in SCALES] for r in RATES
         }
         for group, name in GROUPS.items()
     }
-    grids = [_grid(found, caption, rows) for caption, rows in lines.items()]
+    grids = [_grid(found, caption, rows) for caption, rows in layers.items()]
     if all(len(grid.rows) == len(RATES) for grid in grids):
         return grids
     axes = {"layers": [(g, *MIDDLE[1:]) for g in GROUPS]}
     axes |= {"scale": [(MIDDLE[0], s, MIDDLE[2]) for s in SCALES]}
     axes |= {"rate": [(*MIDDLE[:2], r) for r in RATES]}
-    return [_grid(found, "Layers, scale and rate, the other two in the middle", axes)]
+    lines = _grid(found, "Layers, scale and rate, the other two in the middle", axes)
+    return [lines] if lines.rows else []
 
 
 def _grid(found: Mapping[str, Any], caption: str, rows: Mapping[str, Sequence[Setting]]) -> Grid:

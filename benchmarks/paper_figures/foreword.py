@@ -57,11 +57,20 @@ def foreword(runs: Sequence[Run]) -> list[Block]:
         "wrote.",
         *(f"{name} has no exact label maps: given ones count as true there." for name in bare),
     ]
-    heads = ("scene", "effort", "steps", "in Figure 2", "frames", "views judged", "computed")
+    heads = (
+        "scene",
+        "effort",
+        "painting steps",
+        "in Figure 2",
+        "frames",
+        "views judged",
+        "computed",
+    )
     heads += ("processor minutes",)
+    scenes = ("scene", "photos", "Gaussians", "training steps", "objects")
     return [
         *map(Text, lines),
-        Table(("scene", "photos", "Gaussians", "steps", "objects"), [*map(_trained, runs)]),
+        Table(scenes, [*map(_trained, runs)]),
         Table(heads, [*map(_made, runs)]),
         *map(Text, (_steps(runs), DEFINED, NOT_RUN)),
         *verdicts({run.subject.name: run.results for run in runs}),
@@ -74,7 +83,8 @@ def _trained(run: Run) -> list[str]:
     how = {"lift": "lifted", "joint": "learned with the colours"}
     return [
         run.subject.name,
-        f"{width}x{height}, made {scene.downscale:g} times smaller",
+        f"{width}x{height}"
+        + (f", 1/{scene.downscale:g} of their size" if scene.downscale > 1 else ""),
         f"{len(scene.splats):,}",
         f"{scene.metrics['steps']:,}",
         how[scene.info["settings"].get("segment") or "joint"],

@@ -145,6 +145,7 @@ def test_a_grid_for_each_group_of_layers_once_all_is_there():
     del found[figure6._key((1, 0.25, 0.025))]
     (lines,) = figure6._grids(found)
     assert list(lines.rows) == ["layers", "scale", "rate"]
+    assert figure6._grids({figure6._key(every[0]): found[figure6._key(every[1])]}) == []
     assert list(lines.rows["layers"]) == ["[1,3]", "[6,8]", "[11,13,15]"]
 
 
