@@ -83,7 +83,10 @@ def _opened(given: str, options: Options, figures: Sequence[Figure]) -> Run:
     effort = EFFORTS[book.settings["effort"]]
     effort = replace(effort, whole_grid=effort.whole_grid or options.whole_grid)
     subject = open_subject(given, options.output, effort, book.settings["features"])
-    return Run(subject, book, [cell for figure in figures for cell in figure.cells(subject)])
+    every = replace(subject, effort=replace(effort, whole_grid=True))  # some may be there already
+    asked = {cell.name for figure in figures for cell in figure.cells(subject)}
+    cells = [cell for figure in figures for cell in figure.cells(every)]
+    return Run(subject, book, [cell for cell in cells if cell.name in asked or book.has(cell)])
 
 
 def _compute(run: Run) -> None:

@@ -43,6 +43,11 @@ class Cell:
     compute: Callable[[], Outcome]
     """Does it."""
 
+    @property
+    def name(self) -> tuple[str, str]:
+        """What tells it from others."""
+        return self.figure, self.key
+
 
 @dataclass(frozen=True)
 class Result:
