@@ -15,6 +15,8 @@ from paper_figures.subject import Subject
 from stylesplat.drawing.page_parts import figure_html, page_style, picture_url, table_html
 
 QUALITY = 82  # of JPEG in docs
+OURS = "demo"  # the scene that is made here
+GIVEN = ("photo", "label map")  # what others took: of their scenes docs show renders alone
 
 
 @dataclass(frozen=True)
@@ -125,16 +127,22 @@ def _html(block: Block) -> str:
 
 
 def markdown_page(title: str, intro: Sequence[Block], chapters: Chapters, pictures: Path) -> str:
-    """The same as Markdown, and small pictures in a folder beside it."""
+    """The same as Markdown, and small pictures in a folder beside it, none of them others' own."""
     pictures.mkdir(parents=True, exist_ok=True)
     parts = [f"# {title}", *(_markdown(block, pictures, "intro") for block in intro)]
     for scene, figures in chapters:
         for figure, blocks in figures:
             parts += [f"## {figure.title} ({scene})", f"The paper: {figure.claim}"]
             for number, block in enumerate(blocks):
-                stem = f"{scene}-{figure.name}-{number}"
-                parts.append(_markdown(block, pictures, stem))
+                shown = block if scene == OURS else _rendered(block)
+                parts.append(_markdown(shown, pictures, f"{scene}-{figure.name}-{number}"))
     return "\n\n".join(parts) + "\n"
+
+
+def _rendered(block: Block) -> Block:
+    if not isinstance(block, Row):
+        return block
+    return Row({name: file for name, file in block.pictures.items() if name not in GIVEN})
 
 
 def _markdown(block: Block, pictures: Path, stem: str) -> str:

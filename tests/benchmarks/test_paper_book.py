@@ -102,6 +102,16 @@ def test_pages_hold_what_they_tell(tmp_path: Path):
     assert (tmp_path / "paper" / "demo-figure9-2.jpg").stat().st_size < 20_000
 
 
+def test_photos_of_others_scenes_stay_out_of_docs(tmp_path: Path):
+    file = tmp_path / "picture.png"
+    write_image(PICTURE.mul(255).byte(), file)
+    figure = Figure("figure9", "A figure", "claims.", lambda _: [], lambda _: [])
+    row = Row({"photo": file, "label map": file, "object": file})
+    for scene, shown in (("demo", "photo; label map; object."), ("fox", "object.")):
+        text = markdown_page("T", [], [(scene, [(figure, [row])])], tmp_path / scene)
+        assert f"Left to right: {shown}" in text
+
+
 def test_a_grid_is_one_picture_with_a_cell_for_each(tmp_path: Path):
     colours = {"red": (1.0, 0.0, 0.0), "blue": (0.0, 0.0, 1.0)}
     files = {name: tmp_path / f"{name}.png" for name in colours}
