@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from strokes import stroke_length
 
+from paper_figures import figure5
 from paper_figures.book import Cell, Outcome, Results
 from paper_figures.figure2 import leakage
 from paper_figures.painting import few_style_features, painted, paper_config
@@ -95,9 +96,23 @@ def told(results: Results) -> list[Block]:
     lines = {axis: along(results, axis) for axis in AXES}
     blocks.append(Table(("by", *heads[1:]), [row for a in lines.values() for row in _lines(a)]))
     how = "averaged over the other two" if _whole(found) else "with the other two in the middle"
-    blocks.append(Text(f"Layers, scale and rate, each {how}."))
+    blocks += [Text(f"Layers, scale and rate, each {how}."), *_fineness(results)]
     trends = (("scale", "stroke"), ("layers", "stroke"), ("rate", "strength"))
     return [*blocks, *(Text(follows(lines[axis], axis, measure)) for axis, measure in trends)]
+
+
+def _fineness(results: Results) -> list[Text]:
+    """How many Gaussians carry the strokes, if Figure 5 says it."""
+    initial, counted = results[NAME].get("initial"), results.get(figure5.NAME, {}).get("paper")
+    if initial is None or counted is None:
+        return []
+    count = counted.numbers["gaussians"][initial.numbers["object"]]
+    return [
+        Text(
+            f"The object has {count:,} Gaussians, which the paper's settings do not split: no "
+            "stroke is finer than they are."
+        )
+    ]
 
 
 def along(results: Results, axis: str) -> dict[str, Numbers]:
