@@ -122,6 +122,11 @@ def along(results: Results, axis: str) -> dict[str, Numbers]:
     return by_axis(numbers, axis, whole=_whole(found))
 
 
+def has_whole_grid(results: Results) -> bool:
+    """Whether every setting is there, the object as it was aside."""
+    return _whole(results.get(NAME, {}).keys() - {"initial"})
+
+
 def _whole(found: Sized) -> bool:
     return len(found) == len(GROUPS) * len(SCALES) * len(RATES)
 

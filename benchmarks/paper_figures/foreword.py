@@ -6,10 +6,11 @@ from functools import cached_property
 
 import torch
 
+from paper_figures import figure6
 from paper_figures.book import Book, Cell, Results
 from paper_figures.claims import verdicts
 from paper_figures.story import Block, Table, Text
-from paper_figures.subject import Subject
+from paper_figures.subject import EFFORTS, Subject
 
 DEFINED = (
     "A pixel has changed if a channel differs by more than 0.05; strength is the mean distance of "
@@ -94,9 +95,11 @@ def _trained(run: Run) -> list[str]:
 def _made(run: Run) -> list[str]:
     """How much of what was computed."""
     effort, there = run.subject.effort, sum(map(len, run.results.values()))
+    name = run.book.settings["effort"]
+    more = figure6.has_whole_grid(run.results) and not EFFORTS[name].whole_grid
     return [
         run.subject.name,
-        run.book.settings["effort"],
+        f"{name} --whole-grid" if more else name,
         str(effort.steps),
         str(effort.masked_steps),
         f"{effort.side} px",

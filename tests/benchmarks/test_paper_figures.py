@@ -5,10 +5,21 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 import torch
-from paper_figures import figure2, figure3, figure5, figure6, official, painting, segmenting
+from paper_figures import (
+    figure2,
+    figure3,
+    figure5,
+    figure6,
+    figure7,
+    official,
+    painting,
+    segmenting,
+)
 from paper_figures.book import Book, Result, work_through
+from paper_figures.story import Table
 from paper_figures.subject import Effort, Subject
 
 from ball_photos import write_ball_capture
@@ -173,6 +184,25 @@ def test_each_way_to_identities_gets_the_time_of_joint_training(
 
 def _by_the_clock(_subject: Subject, way: segmenting.Way, config: TrainConfig):
     return SPLATS, config.steps * (1.0 if way.lifted else 3.0), 6.0 * way.lifted
+
+
+def test_one_thread_for_a_while():
+    before = numba.get_num_threads(), torch.get_num_threads()
+    with figure7.one_thread():
+        assert (numba.get_num_threads(), torch.get_num_threads()) == (1, 1)
+    assert (numba.get_num_threads(), torch.get_num_threads()) == before
+
+
+def test_speed_and_times_are_told_beside_the_papers(subject: Subject):
+    trained = replace(subject.scene, metrics={"psnr": 30.0, "ssim": 0.9, "steps": 12})
+    speed = figure7._speed(replace(subject, scene=trained)).numbers
+    width, height = LARGE.size
+    assert f"{width}x{height}" in speed["fps"] and min(speed["fps"].values()) > 0
+    painted = {"a, paper": Result({"painting": 7.2}, {}, 1.0, 1.0)}
+    found = {"figure7": {"speed": Result(speed, {}, 1.0, 1.0)}, "figure1": painted}
+    table, *_ = figure7.told(found)
+    assert isinstance(table, Table)
+    assert ["painting, a, paper", "7 s of one core", "less than a minute"] in list(table.rows)
 
 
 def test_joint_and_lifted_are_measured_and_compared(subject: Subject, tmp_path: Path):
