@@ -1,6 +1,6 @@
 """The paper's figures and claims, remade on scenes that anybody can get, with numbers.
 
-    .venv/bin/python benchmarks/paper.py -o DIR [--scene demo SCENE ...] [--quick]
+    .venv/bin/python benchmarks/paper.py -o DIR [--scene demo SCENE ...] [--effort EFFORT]
 
 For each scene (`demo`, which is made here, or the folder of one that `stylesplat train` made) the
 figures of the paper: in its form, with measurements that it does not give. What is computed is
@@ -12,17 +12,16 @@ there as well.
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 import tyro
-from bench import machine
 from paper_figures import figure1, figure2, figure3, figure5, figure6, figure7, official, segmenting
 from paper_figures.book import Book, work_through
-from paper_figures.story import Chapters, html_page, markdown_page
-from paper_figures.subject import FULL, QUICK, open_subject
+from paper_figures.foreword import Run, foreword
+from paper_figures.story import Figure, html_page, markdown_page
+from paper_figures.subject import EFFORTS, open_subject
 
 from stylesplat.io.files import atomic_path
 
@@ -41,8 +40,13 @@ class Options:
     """Folder of all that is made."""
     scene: tuple[str, ...] = ("demo",)
     """`demo`, or folders of trained scenes with objects."""
+    effort: Literal["quick", "medium", "full"] = "full"
+    """quick takes 60 steps, and of our own paintings drafts; medium 100, and the default; full the
+    paper's 500 on larger frames, all of Figure 6, and trains anew for each set of label maps."""
     quick: bool = False
-    """Few steps, small frames, no training but the demo's own."""
+    """The same as --effort quick."""
+    whole_grid: bool = False
+    """All of Figure 6's settings also where the effort takes the lines through its middle."""
     figures: tuple[str, ...] = tuple(FIGURES)
     """Which ones."""
     features: Literal["compact", "vgg19"] = "compact"
@@ -58,59 +62,50 @@ def main(options: Options) -> None:
     unknown = [name for name in options.figures if name not in FIGURES]
     if unknown:
         raise SystemExit(f"There is no {unknown[0]}. Figures: {', '.join(FIGURES)}.")
-    effort = QUICK if options.quick else FULL
     options.output.mkdir(parents=True, exist_ok=True)
-    start, chapters, spent, bare = time.perf_counter(), [], 0.0, []
+    figures = [FIGURES[name] for name in options.figures]
+    runs = []
     for given in options.scene:
-        subject = open_subject(given, options.output, effort, options.features)
-        settings = {"quick": options.quick, "features": options.features}
-        book = Book(options.output / subject.name, settings)
-        figures = [FIGURES[name] for name in options.figures]
-        cells = [cell for figure in figures for cell in figure.cells(subject)]
+        run = _opened(given, options, figures)
         if not options.only_page:
-            for line in work_through(book, cells):
-                print(f"[{time.perf_counter() - start:5.0f} s] {subject.name}: {line}", flush=True)
-        results = book.results(cells)
-        spent += sum(r.seconds for several in results.values() for r in several.values())
-        chapters.append(
-            (subject.name, [(f, f.told(results)) for f in sorted(figures, key=lambda f: f.name)])
-        )
-        if subject.exact is None:
-            bare.append(f"{subject.name} has no exact label maps: given ones count as true there.")
-        _write(options, [*_intro(options, spent), *bare], chapters)
+            _compute(run)
+        runs.append(run)
+        _write(options, sorted(figures, key=lambda figure: figure.name), runs)
     print(options.output / "index.html")
 
 
-def _intro(options: Options, seconds: float) -> list[str]:
-    """What was run, and on what."""
-    effort = QUICK if options.quick else FULL
-    call = f"benchmarks/paper.py -o DIR --scene {' '.join(options.scene)}"
-    call += f" --features {options.features}" + " --quick" * options.quick
-    ours = "the default" if effort.trained else "drafts (`--quality draft`)"
-    return [
-        f"Made by `{call}` in {seconds / 60:.0f} minutes, the demo's training aside, on "
-        f"{machine()}, torch {torch.__version__}. All numbers and pictures come from files that it "
-        "wrote.",
-        f"Paintings by the paper's settings take {effort.steps} steps (the paper: 500 to 1,000), "
-        f"ours are {ours}. Figure 2's loops take {effort.masked_steps} steps, and like Figure 6 "
-        f"frames of {effort.side} pixels. All is judged in {effort.judged} held-out views at most. "
-        "A pixel has changed if a channel differs by more than 0.05; strength is the mean distance "
-        "of the object's colours in Lab; a stroke is as long as the distance at which the added "
-        "detail goes half with itself.",
-        "Not run: the scenes of NeRF, MipNeRF360 and LERF, which are not on the machines that "
-        "build this. Train one with `stylesplat train CAPTURE -o SCENE` and pass `--scene SCENE`.",
-    ]
+def _opened(given: str, options: Options, figures: Sequence[Figure]) -> Run:
+    """A scene with what is computed of it, or will be."""
+    folder = options.output / (given if given == "demo" else Path(given).name)
+    effort = "quick" if options.quick else options.effort
+    settings = {"effort": effort, "features": options.features}
+    book = Book(folder, None if options.only_page else settings)
+    effort = EFFORTS[book.settings["effort"]]
+    effort = replace(effort, whole_grid=effort.whole_grid or options.whole_grid)
+    subject = open_subject(given, options.output, effort, book.settings["features"])
+    every = replace(subject, effort=replace(effort, whole_grid=True))  # some may be there already
+    asked = {cell.name for figure in figures for cell in figure.cells(subject)}
+    cells = [cell for figure in figures for cell in figure.cells(every)]
+    return Run(subject, book, [cell for cell in cells if cell.name in asked or book.has(cell)])
 
 
-def _write(options: Options, intro: Sequence[str], chapters: Chapters) -> None:
+def _compute(run: Run) -> None:
+    start = time.perf_counter()
+    for line in work_through(run.book, run.cells):
+        print(f"[{time.perf_counter() - start:5.0f} s] {run.subject.name}: {line}", flush=True)
+
+
+def _write(options: Options, figures: Sequence[Figure], runs: Sequence[Run]) -> None:
     """The page, and the Markdown with its pictures."""
-    told = [
-        (scene, [(f, blocks) for f, blocks in figures if blocks]) for scene, figures in chapters
+    chapters = [
+        (run.subject.name, [(f, blocks) for f in figures if (blocks := f.told(run.results))])
+        for run in runs
     ]
-    _put(options.output / "index.html", html_page(TITLE, intro, told))
+    intro = foreword(runs)
+    _put(options.output / "index.html", html_page(TITLE, intro, chapters))
     for folder in filter(None, (options.output, options.docs)):
         shutil.rmtree(folder / "paper", ignore_errors=True)
-        _put(folder / "paper.md", markdown_page(TITLE, intro, told, folder / "paper"))
+        _put(folder / "paper.md", markdown_page(TITLE, intro, chapters, folder / "paper"))
 
 
 def _put(path: Path, text: str) -> None:

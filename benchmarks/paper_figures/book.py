@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from bench import machine
+from bench import machine, processor_seconds
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
@@ -17,7 +17,7 @@ from stylesplat.io.images import write_image
 from stylesplat.io.json_files import read_json, write_json
 
 FEW = 3  # parts whose times tell nothing yet
-VERSION = 1  # raise it when the same settings give other numbers
+VERSION = 2  # raise it when the same settings give other numbers
 
 Picture = Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
 
@@ -43,6 +43,11 @@ class Cell:
     compute: Callable[[], Outcome]
     """Does it."""
 
+    @property
+    def name(self) -> tuple[str, str]:
+        """What tells it from others."""
+        return self.figure, self.key
+
 
 @dataclass(frozen=True)
 class Result:
@@ -54,6 +59,8 @@ class Result:
     """Files by what they are called."""
     seconds: float
     """How long it took."""
+    processor_seconds: float
+    """The same, of all threads together: what other work beside it does not lengthen."""
 
 
 Results = Mapping[str, Mapping[str, Result]]
@@ -63,19 +70,26 @@ Results = Mapping[str, Mapping[str, Result]]
 class Book:
     """The folder of a scene's results."""
 
-    def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
-        """Results of other settings are refused, so that no table mixes them."""
+    def __init__(self, folder: Path, settings: Mapping[str, Any] | None = None) -> None:
+        """Results of other settings are refused, so that no table mixes them.
+
+        Args:
+            folder: Where they are, or will be.
+            settings: How they are computed; None takes those that are there.
+        """
         self.folder, written = folder, folder / "settings.json"
-        settings = {"version": VERSION, "machine": machine(), **settings}
-        if written.is_file():
-            known = {k: v for k, v in read_json(written).items() if k != "machine"}
-            if known != {k: v for k, v in settings.items() if k != "machine"}:
-                raise SystemExit(
-                    f"{folder} holds results of other settings ({known}). Choose another folder "
-                    "with -o, or delete it."
-                )
-        else:
-            write_json(settings, written)
+        if not written.is_file():
+            if settings is None:
+                raise SystemExit(f"{folder} holds no results yet. Compute some first.")
+            write_json({"version": VERSION, "machine": machine(), **settings}, written)
+        self.settings: Mapping[str, Any] = read_json(written)
+        known = {k: v for k, v in self.settings.items() if k != "machine"}
+        wanted = known if settings is None else settings
+        if known != {**wanted, "version": VERSION}:
+            raise SystemExit(
+                f"{folder} holds results of other settings ({known}). Choose another folder "
+                "with -o, or delete it."
+            )
 
     def has(self, cell: Cell) -> bool:
         """Whether a cell is computed."""
@@ -84,15 +98,18 @@ class Book:
     def keep(self, cell: Cell) -> None:
         """Compute a cell and write what it found; its numbers last, which say that it is whole."""
         torch.manual_seed(0)
-        start = time.perf_counter()
+        start, taken = time.perf_counter(), processor_seconds()
         outcome = cell.compute()
-        seconds = time.perf_counter() - start
+        spent = {
+            "seconds": time.perf_counter() - start,
+            "processor_seconds": processor_seconds() - taken,
+        }
         file, pictures = self._file(cell.figure, cell.key), {}
         for name, picture in outcome.pictures.items():
             place = file.with_name(f"{file.stem}-{_spelled(name)}.png")
             write_image(picture if picture.dtype == torch.uint8 else to_uint8(picture), place)
             pictures[name] = place.name
-        write_json({"numbers": outcome.numbers, "pictures": pictures, "seconds": seconds}, file)
+        write_json({"numbers": outcome.numbers, "pictures": pictures, **spent}, file)
 
     def results(self, cells: Sequence[Cell]) -> dict[str, dict[str, Result]]:
         """What is computed of some cells."""
@@ -101,7 +118,7 @@ class Book:
             file = self._file(cell.figure, cell.key)
             said = read_json(file)
             pictures = {name: file.with_name(place) for name, place in said["pictures"].items()}
-            result = Result(said["numbers"], pictures, said["seconds"])
+            result = Result(said["numbers"], pictures, said["seconds"], said["processor_seconds"])
             found.setdefault(cell.figure, {})[cell.key] = result
         return found
 

@@ -2,6 +2,8 @@
 
 from functools import partial
 
+from bench import processor_seconds
+
 from paper_figures.book import Cell, Outcome, Results
 from paper_figures.figure2 import leakage
 from paper_figures.painting import default_config, painted, paper_config
@@ -41,8 +43,10 @@ def _initial(subject: Subject) -> Outcome:
 def _styled(subject: Subject, style: str, way: str) -> Outcome:
     id, picture, config = subject.ids[0], subject.styles[style], WAYS[way](subject)
     picked = subject.picked(id)
+    start = processor_seconds()
     styled = painted(subject, {id: picture}, config).splats
-    numbers = leakage(subject, subject.splats, styled, id)
+    spent = processor_seconds() - start
+    numbers = {"painting": spent} | leakage(subject, subject.splats, styled, id)
     numbers["content_ssim"] = content_ssim(subject.splats, styled, subject.held_out, picked)
     job = StyleJob(subject.called(id), picked, (picture,), config)
     studio = open_studio(subject.splats, subject.held_out, subject.network)
@@ -67,7 +71,7 @@ def told(results: Results) -> list[Block]:
         shown |= {key: found[key].pictures["object"] for key in keys if key.endswith(way)}
         blocks.append(Row(shown))
     heads = ("style", "NNFM before", "after", "content SSIM", "strength (Lab)")
-    heads += ("outside PSNR", "more than 2 px outside", "seconds")
+    heads += ("outside PSNR", "more than 2 px outside", "processor seconds")
     rows = [
         [
             key,
@@ -75,7 +79,7 @@ def told(results: Results) -> list[Block]:
             digits(found[key].numbers["strength"], 1),
             f"{digits(found[key].numbers['outside_psnr'], 1)} dB",
             percent(found[key].numbers["changed_far"]),
-            f"{found[key].seconds:.0f}",
+            f"{found[key].numbers['painting']:.0f}",
         ]
         for key in keys
     ]

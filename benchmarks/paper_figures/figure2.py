@@ -34,7 +34,8 @@ from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.matching import build_index
+from stylesplat.stylization.nnfm import cosine_distance
 from stylesplat.stylization.object_views import find_boxes, typical_length
 from stylesplat.stylization.target import style_features
 from stylesplat.training.lifting import lift
@@ -153,6 +154,8 @@ class Task:
     """Whether the network sees the whole frame, black where the mask is not, and all counts."""
     style: Tensor | None = None
     """The picture; by default the first of the scene's."""
+    printed: bool = False
+    """Whether to minimise what the paper prints: each feature's least product with the style's."""
 
 
 def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
@@ -165,6 +168,8 @@ def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
     style = next(iter(subject.styles.values())) if task.style is None else task.style
     length = SCALE * typical_length(boxes)
     target = style_features(style, subject.network, (3,), length=length)[0]
+    sign = -1 if task.printed else 1
+    index = build_index(sign * target, target.dtype)  # as the package does: NNFM within 0.1 %
     sh0 = splats.sh0.clone().requires_grad_()
     optimizer = torch.optim.Adam([sh0], lr=LR, eps=task.eps)
     for row in _drawn(len(views), subject.effort.masked_steps):
@@ -179,7 +184,8 @@ def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
         inside = F.interpolate(counted, feats.shape[:2], mode="nearest")[0, 0] > 0
         if inside.any():
             optimizer.zero_grad()
-            nnfm_loss(feats[inside], target).backward()
+            own = feats[inside]
+            (sign * cosine_distance(own, target[index.nearest(own.detach())])).backward()
             assert sh0.grad is not None
             sh0.grad[~task.trainable] = 0  # Adam leaves what never had a gradient as it is
             optimizer.step()
@@ -233,7 +239,7 @@ def told(results: Results) -> list[Block]:
     for way in SHOWN:
         shown = {"initial": found["initial"].pictures["view"]} if "initial" in found else {}
         shown |= {key: found[key].pictures["view"] for key in keys if key.startswith(f"{way} at")}
-        blocks.append(Row(shown))
+        blocks += [Row(shown)] if len(shown) > 1 else []
     said = [_conclusion(found, way) for way in (MASKED, STRICT, DAMPED)] + [_adam(found)]
     return [*blocks, *(Text(line) for line in said if line)]
 

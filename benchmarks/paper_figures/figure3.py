@@ -138,8 +138,9 @@ def told(results: Results) -> list[Block]:
             steps = speed.numbers["train_steps"]
             blocks.append(
                 Text(
-                    f"The scene was trained for {steps:,} steps (the paper: 30,000), which leaves "
-                    "identities less sharp: a threshold that suits the one need not suit the other."
+                    f"The scene was trained for {steps:,} steps (the paper: 30,000). Identities "
+                    "that are learned with the colours are the less sharp the fewer: a threshold "
+                    "that suits the one need not suit the other."
                 )
             )
     return blocks

@@ -1,11 +1,16 @@
 """Objects painted as the paper does it and as we do."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
+from unittest import mock
 
+import torch
 from torch import Tensor
 
 from paper_figures.subject import Subject
+from stylesplat.stylization import repaint
 from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects
 from stylesplat.stylization.style_config import PRESETS, StyleConfig
 from stylesplat.stylization.style_job import StyleJob
@@ -13,7 +18,7 @@ from stylesplat.stylization.style_job import StyleJob
 
 def default_config(subject: Subject) -> StyleConfig:
     """Our default settings; their draft, which splits nothing, where effort is small."""
-    return PRESETS["default"] if subject.effort.trained else StyleConfig(quality="draft")
+    return StyleConfig(quality="draft") if subject.effort.draft else PRESETS["default"]
 
 
 def paper_config(subject: Subject, lr: float = 0.05) -> StyleConfig:
@@ -36,3 +41,23 @@ def painted(
         for id, style in styles.items()
     ]
     return paint_objects(studio, jobs)[0]
+
+
+@contextmanager
+def few_style_features() -> Iterator[None]:
+    """Of more features of a style than the package takes in its last stage, as many at random.
+
+    The layers [1,3] have as many as the picture has pixels: matching all would take a day.
+    """
+    every = repaint.target_features
+    generator = torch.Generator().manual_seed(0)
+
+    def some(*arguments: Any) -> list[Tensor]:
+        return [_drawn(group, generator) for group in every(*arguments)]
+
+    with mock.patch.object(repaint, "target_features", some):
+        yield
+
+
+def _drawn(group: Tensor, generator: torch.Generator) -> Tensor:
+    return group[torch.randperm(len(group), generator=generator)[: repaint.STYLE_FEATURES]]

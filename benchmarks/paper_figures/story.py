@@ -1,4 +1,4 @@
-"""What a figure says: text, tables and rows of pictures, as HTML and as Markdown."""
+"""What a figure says: text, lists, tables and pictures, as HTML and as Markdown."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,17 +6,17 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from bench import table
 from PIL import Image
 
 from paper_figures.book import Cell, Results
+from paper_figures.pictures import grid, picture, strip
 from paper_figures.subject import Subject
 from stylesplat.drawing.page_parts import figure_html, page_style, picture_url, table_html
 
-SMALL = 260  # pixels of a picture's longer side in docs
-QUALITY = 82  # of JPEG there
+QUALITY = 82  # of JPEG in docs
+OURS = "demo"  # the scene that is made here
+GIVEN = ("photo", "label map")  # what others took: of their scenes docs show renders alone
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,20 @@ class Text:
     """A paragraph."""
 
     text: str
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What follows is about."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Points:
+    """A list."""
+
+    lines: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -42,7 +56,17 @@ class Row:
     """Files by caption."""
 
 
-Block = Text | Table | Row
+@dataclass(frozen=True)
+class Grid:
+    """Square pictures of one size in rows and columns."""
+
+    caption: str
+    """What they are."""
+    rows: Mapping[str, Mapping[str, Path]]
+    """Files by label of the row and caption."""
+
+
+Block = Text | Heading | Points | Table | Row | Grid
 
 
 @dataclass(frozen=True)
@@ -65,14 +89,14 @@ Chapters = Sequence[tuple[str, Sequence[tuple[Figure, Sequence[Block]]]]]
 """By scene, its figures."""
 
 
-def html_page(title: str, intro: Sequence[str], chapters: Chapters) -> str:
+def html_page(title: str, intro: Sequence[Block], chapters: Chapters) -> str:
     """One page that needs no other file."""
     wide = "body { max-width: 1300px; } .row { flex-wrap: nowrap; overflow-x: auto; }"
     parts = [
         '<!doctype html><html lang="en"><meta charset="utf-8">',
         f"<title>{escape(title)}</title><style>{page_style()}{wide}</style>",
         f"<h1>{escape(title)}</h1>",
-        *(f"<p>{escape(line)}</p>" for line in intro),
+        *map(_html, intro),
     ]
     for scene, figures in chapters:
         for figure, blocks in figures:
@@ -86,54 +110,59 @@ def html_page(title: str, intro: Sequence[str], chapters: Chapters) -> str:
 
 
 def _html(block: Block) -> str:
-    if isinstance(block, Text):
-        return f"<p>{escape(block.text)}</p>"
-    if isinstance(block, Table):
-        return table_html(block.heads, block.rows)
-    figures = (figure_html(_url(path), name) for name, path in block.pictures.items())
+    match block:
+        case Text(text):
+            return f"<p>{escape(text)}</p>"
+        case Heading(text):
+            return f"<h2>{escape(text)}</h2>"
+        case Points(lines):
+            return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+        case Table(heads, rows):
+            return table_html(heads, rows)
+        case Grid(caption, rows):
+            figures = [figure_html(picture_url(grid(rows)), caption)]
+        case Row(pictures):
+            figures = [figure_html(picture_url(picture(p)), name) for name, p in pictures.items()]
     return f'<div class="row">{"".join(figures)}</div>'
 
 
-def _url(file: Path) -> str:
-    """A picture as a JPEG that the page holds."""
-    return picture_url(torch.from_numpy(np.array(Image.open(file).convert("RGB"))))
-
-
-def markdown_page(title: str, intro: Sequence[str], chapters: Chapters, pictures: Path) -> str:
-    """The same as Markdown, and small pictures in a folder beside it."""
+def markdown_page(title: str, intro: Sequence[Block], chapters: Chapters, pictures: Path) -> str:
+    """The same as Markdown, and small pictures in a folder beside it, none of them others' own."""
     pictures.mkdir(parents=True, exist_ok=True)
-    parts = [f"# {title}", *intro]
+    parts = [f"# {title}", *(_markdown(block, pictures, "intro") for block in intro)]
     for scene, figures in chapters:
         for figure, blocks in figures:
             parts += [f"## {figure.title} ({scene})", f"The paper: {figure.claim}"]
             for number, block in enumerate(blocks):
-                stem = f"{scene}-{figure.name}-{number}"
-                parts.append(_markdown(block, pictures, stem))
+                shown = block if scene == OURS else _rendered(block)
+                parts.append(_markdown(shown, pictures, f"{scene}-{figure.name}-{number}"))
     return "\n\n".join(parts) + "\n"
 
 
+def _rendered(block: Block) -> Block:
+    if not isinstance(block, Row):
+        return block
+    return Row({name: file for name, file in block.pictures.items() if name not in GIVEN})
+
+
 def _markdown(block: Block, pictures: Path, stem: str) -> str:
-    if isinstance(block, Text):
-        return block.text
-    if isinstance(block, Table):
-        return table(block.heads, block.rows)
+    match block:
+        case Text(text):
+            return text
+        case Heading(text):
+            return f"## {text}"
+        case Points(lines):
+            return "\n".join(f"- {line}" for line in lines)
+        case Table(heads, rows):
+            return table(heads, rows)
+        case Grid(caption, rows):
+            shown, said = Image.fromarray(grid(rows).numpy()), f"{caption}."
+        case Row(found):
+            caption = "; ".join(found)
+            shown, said = strip([*found.values()]), f"Left to right: {caption}."
     place = pictures / f"{stem}.jpg"
-    _strip([*block.pictures.values()]).save(place, quality=QUALITY, optimize=True)
-    captions = "; ".join(block.pictures)
-    return f"![{captions}]({pictures.name}/{place.name})\n\nLeft to right: {captions}."
-
-
-def _strip(files: Sequence[Path]) -> Image.Image:
-    """Pictures beside each other, each as high as the others."""
-    images = [Image.open(file).convert("RGB") for file in files]
-    height = min(SMALL * 3 // 4, *(image.height for image in images), 10**6)
-    small = [image.resize((round(image.width * height / image.height), height)) for image in images]
-    strip = Image.new("RGB", (sum(i.width + 4 for i in small) - 4, height), "white")
-    left = 0
-    for image in small:
-        strip.paste(image, (left, 0))
-        left += image.width + 4
-    return strip
+    shown.save(place, quality=QUALITY, optimize=True)
+    return f"![{caption}]({pictures.name}/{place.name})\n\n{said}"
 
 
 def digits(value: Any, places: int = 3) -> str:

@@ -44,14 +44,22 @@ class Effort:
     """All of Figure 6's grid; else a row and a column through its middle."""
     trained: bool
     """Train anew with each set of label maps; else lift these onto the Gaussians there are."""
+    draft: bool
+    """Whether our own paintings are drafts, which split nothing."""
     judged: int
     """Held-out views that are compared."""
     training_steps: int | None = None
     """Of joint training next to lifting; by default the scene's own."""
 
 
-QUICK = Effort(60, 60, 256, whole_grid=False, trained=False, judged=3, training_steps=300)
-FULL = Effort(500, 500, 480, whole_grid=True, trained=True, judged=8)
+QUICK = Effort(
+    60, 60, 384, whole_grid=False, trained=False, draft=True, judged=3, training_steps=300
+)
+MEDIUM = Effort(
+    100, 60, 384, whole_grid=False, trained=False, draft=False, judged=4, training_steps=450
+)
+FULL = Effort(500, 500, 480, whole_grid=True, trained=True, draft=False, judged=8)
+EFFORTS = {"quick": QUICK, "medium": MEDIUM, "full": FULL}
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,11 @@ class Subject:
     def splats(self) -> Splats:
         """The Gaussians."""
         return self.scene.splats
+
+    @property
+    def pattern(self) -> Tensor:
+        """The picture that repeats itself: the last."""
+        return [*self.styles.values()][-1]
 
     @cached_property
     def ids(self) -> tuple[int, ...]:

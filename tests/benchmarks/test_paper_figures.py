@@ -1,12 +1,25 @@
 """The paper's figures on three balls, whose selection and changes are known."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
+import numba
 import pytest
 import torch
-from paper_figures import figure2, figure3, figure5, figure6, official, segmenting
-from paper_figures.book import Book, work_through
+from paper_figures import (
+    figure2,
+    figure3,
+    figure5,
+    figure6,
+    figure7,
+    official,
+    painting,
+    segmenting,
+)
+from paper_figures.book import Book, Result, work_through
+from paper_figures.story import Table
 from paper_figures.subject import Effort, Subject
 
 from ball_photos import write_ball_capture
@@ -18,7 +31,7 @@ from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.load import load
 
 LARGE = CAMERAS.downscale(1 / 4)
-EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, judged=2, training_steps=12)
+EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, draft=True, judged=2, training_steps=12)
 
 
 @pytest.fixture(scope="module")
@@ -98,22 +111,63 @@ def test_together_is_the_two_alone_or_it_is_seen(subject: Subject):
 
 
 def test_what_follows_what_is_said_as_it_is():
-    settings = [(3, scale, 0.05) for scale in figure6.SCALES]
     for values, verdict in (
         ((1, 2, 3), "it grows."),
         ((3, 2, 1), "it shrinks."),
         ((1, 3, 2), "it neither grows nor shrinks throughout."),
     ):
-        pairs = zip(settings, values, strict=True)
-        numbers = {figure6._key(s): {"stroke": float(v)} for s, v in pairs}
-        line = figure6._follows(numbers, settings, "scale", "stroke", "Stroke length", "px")
-        assert line.endswith(verdict) and line.startswith("Stroke length by scale: ")
+        line = {f"scale {n}": {"stroke": float(value)} for n, value in enumerate(values)}
+        said = figure6.follows(line, "scale", "stroke")
+        assert said.endswith(verdict) and said.startswith("Stroke length by scale: ")
+
+
+def grid_numbers(group: int, scale: float, rate: float) -> dict[str, float]:
+    """A stroke of 10 times the scale and one more by group, a strength of 100 times the rate."""
+    measured = {"stroke": 10 * scale + group, "strength": 100 * rate, "content_ssim": 0.5}
+    return {"group": group, "scale": scale, "rate": rate, **measured}
+
+
+def test_an_axis_is_averaged_over_the_others_or_goes_through_their_middle():
+    every = list(product(figure6.GROUPS, figure6.SCALES, figure6.RATES))
+    grid = [grid_numbers(*setting) for setting in every]
+    whole = figure6.by_axis(grid, "scale", whole=True)
+    assert [n["stroke"] for n in whole.values()] == pytest.approx([4.5, 7, 9.5])
+    assert list(whole) == ["scale 0.25", "scale 0.5", "scale 0.75"]
+    line = figure6.by_axis(grid, "layers", whole=False)
+    assert [n["stroke"] for n in line.values()] == pytest.approx([6, 7, 8])
+    assert list(line) == ["layers [1,3]", "layers [6,8]", "layers [11,13,15]"]
+    rates = figure6.by_axis(grid, "rate", whole=True)
+    assert [n["strength"] for n in rates.values()] == pytest.approx([2.5, 5, 7.5])
 
 
 def test_the_grid_or_the_lines_through_its_middle(subject: Subject):
-    assert len(figure6.cells(subject)) == 7
+    assert len(figure6.cells(subject)) == 1 + 7
     whole = replace(subject, effort=replace(EFFORT, whole_grid=True))
-    assert len(figure6.cells(whole)) == 27
+    assert len(figure6.cells(whole)) == 1 + 27
+
+
+def test_a_grid_for_each_group_of_layers_once_all_is_there():
+    every = list(product(figure6.GROUPS, figure6.SCALES, figure6.RATES))
+    shown = {"object": Path("picture.png")}
+    found = {figure6._key(s): Result(grid_numbers(*s), shown, 1.0, 1.0) for s in every}
+    grids = figure6._grids(found)
+    assert [len(grid.rows) for grid in grids] == [3, 3, 3]
+    assert list(grids[0].rows["rate 0.025"]) == ["scale 0.25", "scale 0.5", "scale 0.75"]
+    del found[figure6._key((1, 0.25, 0.025))]
+    (lines,) = figure6._grids(found)
+    assert list(lines.rows) == ["layers", "scale", "rate"]
+    assert figure6._grids({figure6._key(every[0]): found[figure6._key(every[1])]}) == []
+    assert list(lines.rows["layers"]) == ["[1,3]", "[6,8]", "[11,13,15]"]
+
+
+def test_of_many_style_features_few_are_matched(monkeypatch: pytest.MonkeyPatch):
+    anything: Any = [None] * 4
+    every = [torch.arange(9000.0)[:, None], torch.arange(5.0)[:, None]]
+    monkeypatch.setattr(painting.repaint, "target_features", lambda *_: every)
+    with painting.few_style_features():
+        many, few = painting.repaint.target_features(*anything)
+    assert len(many.unique()) == painting.repaint.STYLE_FEATURES < 9000 and len(few) == 5
+    assert painting.repaint.target_features(*anything) is every
 
 
 def test_each_way_to_identities_gets_the_time_of_joint_training(
@@ -130,6 +184,25 @@ def test_each_way_to_identities_gets_the_time_of_joint_training(
 
 def _by_the_clock(_subject: Subject, way: segmenting.Way, config: TrainConfig):
     return SPLATS, config.steps * (1.0 if way.lifted else 3.0), 6.0 * way.lifted
+
+
+def test_one_thread_for_a_while():
+    before = numba.get_num_threads(), torch.get_num_threads()
+    with figure7.one_thread():
+        assert (numba.get_num_threads(), torch.get_num_threads()) == (1, 1)
+    assert (numba.get_num_threads(), torch.get_num_threads()) == before
+
+
+def test_speed_and_times_are_told_beside_the_papers(subject: Subject):
+    trained = replace(subject.scene, metrics={"psnr": 30.0, "ssim": 0.9, "steps": 12})
+    speed = figure7._speed(replace(subject, scene=trained)).numbers
+    width, height = LARGE.size
+    assert f"{width}x{height}" in speed["fps"] and min(speed["fps"].values()) > 0
+    painted = {"a, paper": Result({"painting": 7.2}, {}, 1.0, 1.0)}
+    found = {"figure7": {"speed": Result(speed, {}, 1.0, 1.0)}, "figure1": painted}
+    table, *_ = figure7.told(found)
+    assert isinstance(table, Table)
+    assert ["painting, a, paper", "7 s of one core", "less than a minute"] in list(table.rows)
 
 
 def test_joint_and_lifted_are_measured_and_compared(subject: Subject, tmp_path: Path):
@@ -169,3 +242,13 @@ def test_where_black_counts_too_the_object_takes_on_less(subject: Subject, tmp_p
     plain, black = (found[cell.key].numbers for cell in cells)
     assert plain["mask_iou"] == black["mask_iou"] and plain["strength"] != black["strength"]
     assert len(official.told({"official": found})) == 2
+
+
+def test_the_formula_as_it_is_printed_leads_away_from_the_style(subject: Subject):
+    effort = replace(EFFORT, masked_steps=12)
+    again = replace(subject, effort=effort)
+    numbers = {
+        key: official._styled(again, faults).numbers["nnfm"]
+        for key, faults in (("none", ()), ("printed", (official.PRINTED,)))
+    }
+    assert numbers["printed"] > numbers["none"]

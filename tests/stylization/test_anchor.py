@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from stylesplat.scene.projection import crop
 from stylesplat.stylization.anchor import SIDE, Anchor
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
@@ -36,4 +37,14 @@ def test_what_was_there_is_remembered_by_view(view: ObjectView):
     anchor.distance(view, image)
     moved = replace(view, camera=replace(view.camera, Ks=view.camera.Ks * 1.01))
     anchor.distance(moved, image)
+    assert len(anchor.known) == 2
+
+
+def test_parts_from_one_corner_on_are_told_apart(view: ObjectView):
+    """As windows at a photo's border are, of which one may be smaller."""
+    anchor, (width, height) = Anchor(SPLATS), view.camera.size
+    anchor.distance(view, view.render(SPLATS))
+    camera = crop(view.camera, (0, 0), (width - 2 * SIDE, height))
+    smaller = replace(view, camera=camera, pixels=view.pixels[:, : -2 * SIDE], linear=None)
+    assert anchor.distance(smaller, smaller.render(SPLATS)) == 0
     assert len(anchor.known) == 2

@@ -1,7 +1,9 @@
 """What can be measured of a scene: with photos or without, styled or not, held out or not."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +15,7 @@ from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import Scene
-from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.evaluate import SCHEMA, evaluate
 from stylesplat.verbs.load import load
 
 pytestmark = pytest.mark.usefixtures("small_measurements")
@@ -42,9 +44,14 @@ def without_held_out(scene: Scene) -> Scene:
     return replace(scene, held_out=())
 
 
+def as_said(styled: Scene, found: Mapping[str, Any]) -> dict[str, Any]:
+    """What `stylize` said of the same."""
+    return {"schema": SCHEMA} | {n: styled.metrics[n] for n in found if n != "schema"}
+
+
 def test_a_trained_scene(capture: Capture):
     found = evaluate(TRAINED, capture, device="cpu")
-    assert found.keys() == PHOTOS and found["psnr"] > 20
+    assert found.keys() == PHOTOS | {"schema"} and found["psnr"] > 20
 
 
 def test_a_trained_scene_without_photos_or_held_out_views(capture: Capture):
@@ -57,16 +64,17 @@ def test_a_trained_scene_without_photos_or_held_out_views(capture: Capture):
 def test_a_styled_scene(styled: Scene, capture: Capture):
     alone = evaluate(styled, device="cpu")
     assert alone.keys() >= CHANGES | STYLE | {"content_ssim"} and not alone.keys() & PHOTOS
-    measured = {name: styled.metrics[name] for name in alone}
-    assert alone == measured, "it is what `stylize` said"
+    assert alone == as_said(styled, alone)
     both = evaluate(styled, capture, device="cpu")
     assert both.keys() == alone.keys() | PHOTOS
+    manual = (Path(__file__).parents[2] / "docs" / "manual.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in manual for name in both), "its schema is in the manual"
 
 
 def test_a_styled_scene_without_held_out_views(picture: Path, capture: Capture):
     styled = painted(without_held_out(TRAINED), "red", picture)
     alone = evaluate(styled, device="cpu")
-    assert alone == {name: styled.metrics[name] for name in alone}
+    assert alone == as_said(styled, alone)
     assert alone.keys() >= CHANGES | STYLE | {"content_ssim"}
     assert evaluate(styled, capture, device="cpu") == alone
 
@@ -92,12 +100,12 @@ def test_the_size_to_compare_at_is_the_captures(capture: Capture):
     assert capture.path is not None
     small = load(capture.path, downscale=2.0)
     found = evaluate(replace(TRAINED, downscale=2.0), small, device="cpu")
-    assert found.keys() == PHOTOS and found["psnr"] > 15
+    assert found.keys() == PHOTOS | {"schema"} and found["psnr"] > 15
 
 
 def test_an_import_that_was_in_memory_is_compared_with_some_photos(capture: Capture):
     imported = replace(without_held_out(TRAINED), info={"splat": None})
-    assert evaluate(imported, capture, device="cpu").keys() == PHOTOS
+    assert evaluate(imported, capture, device="cpu").keys() == PHOTOS | {"schema"}
 
 
 def test_a_scene_from_disk_is_measured_as_in_memory(styled: Scene, tmp_path: Path):

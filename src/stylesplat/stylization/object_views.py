@@ -63,8 +63,10 @@ class ObjectView:
 
     @property
     def key(self) -> ViewKey:
-        """What tells it from others, which may see parts of the same photo."""
-        return (*self.camera.viewmats.flatten().tolist(), *self.camera.Ks.flatten().tolist())
+        """What tells it from others, which may see parts of the same photo from one corner on."""
+        camera = self.camera
+        numbers = camera.viewmats, camera.Ks, camera.sizes
+        return tuple(float(number) for each in numbers for number in each.flatten().tolist())
 
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """The view of splats that differ from the scene at most in the object's colours."""

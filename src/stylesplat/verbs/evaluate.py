@@ -32,6 +32,8 @@ from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 from stylesplat.verbs.stylize import flat_metrics, load_network
 
+SCHEMA = "stylesplat-evaluation-1"  # of what is measured; `compare` has it for each scene
+
 
 def evaluate(
     scene: Scene, capture: Capture | None = None, *, device: str = "auto"
@@ -45,25 +47,23 @@ def evaluate(
         device: Where to render.
 
     Returns:
-        With photos what `evaluate_views` measures in the held-out views, and of a styled scene
-        what `stylize` did, as far as its styles and networks are at hand.
+        `schema`; with photos what `evaluate_views` measures in the held-out views, and of a styled
+        scene what `stylize` did, as far as its styles and networks are at hand.
 
     Raises:
         StyleSplatError: If there is nothing to measure, or the photos are of another scene.
     """
     splats = scene.splats.to(pick_device(device))
-    metrics = {}
-    if capture is not None:
-        metrics = _photo_metrics(scene, splats, capture)
+    metrics = {} if capture is None else _photo_metrics(scene, splats, capture)
     if scene.painted is not None:
-        return metrics | _styled_metrics(scene, splats)
+        return {"schema": SCHEMA} | metrics | _styled_metrics(scene, splats)
     if capture is None:
         raise StyleSplatError("Nothing to compare the scene with. Give the capture of its photos.")
     if not metrics:
         raise StyleSplatError(
             "There are no held-out views to evaluate. Train with `--test-every 8`."
         )
-    return metrics
+    return {"schema": SCHEMA} | metrics
 
 
 def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, Any]:
