@@ -8,6 +8,7 @@ ends all.
 
 import os
 import sys
+from typing import Any
 
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 
@@ -15,7 +16,7 @@ os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 def main() -> None:
     from ray.cluster_utils import Cluster  # pyright: ignore[reportMissingImports]
 
-    store = {"object_store_memory": 80 * 2**20, "num_cpus": 1, "memory": 8 * 10**9}
+    store: dict[str, Any] = {"object_store_memory": 80 * 2**20, "num_cpus": 1, "memory": 8 * 10**9}
     cluster = Cluster(initialize_head=True, head_node_args={**store, "include_dashboard": False})
     second = cluster.add_node(**store)
     cluster.wait_for_nodes()
