@@ -42,9 +42,9 @@ class Seen(NamedTuple):
         width, height = camera.size
         inside = torch.zeros(height, width, dtype=torch.bool)
         if len(self.rows):
-            places, radii = self.projected.means2d, self.projected.radii
-            left, top = (places - radii).amin(dim=0).floor().clamp(min=0).tolist()
-            right, bottom = (places + radii).amax(dim=0).ceil().tolist()
+            low, high = bounds(self.projected)
+            left, top = low.amin(dim=0).clamp(min=0).tolist()
+            right, bottom = high.amax(dim=0).tolist()
             inside[int(top) : int(bottom), int(left) : int(right)] = True
         return inside
 
@@ -60,23 +60,24 @@ def seen(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = N
     """
     camera = beside(splats, camera)
     starts = range(0, max(1, len(splats)), PART)
-    parts = [_seen_part(splats, camera, start, pixels) for start in starts]
+    marked = None if pixels is None else _marked(pixels)
+    parts = [_seen_part(splats, camera, start, marked) for start in starts]
     rows, opacities, *projected = ([*each] for each in zip(*parts, strict=True))
     del parts  # what is joined is let go
     return Seen(_joined(rows), Projected(*map(_joined, projected)), _joined(opacities))
 
 
 def _seen_part(
-    splats: Splats, camera: Cameras, start: int, pixels: Bool[Tensor, "H W"] | None
+    splats: Splats, camera: Cameras, start: int, marked: "_Marked | None"
 ) -> tuple[Tensor, ...]:
     from stylesplat.rendering import cpu
 
     gaussians = activated(splats, slice(start, start + PART))
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
     rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
-    if pixels is not None:
-        places, radii = projected.means2d[rows], projected.radii[rows]
-        rows = rows[touching((places - radii).floor(), (places + radii).ceil(), pixels)]
+    if marked is not None:
+        low, high = (corner.index_select(0, rows) for corner in bounds(projected))
+        rows = rows[_touching(low, high, marked)]
     found = (gaussians.opacities, *projected)
     return start + rows, *(each.index_select(0, rows) for each in found)
 
@@ -91,16 +92,36 @@ def touching(
     low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
 ) -> Bool[Tensor, " N"]:
     """Which boxes of pixels, from and to, hold some that count."""
-    touched = torch.zeros(len(low), dtype=torch.bool)
+    return _touching(low, high, _marked(pixels))
+
+
+class _Marked(NamedTuple):
+    """Pixels that count, for looking up many boxes."""
+
+    sums: Int[Tensor, "_ _"]
+    """How many lie left of and above each corner of a pixel: [H + 1, W + 1]."""
+    first: Int[Tensor, " 2"]
+    """The rectangle that holds them, from; beyond the image if there are none."""
+    last: Int[Tensor, " 2"]
+    """And to."""
+
+
+def _marked(pixels: Bool[Tensor, "H W"]) -> _Marked:
+    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))
     places = pixels.nonzero().flip(1)  # x, y
-    if not len(places):
-        return touched
-    first, last = (corner.to(low) for corner in torch.aminmax(places, dim=0))
-    rows = overlapping(low, high, first, last + 1)  # few are near a small object
-    size = low.new_tensor([*pixels.shape[::-1]])
+    size = places.new_tensor([*pixels.shape[::-1]])
+    first, last = torch.aminmax(places, dim=0) if len(places) else (size + 1, size)
+    return _Marked(sums, first, last + 1)
+
+
+def _touching(low: Tensor, high: Tensor, marked: _Marked) -> Bool[Tensor, " N"]:
+    touched = torch.zeros(len(low), dtype=torch.bool)
+    first, last = marked.first.to(low), marked.last.to(low)
+    rows = overlapping(low, high, first, last)  # few are near a small object
+    sums = marked.sums
+    size = low.new_tensor([side - 1 for side in reversed(sums.shape)])
     corners = (corner[rows].clamp(min=0).minimum(size).long() for corner in (low, high))
     (left, top), (right, bottom) = (corner.unbind(1) for corner in corners)
-    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # [H + 1, W + 1]
     counts = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
     return touched.index_fill(0, rows[counts > 0], True)
 
@@ -139,6 +160,11 @@ def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], I
     views = views_of(beside(splats, camera))
     projected = cpu.project_gaussians(activated(splats), views[0])
     shown = (projected.radii > 0).all(dim=1, keepdim=True)
-    low = (projected.means2d - projected.radii).floor() * shown
-    high = (projected.means2d + projected.radii).ceil() * shown
+    low, high = (corner * shown for corner in bounds(projected))
     return low.long(), high.long()
+
+
+def bounds(projected: Projected) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
+    """The whole pixels that what is drawn may reach, from and to."""
+    places, radii = projected.means2d, projected.radii
+    return (places - radii).floor(), (places + radii).ceil()

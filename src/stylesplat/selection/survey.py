@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.seen import LARGE, drawn, pixel_bounds
+from stylesplat.rendering.seen import LARGE, bounds, pixel_bounds, seen, unhidden
 from stylesplat.rendering.shares import without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.overlap import overlapping
@@ -20,7 +20,7 @@ NEARBY = 0.25  # of an object's extent along each axis: what it stands on lies w
 
 
 @dataclass(frozen=True)
-class Seen:
+class Shown:
     """What shows in one view."""
 
     camera: Cameras
@@ -39,7 +39,7 @@ class Survey:
 
     splats: Splats
     """The scene."""
-    views: Sequence[Seen]
+    views: Sequence[Shown]
     """Each view alone."""
 
     def around(self, picked: Bool[Tensor, " N"]) -> Int[Tensor, " M"]:
@@ -75,10 +75,10 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
         return None
     bare = without_looks(splats)
 
-    def look(camera: Cameras) -> Seen:
-        rows = drawn(bare, camera)
-        low, high = pixel_bounds(bare[rows], camera)
-        return Seen(camera, rows.int(), low.int(), high.int())
+    def look(camera: Cameras) -> Shown:
+        near = unhidden(seen(bare, camera), camera)
+        low, high = bounds(near.projected)
+        return Shown(camera, near.rows.int(), low.int(), high.int())
 
     found = at_once(look, cameras)
     return Survey(splats, [*track(found, "looking at all objects", total=len(cameras))])
