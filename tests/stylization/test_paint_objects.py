@@ -270,6 +270,21 @@ def test_unseen_objects(job: StyleJob, network: FeatureNetwork):
         painted([with_settings(job, object_size=4, scale=50.0)], network)
 
 
+def test_all_are_looked_at_before_one_is_painted(
+    job: StyleJob, network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch
+):
+    def no_step(*_: object) -> None:
+        raise AssertionError("an object was painted")
+
+    monkeypatch.setattr("stylesplat.stylization.repaint.optimize_colors", no_step)
+    small = with_settings(replace(job, name="small", picked=ball(1)), object_size=4, scale=50.0)
+    with pytest.raises(StyleSplatError, match="small: it is hardly visible"):
+        painted([job, small], network)
+    tiny = replace(job, name="tiny", picked=ball(1), styles=(torch.rand(8, 90, 3),))
+    with pytest.raises(StyleSplatError, match="Cannot take the style from this picture"):
+        painted([job, tiny], network)
+
+
 def test_too_few_gaussians(job: StyleJob, network: FeatureNetwork):
     few = replace(job, picked=job.picked & (torch.arange(len(SCENE)) < TABLE + 49))
     with pytest.raises(StyleSplatError, match="ball: it has 49 Gaussians"):

@@ -7,10 +7,11 @@ has nothing else.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
-from torch.nn.functional import max_pool2d
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
@@ -97,14 +98,13 @@ def _around(
     """What would show around the picked Gaussians without them in each view that shows them."""
     bare, own = without_looks(splats), picked.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(picked, -torch.inf))
-    alone = bare[own]
+    alone, around = bare[own], np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
 
     def look(view: Cameras) -> Tensor | None:
-        near, side = reached(alone, view)[None].float(), 2 * MARGIN + 1
-        near = max_pool2d(near, (side, 1), stride=1, padding=(MARGIN, 0))
-        near = max_pool2d(near, (1, side), stride=1, padding=(0, MARGIN))[0] > 0
+        near = reached(alone, view)
         if not near.any():
             return None
+        near = torch.from_numpy(cv2.dilate(near.numpy().astype(np.uint8), around)).bool()
         rows = drawn(others, view, near)
         there = torch.cat([own, rows])
         shares = coverage(bare[there], view, torch.arange(len(there)) < len(own))

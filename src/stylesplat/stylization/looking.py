@@ -46,20 +46,9 @@ def object_views(
     Raises:
         StyleSplatError: If it is hardly visible in any.
     """
-    cells = [studio.network.cells(block) for block in job.config.layers]
-    views = cut_views(
-        studio.splats,
-        boxes,
-        job.picked,
-        cells,
-        zoom=zoom,
-        max_memory=max_memory,
-    )
+    views = _cut(studio, job, boxes, zoom, max_memory)
     if not views:
-        raise StyleSplatError(
-            f"Cannot stylise {job.name}: it is hardly visible in the {len(boxes)} views that show "
-            f"it. Pick a larger object, or show closer views of it."
-        )
+        raise _hardly_visible(job, boxes)
     return views
 
 
@@ -69,13 +58,43 @@ def stage_views(
     """The object or parts of it, in each of the stage's sizes; few steps need few of them."""
     views = []
     for length in stage.lengths:
-        zoom = length / typical_length(boxes)
-        visits = VISITS if stage.window is None else VISITS_OF_PARTS
-        count = math.ceil(stage.steps / len(stage.lengths) / visits)
-        if stage.window is None:
-            shown = evenly(boxes, count)
-        else:
-            shown = windows(boxes, stage.window / zoom, count, generator)
+        shown, zoom = _shown(boxes, stage, length, generator)
         room = studio.max_memory / len(stage.lengths)
         views += object_views(studio, job, shown, zoom, max_memory=room)
     return views
+
+
+def check_visible(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], stage: Stage, generator: torch.Generator
+) -> None:
+    """Raise the StyleSplatError of `stage_views`, if it has one, after few views if it has none."""
+    shown, zoom = _shown(boxes, stage, stage.lengths[0], generator)
+    if not any(_cut(studio, job, [box], zoom) for box in shown):
+        raise _hardly_visible(job, shown)
+
+
+def _shown(
+    boxes: Sequence[Box], stage: Stage, length: float, generator: torch.Generator
+) -> tuple[list[Box], float]:
+    """What a stage looks at in one of its sizes, and how many times as large as in the cameras."""
+    zoom = length / typical_length(boxes)
+    visits = VISITS if stage.window is None else VISITS_OF_PARTS
+    count = math.ceil(stage.steps / len(stage.lengths) / visits)
+    if stage.window is None:
+        return evenly(boxes, count), zoom
+    return windows(boxes, stage.window / zoom, count, generator), zoom
+
+
+def _cut(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], zoom: float, max_memory: float = 0.0
+) -> list[ObjectView]:
+    cells = [studio.network.cells(block) for block in job.config.layers]
+    splats = studio.splats
+    return cut_views(splats, boxes, job.picked, cells, zoom=zoom, max_memory=max_memory)
+
+
+def _hardly_visible(job: StyleJob, boxes: Sequence[Box]) -> StyleSplatError:
+    return StyleSplatError(
+        f"Cannot stylise {job.name}: it is hardly visible in the {len(boxes)} views that show "
+        f"it. Pick a larger object, or show closer views of it."
+    )

@@ -22,7 +22,7 @@ from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.repaint import Repainted, repaint
+from stylesplat.stylization.repaint import Repainted, check_paintable, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
 from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
@@ -107,27 +107,36 @@ def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dic
             not seen, or a style image is too small.
     """
     check_jobs(jobs)
+    jobs = [moved(job, studio.splats) for job in jobs]
     pieces, seconds, cuts = [], {}, {}
+    for job in jobs:  # all are looked at before time goes into painting one
+        began = time.perf_counter()
+        cuts[job.name] = cut_scene(studio, job.picked)
+        if len(jobs) > 1:
+            check_paintable(*_within(cuts[job.name], studio, job))
+        seconds[job.name] = time.perf_counter() - began
     for job in jobs:
         began = time.perf_counter()
-        piece, cut = _painted_alone(studio, moved(job, studio.splats))
-        pieces.append(piece)
-        if cut is not None:
-            cuts[job.name] = cut
-        seconds[job.name] = time.perf_counter() - began
+        pieces.append(_painted_alone(studio, job, cuts[job.name]))
+        seconds[job.name] += time.perf_counter() - began
+    cuts = {name: cut for name, cut in cuts.items() if cut is not None}
     return replace(assembled(studio.splats, pieces), cuts=cuts), seconds
 
 
-def _painted_alone(studio: Studio, job: StyleJob) -> tuple[Piece, CutScene | None]:
-    """What becomes of an object, and what of a large scene it was painted in."""
-    cut = cut_scene(studio, job.picked)
+def _within(cut: CutScene | None, studio: Studio, job: StyleJob) -> tuple[Studio, StyleJob]:
+    """What an object is painted in: the scene, or the part of a large one."""
+    return (studio, job) if cut is None else (cut.studio(studio), cut.job(job))
+
+
+def _painted_alone(studio: Studio, job: StyleJob, cut: CutScene | None) -> Piece:
+    """What becomes of an object."""
+    alone = _repaint_whole(*_within(cut, studio, job))
     if cut is None:
-        return piece_of(_repaint_whole(studio, job), job.picked), None
-    alone = _repaint_whole(cut.studio(studio), cut.job(job))
+        return piece_of(alone, job.picked)
     piece = piece_of(alone, job.picked[cut.rows], cut.rows)
     del alone
     tidy_heap()  # copies of the whole scene follow
-    return piece, cut
+    return piece
 
 
 def open_studio(

@@ -13,7 +13,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.color import color_map, mixed_colors, object_colors, transfer_colors
 from stylesplat.stylization.levelled import levelled
-from stylesplat.stylization.looking import object_views, see_object, stage_views
+from stylesplat.stylization.looking import check_visible, object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import NearPalette, near_palette, settle
 from stylesplat.stylization.object_views import Box, ObjectView, typical_length
@@ -77,11 +77,9 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
         StyleSplatError: If the object is not seen, nothing is its own, or a style image is too
             small.
     """
-    ground, config = own_ground(studio, job), job.config
-    boxes = see_object(studio, ground.job, studio.cameras)
-    boxes = evenly(boxes, math.ceil(config.view_share * len(boxes)))
-    photo_length = typical_length(boxes)
-    stages, finest = _stages(studio, job, photo_length), config.finest(photo_length)
+    config = job.config
+    ground, boxes, stages = _looked_at(studio, job)
+    finest = config.finest(typical_length(boxes))
     finer_at = min(FINER_AT, len(stages) - 1)
     if finer_at == 0:
         ground = finer_ground(ground, boxes, finest)
@@ -112,6 +110,21 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
                 current, shown = _ended(ground, aim, current, last=done == config.all_steps)
             base, parents = ground.unpainted, ground.parents
             yield Repainted(done, config.all_steps, step.nnfm, shown, base, parents)
+
+
+def check_paintable(studio: Studio, job: StyleJob) -> None:
+    """Raise the StyleSplatError that `repaint` would before its first step, and sooner."""
+    ground, boxes, stages = _looked_at(studio, job)
+    generator = torch.Generator().manual_seed(job.config.seed)
+    check_visible(ground.studio, ground.job, boxes, stages[0], generator)
+
+
+def _looked_at(studio: Studio, job: StyleJob) -> tuple[Ground, list[Box], list[Stage]]:
+    """What an object is painted on at first, where it shows in the views used, and the stages."""
+    ground = own_ground(studio, job)
+    boxes = see_object(studio, ground.job, studio.cameras)
+    boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
+    return ground, boxes, _stages(studio, job, typical_length(boxes))
 
 
 def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats, Splats]:
