@@ -97,7 +97,7 @@ def test_every_setting_but_those_of_memory_counts(place: Checkpoint):
         if not isinstance(value, str)
     }
     other["color_correction"] = "on"
-    other["object_pixels"] = other["max_seconds"] = 1.0
+    other["object_pixels"] = other["max_seconds"] = other["max_memory"] = 1.0
     other["sh_degree"] = 2  # there is none above 3
     for name, value in other.items():
         config = replace(place.config, **{name: value})

@@ -13,7 +13,7 @@ from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.scene.capture import Capture
 from stylesplat.training import adam, cpu_parts, gradients, growth, losses
 from stylesplat.training.loop import fit
-from stylesplat.training.parts import MAX_COPIES, AdamStep, Geometry, Parts, parts_for
+from stylesplat.training.parts import MAX_COPIES, AdamSteps, Geometry, Parts, Turn, parts_for
 from stylesplat.training.train_config import TrainConfig
 
 
@@ -32,15 +32,21 @@ def draw(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
-def adam_update(step: int = 3) -> AdamStep:
-    return AdamStep(
+def turn(step: int, seed: int) -> Turn:
+    return Turn(
+        grad=draw(50, 2, 3, seed=seed),
+        rows=draw(50, seed=seed + 1) > 0,
+        rate=0.05 / step,
+        corrections=(1 - adam.BETA1**step, 1 - adam.BETA2**step),
+    )
+
+
+def adam_updates(step: int = 3, count: int = 1) -> AdamSteps:
+    return AdamSteps(
         param=draw(50, 2, 3),
-        grad=draw(50, 2, 3, seed=1),
         first=draw(50, 2, 3, seed=2),
         second=draw(50, 2, 3, seed=3) ** 2,
-        rows=draw(50, seed=4) > 0,
-        rate=0.05,
-        corrections=(1 - adam.BETA1**step, 1 - adam.BETA2**step),
+        turns=[turn(step + number, 10 * number + 4) for number in range(count)],
         kept=(adam.BETA1, adam.BETA2),
     )
 
@@ -66,29 +72,39 @@ def test_both_have_every_part(cuda: ModuleType, name: str):
 
 @pytest.mark.parametrize("step", [1, 3, 1000])
 def test_adam_agrees(cuda: ModuleType, step: int):
-    one, other = adam_update(step), copy.deepcopy(adam_update(step))
+    one, other = adam_updates(step, 2), copy.deepcopy(adam_updates(step, 2))
     cpu_parts.adam(one)
     cuda.adam(other)
-    for here, there in zip(one[:4], other[:4], strict=True):
+    for here, there in zip(one[:3], other[:3], strict=True):
         # Rounding: the rates are at most 0.05 and a step is at most some times its rate.
         torch.testing.assert_close(here, there, atol=2e-6, rtol=1e-5)
 
 
 def test_adam_leaves_other_rows_bit_equal(parts: Parts):
-    before, step = adam_update(), adam_update()
-    parts.adam(step)
+    before, steps = adam_updates(), adam_updates()
+    parts.adam(steps)
+    rows = steps.turns[0].rows
     for name in ("param", "first", "second"):
-        old, new = getattr(before, name), getattr(step, name)
-        assert torch.equal(old[~step.rows], new[~step.rows])
-        assert not torch.isclose(old[step.rows], new[step.rows]).all()
+        old, new = getattr(before, name), getattr(steps, name)
+        assert torch.equal(old[~rows], new[~rows])
+        assert not torch.isclose(old[rows], new[rows]).all()
+
+
+def test_adam_s_turns_are_steps_one_after_the_other(parts: Parts):
+    together, alone = adam_updates(count=3), adam_updates(count=3)
+    parts.adam(together)
+    for each in alone.turns:
+        parts.adam(alone._replace(turns=[each]))
+    for one, other in zip(together[:3], alone[:3], strict=True):
+        torch.testing.assert_close(one, other, atol=1e-6, rtol=1e-5)
 
 
 def test_adam_takes_gradients_that_are_not_contiguous(parts: Parts):
-    plain = adam_update()
-    turned = adam_update()._replace(grad=plain.grad.transpose(1, 2).contiguous().transpose(1, 2))
-    assert not turned.grad.is_contiguous()
+    plain, turned = adam_updates(), adam_updates()
+    grad = plain.turns[0].grad.transpose(1, 2).contiguous().transpose(1, 2)
+    assert not grad.is_contiguous()
     parts.adam(plain)
-    parts.adam(turned)
+    parts.adam(turned._replace(turns=[turned.turns[0]._replace(grad=grad)]))
     assert torch.equal(plain.param, turned.param)
 
 

@@ -76,7 +76,8 @@ class Train:
     device: Device = "auto"
     """Where to compute; auto takes an NVIDIA GPU where there is one."""
     max_memory: float | None = None
-    """GiB for photos and label maps, 1 by default; what does not fit is read again."""
+    """GiB for photos and label maps, by default 0.25, for a GPU 1; what does not fit is read
+    again."""
     overwrite: Overwrite = False
     restart: FlagCreatePairsOff[bool] = False
     """Forget an interrupted run."""

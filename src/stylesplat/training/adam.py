@@ -4,13 +4,15 @@ Rows whose Gaussian is in no view of a step keep their value and moments, as in 
 `SelectiveAdam`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from stylesplat.training.parts import AdamStep, parts_for
+from stylesplat.training.parts import AdamSteps, Turn, parts_for
 
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # the 3D Gaussian splatting code's
@@ -47,43 +49,73 @@ class Moments:
         return Moments(taken(self.first), taken(self.second))
 
 
-@torch.no_grad()
+class Update(NamedTuple):
+    """One step of Adam over named tensors."""
+
+    params: dict[str, Tensor]
+    """Tensors that share their memory with those that are stepped, gradients in `.grad`."""
+    rates: dict[str, float]
+    """Learning rate of each."""
+    step: int
+    """Number of the last photo of this step, from 1."""
+    seen: Bool[Tensor, " N"] | None = None
+    """Rows to update of the tensors with this many rows; None updates all."""
+
+    def turn(self, name: str, photos: int) -> Turn | None:
+        """The step of one tensor, if it has a gradient; see `adam_steps`."""
+        param, seen = self.params[name], self.seen
+        if param.grad is None:
+            return None
+        some = seen if seen is not None and len(seen) == len(param) else None
+        return Turn(
+            grad=param.grad,
+            rows=param.new_ones(len(param), dtype=torch.bool) if some is None else some,
+            rate=self.rates[name] * photos**0.5,
+            corrections=(1 - BETA1**self.step, 1 - BETA2**self.step),
+        )
+
+
 def adam_step(
     params: dict[str, Tensor],
     moments: Moments,
     rates: dict[str, float],
     step: int,
     seen: Bool[Tensor, " N"] | None = None,
-    *,
-    photos: int = 1,
 ) -> None:
     """Update the tensors that have a gradient in place.
+
+    Args:
+        params: Tensors, with their gradients in `.grad`.
+        moments: Their state, updated in place.
+        rates: Learning rate of each.
+        step: Number of this step, from 1.
+        seen: Rows to update of the tensors with this many rows; None updates all.
+    """
+    adam_steps(moments, [Update(params, rates, step, seen)])
+
+
+@torch.no_grad()
+def adam_steps(moments: Moments, updates: Sequence[Update], *, photos: int = 1) -> None:
+    """Several steps, one after the other, in one pass through memory.
 
     A step for several photos at once, by the mean of their gradients, takes the rate times the
     square root of their number, and moments that fade as in as many steps (Zhao et al. 2024, "On
     Scaling Up 3D Gaussian Splatting Training").
 
     Args:
-        params: Tensors, with their gradients in `.grad`.
-        moments: Their state, updated in place.
-        rates: Learning rate of each.
-        step: Number of the last photo of this step, from 1.
-        seen: Rows to update of the tensors with this many rows; None updates all.
-        photos: How many the gradients are the mean of.
+        moments: State of the tensors, updated in place.
+        updates: What to step by.
+        photos: How many the gradients of each are the mean of.
     """
-    corrections, kept = (1 - BETA1**step, 1 - BETA2**step), (BETA1**photos, BETA2**photos)
-    for name, param in params.items():
-        if param.grad is None:
-            continue
-        some = seen if seen is not None and len(seen) == len(param) else None
-        update = AdamStep(
-            param=param.detach(),
-            grad=param.grad,
-            first=moments.first[name],
-            second=moments.second[name],
-            rows=param.new_ones(len(param), dtype=torch.bool) if some is None else some,
-            rate=rates[name] * photos**0.5,
-            corrections=corrections,
-            kept=kept,
-        )
-        parts_for(param.device).adam(update)
+    for name, param in updates[0].params.items():
+        turns = [update.turn(name, photos) for update in updates]
+        turns = [turn for turn in turns if turn is not None]
+        if turns:
+            steps = AdamSteps(
+                param=param.detach(),
+                first=moments.first[name],
+                second=moments.second[name],
+                turns=turns,
+                kept=(BETA1**photos, BETA2**photos),
+            )
+            parts_for(param.device).adam(steps)

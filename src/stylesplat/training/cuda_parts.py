@@ -15,31 +15,32 @@ from torch import Tensor
 
 from stylesplat.training.adam import EPS
 from stylesplat.training.losses import photometric_spec as photometric_loss
-from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, NOISE_SHARPNESS, AdamStep, Geometry
+from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, NOISE_SHARPNESS, AdamSteps, Geometry
 
 __all__ = ["adam", "drift", "nearest", "photometric_loss", "relocated"]
 
 DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
 
-def adam(step: AdamStep) -> None:
-    """Adam for some rows, by the kernel of gsplat's `SelectiveAdam`.
+def adam(steps: AdamSteps) -> None:
+    """Adam, by the kernel of gsplat's `SelectiveAdam`.
 
     That divides by sqrt(second) + eps without the corrections, so rate and eps take them on:
     rate / c1 * first / (sqrt(second / c2) + eps) is the same.
     """
-    root = step.corrections[1] ** 0.5
-    fused_adam(
-        step.param,
-        step.grad.contiguous(),
-        step.first,
-        step.second,
-        valid=step.rows,
-        lr=step.rate * root / step.corrections[0],
-        b1=step.kept[0],
-        b2=step.kept[1],
-        eps=EPS * root,
-    )
+    for turn in steps.turns:
+        root = turn.corrections[1] ** 0.5
+        fused_adam(
+            steps.param,
+            turn.grad.contiguous(),
+            steps.first,
+            steps.second,
+            valid=turn.rows,
+            lr=turn.rate * root / turn.corrections[0],
+            b1=steps.kept[0],
+            b2=steps.kept[1],
+            eps=EPS * root,
+        )
 
 
 def drift(geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:

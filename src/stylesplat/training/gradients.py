@@ -16,6 +16,7 @@ from stylesplat.training.parts import parts_for
 from stylesplat.training.pose_shifts import moved
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
+from stylesplat.training.taken_apart import taken_apart
 from stylesplat.training.training_views import View
 
 NEIGHBOR_EVERY = 5  # identity steps between looks at the neighbours in 3D (Gaussian Grouping)
@@ -61,7 +62,11 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
         background=background if changes is None else None,
         sh_degree=schedule.sh_degree(progress, config),
     )
-    image, rendered = render[0].split([3, render.shape[-1] - 3], dim=-1)
+    image, identities = render.squeeze(0), None
+    if classes is not None:
+        y, x = run.offset(state.step)
+        image, identities = taken_apart(image, (y, x), config.identity_stride)
+        classes = classes[y :: config.identity_stride, x :: config.identity_stride]
     if changes is not None:
         image = mapped(image, alphas[0], changes[place])
         if background is not None:
@@ -70,8 +75,8 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     loss, error = photometric_loss(image, target)
     loss = loss + per_photo.regularizer(state.params, place)
     loss = loss + growth.regularizer(state.params, run.extent)
-    if classes is not None:
-        loss = loss + _identity_losses(run, state, (rendered, classes), generator)
+    if identities is not None and classes is not None:
+        loss = loss + _identity_losses(run, state, (identities, classes), generator)
     loss.backward()
     seen = (info["radii"][0] > 0).all(dim=-1)
     return Outcome(seen, torch.stack([loss.detach(), decibels(error)]))
@@ -97,14 +102,13 @@ def _behind(
 def _identity_losses(
     run: Run,
     state: State,
-    view: tuple[Float[Tensor, "H W 16"], Integer[Tensor, "H W"]],
+    view: tuple[Float[Tensor, "h w 16"], Integer[Tensor, "h w"]],
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """Of a view's rendered identities and its classes; now and then of neighbours in 3D too."""
-    splats, stride = state.splats, run.config.identity_stride
+    """Of some pixels' rendered identities and classes; now and then of neighbours in 3D too."""
+    splats = state.splats
     assert splats.identities is not None and splats.classifier is not None
-    y, x = run.offset(state.step)
-    pixels, targets = (each[y::stride, x::stride].flatten(0, 1) for each in view)
+    pixels, targets = (each.flatten(0, 1) for each in view)
     loss = identity_loss(pixels, targets.long(), splats.classifier)
     looks = run.every(run.config.identity_every * NEIGHBOR_EVERY, state.step)
     if looks and len(splats) > NEIGHBORS:

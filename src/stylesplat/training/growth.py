@@ -30,7 +30,7 @@ def add_noise(
     params: Params,
     extent: float,
     decay: float,
-    generator: torch.Generator,
+    noise: Float[Tensor, "N 3"],
     *,
     photos: int = 1,
 ) -> None:
@@ -42,11 +42,10 @@ def add_noise(
         params: Trained tensors; the means change in place.
         extent: Unit of length of the scene.
         decay: Factor that becomes smaller as training goes on.
-        generator: Source of randomness, on their device.
+        noise: Standard normal.
         photos: For how many at once: their noises' squares add up.
     """
     geometry = Geometry(**{name: params[name].detach() for name in Geometry._fields})
-    noise = torch.randn(geometry.means.shape, generator=generator, device=geometry.means.device)
     parts_for(noise.device).drift(geometry, noise, NOISE_RATE * decay * photos**0.5 / extent)
 
 

@@ -1,5 +1,6 @@
 """The trainer's work that each device does in its own way, as one interface."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -11,25 +12,32 @@ DEAD_OPACITY = 0.005
 NOISE_SHARPNESS = 100.0
 
 
-class AdamStep(NamedTuple):
-    """One tensor's step of Adam; all tensors have as many rows as it."""
+class Turn(NamedTuple):
+    """What differs between one step of Adam and the next."""
 
-    param: Tensor
-    """Changed in place."""
     grad: Tensor
-    """Its gradient."""
-    first: Tensor
-    """Running mean of the gradients, updated in place."""
-    second: Tensor
-    """Running mean of their squares, updated in place."""
+    """The tensor's gradient."""
     rows: Bool[Tensor, " N"]
-    """The rows to step; others keep all three."""
+    """The rows to step; others stay as they are."""
     rate: float
     """Learning rate."""
     corrections: tuple[float, float]
     """What both means are divided by, for they started at 0."""
+
+
+class AdamSteps(NamedTuple):
+    """One tensor's steps of Adam; all tensors have as many rows as it."""
+
+    param: Tensor
+    """Changed in place."""
+    first: Tensor
+    """Running mean of the gradients, updated in place."""
+    second: Tensor
+    """Running mean of their squares, updated in place."""
+    turns: Sequence[Turn]
+    """One after the other."""
     kept: tuple[float, float]
-    """The share of both that stays."""
+    """The share of both means that stays."""
 
 
 class Geometry(NamedTuple):
@@ -49,8 +57,8 @@ class Geometry(NamedTuple):
 class Parts(Protocol):
     """What a module has to offer for a device."""
 
-    def adam(self, step: AdamStep) -> None:
-        """Adam (Kingma and Ba 2015) for some rows."""
+    def adam(self, steps: AdamSteps) -> None:
+        """Adam (Kingma and Ba 2015), each time for some rows."""
         ...
 
     def drift(self, geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:

@@ -1,5 +1,6 @@
 """One round of training: gradients, Adam, noise, and now and then growth."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.training import growth, schedule
-from stylesplat.training.adam import adam_step
+from stylesplat.training.adam import Update, adam_steps
 from stylesplat.training.gradients import Outcome, fill_gradients
 from stylesplat.training.object_sizes import growth_preference, limit_sizes
 from stylesplat.training.per_photo import step_photo
@@ -36,6 +37,8 @@ class Look(NamedTuple):
     """The tensors before the round, with their gradients; its step is the photo's."""
     outcome: Outcome
     """Which Gaussians are seen, and how well."""
+    noise: Float[Tensor, "N 3"]
+    """Standard normal: what moves means at random after the photo's step."""
 
 
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
@@ -53,19 +56,21 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     """
     first, every, count = state.step, run.config.refine_every, run.ranks.count
     looks = [*run.crew.in_order(partial(_look, run, state), run.photos(state))]
-    for turn, look in enumerate(looks):
-        state = replace(state, step=first + turn * count)
-        _take_step(run, state, _together(run, look))
-    last, end = state.step, state.step + count
+    looks = [_together(run, look) for look in looks]
+    _take_steps(run, state, looks)
+    end = first + count * len(looks)
     if end // every > first // every:
-        state = _refined(run, state, run.generator(last, MOVES))
+        last = end - count
+        state = _refined(run, replace(state, step=last), run.generator(last, MOVES))
     scores = torch.stack([look.outcome.scores for look in looks]).mean(dim=0)
     return replace(state, step=end), scores
 
 
 def _look(run: Run, state: State, step: int) -> Look:
-    own = state.beside(step)
-    return Look(own, fill_gradients(run, own, run.generator(step)))
+    own, means = state.beside(step), state.params["means"]
+    moves = run.generator(step - run.ranks.number, MOVES)  # the turn's, so alike everywhere
+    noise = torch.randn(means.shape, generator=moves, device=means.device)
+    return Look(own, fill_gradients(run, own, run.generator(step)), noise)
 
 
 def _together(run: Run, look: Look) -> Look:
@@ -87,17 +92,26 @@ def _together(run: Run, look: Look) -> Look:
     return look._replace(outcome=Outcome(seen > 0, outcome.scores.div_(ranks.count)))
 
 
-def _take_step(run: Run, state: State, look: Look) -> None:
-    """Adam and noise for a turn, in place; the state's step is that of its first photo."""
-    decay, count = schedule.means_decay(run.progress(state)), run.ranks.count
-    params, now = look.state.params, rates(run.config, run.extent * decay)
-    scene = {name: param for name, param in params.items() if name not in PER_PHOTO}
-    end = state.step + count
-    adam_step(scene, state.moments, now, end, look.outcome.seen, photos=count)
-    for step in range(state.step, end):
-        step_photo(run, replace(look.state, step=step))
-    noise = run.generator(state.step, MOVES)
-    growth.add_noise(params, run.extent, decay, noise, photos=count)
+def _take_steps(run: Run, state: State, looks: Sequence[Look]) -> None:
+    """Adam and noise for each turn, in place."""
+    count = run.ranks.count
+    firsts = range(state.step, state.step + count * len(looks), count)  # photos of the turns
+    decays = [schedule.means_decay(run.progress(replace(state, step=step))) for step in firsts]
+    turns = [*zip(firsts, decays, looks, strict=True)]
+    updates = [
+        Update(
+            {name: each for name, each in look.state.params.items() if name not in PER_PHOTO},
+            rates(run.config, run.extent * decay),
+            first + count,
+            look.outcome.seen,
+        )
+        for first, decay, look in turns
+    ]
+    adam_steps(state.moments, updates, photos=count)
+    for first, decay, look in turns:
+        for step in range(first, first + count):
+            step_photo(run, replace(look.state, step=step))
+        growth.add_noise(look.state.params, run.extent, decay, look.noise, photos=count)
 
 
 def rates(config: TrainConfig, unit: float) -> dict[str, float]:

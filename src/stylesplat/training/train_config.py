@@ -78,8 +78,11 @@ class TrainConfig:
 
     None: on the CPU as many as there are threads, at most 4; else one.
     """
-    max_memory: float = 1.0
-    """GiB for photos and label maps; what does not fit is read again."""
+    max_memory: float | None = None
+    """GiB for photos and label maps; what does not fit is read again.
+
+    None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
+    """
 
     def __post_init__(self) -> None:
         for name in POSITIVE:
@@ -87,9 +90,10 @@ class TrainConfig:
             if value is not None and not value > 0:
                 raise StyleSplatError(f"Cannot train with {name} {value}: it must exceed 0.")
         for name in ("max_memory", "test_every"):
-            if not getattr(self, name) >= 0:
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
                 raise StyleSplatError(
-                    f"Cannot train with {name} {getattr(self, name)}: it must not be less than 0."
+                    f"Cannot train with {name} {value}: it must not be less than 0."
                 )
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
         if self.sh_degree not in SH_DEGREES:

@@ -15,6 +15,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
 from stylesplat.training.classes import class_type, to_classes
 
+KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
 COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
 
 
@@ -59,7 +60,7 @@ def training_views(
     *,
     ids: tuple[int, ...],
     device: torch.device,
-    max_memory: float,
+    max_memory: float | None = None,
 ) -> Views:
     """A loader that keeps what fits, of one size at a time.
 
@@ -70,10 +71,11 @@ def training_views(
         rows: Those that will be asked for.
         ids: Label id of each class.
         device: Where views are wanted; what is kept stays in the computer's memory.
-        max_memory: GiB.
+        max_memory: GiB; None is as `TrainConfig` says.
     """
-    cache: Cache[tuple[int, int]] = Cache(int(max_memory * GIB))
-    all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= max_memory * GIB
+    room = int((KEPT[device.type] if max_memory is None else max_memory) * GIB)
+    cache: Cache[tuple[int, int]] = Cache(room)
+    all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= room
     latest, lock = [1], Lock()
 
     def kept(row: int, factor: int) -> Pixels:
