@@ -1,11 +1,11 @@
 """Colours of an object in closed form: a picture's mean and covariance, mixtures by shares."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -95,13 +95,9 @@ def map_colors(
     """Apply an affine map to the colours of picked Gaussians, from wherever they are seen."""
     grey = torch.full((3,), 0.5).to(offset)  # what zero coefficients show
     shift = (matrix @ grey + offset - grey) / SH_C0
-    sh0, shN = splats.sh0 @ matrix.T + shift, splats.shN @ matrix.T
-    mask = picked[:, None, None]
-    return replace(
-        splats,
-        sh0=torch.where(mask, sh0, splats.sh0),
-        shN=torch.where(mask, shN, splats.shN),
-    )
+    rows = picked.nonzero()[:, 0]
+    sh0, shN = splats.sh0[rows] @ matrix.T + shift, splats.shN[rows] @ matrix.T
+    return with_rows(splats, rows, {"sh0": sh0, "shN": shN})
 
 
 def _matrix_sqrt(matrix: Tensor) -> Tensor:
@@ -114,9 +110,19 @@ def mixed_colors(base: Splats, paint: Splats, shares: Float[Tensor, " N"]) -> Sp
 
     Where the share is 0 they are the base's to the bit, where it is 1 the paint's.
     """
-    weights = shares[:, None, None]
+    rows = (shares > 0).nonzero()[:, 0]
+    weights = shares[rows, None, None]
 
     def mixed(before: Tensor, after: Tensor) -> Tensor:
-        return torch.where(weights > 0, torch.lerp(before, after, weights), before)
+        return torch.lerp(before[rows], after[rows], weights)
 
-    return replace(base, sh0=mixed(base.sh0, paint.sh0), shN=mixed(base.shN, paint.shN))
+    mixtures = {"sh0": mixed(base.sh0, paint.sh0), "shN": mixed(base.shN, paint.shN)}
+    return with_rows(base, rows, mixtures)
+
+
+def with_rows(splats: Splats, rows: Int[Tensor, " M"], tensors: Mapping[str, Tensor]) -> Splats:
+    """The splats with other values of some tensors in some rows; gradients reach these."""
+    changed = {
+        name: getattr(splats, name).index_copy(0, rows, part) for name, part in tensors.items()
+    }
+    return replace(splats, **changed)

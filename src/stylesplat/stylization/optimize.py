@@ -1,7 +1,7 @@
 """The optimisation of an object's colours against style features."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.sampling import drawn
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import mixed_colors
+from stylesplat.stylization.color import mixed_colors, with_rows
 from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
 from stylesplat.stylization.objective import Objective
@@ -71,7 +71,7 @@ def optimize_colors(
     trust = _trust(base, picked, views)
     for number, view in enumerate(drawn(views, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(view, _with_rows(shown, _mixed_rows(own, leaves, part), rows))
+            losses = objective(view, with_rows(shown, rows, _mixed_rows(own, leaves, part)))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         decayed = config.final_lr ** ((number - 1) / steps)
@@ -81,8 +81,8 @@ def optimize_colors(
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
                 leaf.grad = None
         _keep_in_range(leaves["sh0"])
-        after = _with_rows(shown, _mixed_rows(own, leaves, part), rows).detach()
-        full = _with_rows(paint, leaves, rows).detach()
+        after = with_rows(shown, rows, _mixed_rows(own, leaves, part)).detach()
+        full = with_rows(paint, rows, leaves).detach()
         yield Step(number, losses.style.item(), after, full)
 
 
@@ -100,13 +100,6 @@ def _mixed_rows(
 ) -> dict[str, Tensor]:
     """As `mixed_colors`, of some rows, with gradients."""
     return {name: torch.lerp(own[name], leaf, part) for name, leaf in leaves.items()}
-
-
-def _with_rows(splats: Splats, leaves: dict[str, Tensor], rows: Tensor) -> Splats:
-    return replace(
-        splats,
-        **{name: getattr(splats, name).index_copy(0, rows, leaf) for name, leaf in leaves.items()},
-    )
 
 
 @torch.no_grad()
