@@ -82,7 +82,7 @@ def ways() -> list[Way]:
     return [
         Way("one thread", 1, 1),
         *(Way(f"{cores} threads, {each} at a time", cores, each) for each in (1, 2, 4)),
-        Way(f"{cores} processes of torchrun", 1, 1, cores, together=True),
+        Way(f"{cores} processes of torchrun", 1, 2, cores, together=True),
         Way(f"{cores} processes apart", 1, 1, cores),
     ]
 

@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,9 +15,11 @@ from torch import Tensor
 
 from ball_photos import write_ball_capture
 from begun_runs import begun
+from stylesplat.rendering.at_once import Crew
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
 from stylesplat.training.gradients import fill_gradients
+from stylesplat.training.loop import _photos_at_once
 from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
@@ -44,7 +46,7 @@ class Threads(Ranks):
 
     meeting: Meeting = field(default_factory=lambda: Meeting(1))
 
-    def add_up(self, tensors: Iterable[Tensor]) -> None:
+    def add_up(self, tensors: Iterable[Tensor]) -> Callable[[], None]:
         """As torch.distributed does."""
         own = [*tensors]
         self.meeting.tensors[self.number] = [each.clone() for each in own]
@@ -53,6 +55,7 @@ class Threads(Ranks):
         for each, *others in zip(own, *everybody, strict=True):
             each.copy_(sum(others[1:], others[0]))
         self.meeting.barrier.wait()
+        return lambda: None
 
 
 def runs(capture: Capture, config: TrainConfig, count: int, batch: int) -> list[tuple[Run, State]]:
@@ -71,7 +74,7 @@ def at_a_time(function, processes: list[tuple[Run, State]]) -> list:
 def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainConfig):
     config = replace(config, refine_poses=True)
     looks = at_a_time(
-        lambda run, state: _together(run, _look(run, state, run.ranks.number)),
+        lambda run, state: _together(run, [_look(run, state, run.ranks.number)])[0],
         runs(capture, config, 3, 1),
     )
     (run, state), single = runs(capture, config, 1, 1)[0], []
@@ -110,10 +113,16 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
     assert found == [[0, 2], [1, 3], [4, 6], [5, 7], [8, 10], [9, 11]]
 
 
+def test_a_process_among_others_looks_at_two_photos_on_the_cpu():
+    crew, cpu, cuda = Crew(1), torch.device("cpu"), torch.device("cuda")
+    assert _photos_at_once(crew, Ranks(0, 2), cpu) == 2
+    assert _photos_at_once(crew, ALONE, cpu) == _photos_at_once(crew, Ranks(0, 2), cuda) == 1
+
+
 def test_alone():
     assert Ranks.here() == ALONE and ALONE.largest(2.0, True) == [2.0, True]
     tensor = torch.ones(2)
-    ALONE.add_up([tensor])
+    ALONE.add_up([tensor])()
     ALONE.meet()
     assert tensor.tolist() == [1.0, 1.0]
 

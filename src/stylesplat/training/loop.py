@@ -100,7 +100,8 @@ def fit(
         state = state.with_photos(first_of_photos(run, capture.points))
     _warm_up(run, state)
     crew = Crew(config.photos_at_once or MOST_AT_ONCE, device)
-    batch, ranks = config.photos_at_once or crew.size, Ranks.here()
+    ranks = Ranks.here()
+    batch = config.photos_at_once or _photos_at_once(crew, ranks, device)
     run = replace(run, crew=crew, batch=batch, ranks=ranks)
     keeper = Keeper(saved if ranks.number == 0 else None, state)
     try:
@@ -108,6 +109,12 @@ def fit(
             return _finish(run, state, keeper, report)
     finally:
         crew.end()
+
+
+def _photos_at_once(crew: Crew, ranks: Ranks, device: torch.device) -> int:
+    """Photos of a round of one process, unless the settings say otherwise."""
+    sends = ranks.count > 1 and device.type == "cpu"
+    return max(crew.size, 2) if sends else crew.size  # one is sent while another is looked at
 
 
 def _first(

@@ -1,6 +1,6 @@
 """One round of training: gradients, Adam, noise, and now and then growth."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -55,8 +55,7 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     The tensors stay the same ones, unless Gaussians are moved or added.
     """
     first, every, count = state.step, run.config.refine_every, run.ranks.count
-    looks = [*run.crew.in_order(partial(_look, run, state), run.photos(state))]
-    looks = [_together(run, look) for look in looks]
+    looks = _together(run, run.crew.in_order(partial(_look, run, state), run.photos(state)))
     _take_steps(run, state, looks)
     end = first + count * len(looks)
     if end // every > first // every:
@@ -73,11 +72,19 @@ def _look(run: Run, state: State, step: int) -> Look:
     return Look(own, fill_gradients(run, own, run.generator(step)), noise)
 
 
-def _together(run: Run, look: Look) -> Look:
-    """The same with the gradients, the Gaussians seen and the scores of all processes."""
+def _together(run: Run, looks: Iterable[Look]) -> list[Look]:
+    """The same with the gradients, the Gaussians seen and the scores of all processes.
+
+    What one photo tells is sent while the next one is looked at.
+    """
+    if run.ranks.count == 1:
+        return [*looks]
+    return [ended() for ended in [_begin_to_send(run, look) for look in looks]]
+
+
+def _begin_to_send(run: Run, look: Look) -> Callable[[], Look]:
+    """Wait for the result by calling what is returned."""
     ranks, outcome, params = run.ranks, look.outcome, look.state.params
-    if ranks.count == 1:
-        return look
     learned = run.every(run.config.identity_every, look.state.step)
     skipped = () if learned else ("identities", *CLASSIFIER)
     for name, param in params.items():
@@ -85,11 +92,16 @@ def _together(run: Run, look: Look) -> Look:
             param.grad = torch.zeros_like(param)
     gradients = {name: p.grad for name, p in params.items() if p.grad is not None}
     seen = outcome.seen.to(torch.int32)
-    ranks.add_up([*gradients.values(), seen, outcome.scores])
-    for name, gradient in gradients.items():
-        if name not in PER_PHOTO:  # whose rows have one photo each
-            gradient.div_(ranks.count)
-    return look._replace(outcome=Outcome(seen > 0, outcome.scores.div_(ranks.count)))
+    wait = ranks.add_up([*gradients.values(), seen, outcome.scores])
+
+    def ended() -> Look:
+        wait()
+        for name, gradient in gradients.items():
+            if name not in PER_PHOTO:  # whose rows have one photo each
+                gradient.div_(ranks.count)
+        return look._replace(outcome=Outcome(seen > 0, outcome.scores.div_(ranks.count)))
+
+    return ended
 
 
 def _take_steps(run: Run, state: State, looks: Sequence[Look]) -> None:
