@@ -15,7 +15,7 @@ from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.stylize import stylize_unmeasured
 
 FAST = StyleConfig(
     steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0, canvas="own"
@@ -47,12 +47,19 @@ def write_pictures(folder: Path) -> tuple[Path, Path]:
 
 
 def painted(
-    scene: Scene, name: str, pictures: Sequence[Path] | Path, network: Any = None, **settings: Any
+    scene: Scene,
+    name: str,
+    pictures: Sequence[Path] | Path,
+    network: Any = None,
+    *,
+    measured: bool = True,
+    **settings: Any,
 ) -> Scene:
     """A scene with one more object painted."""
     pictures = [pictures] if isinstance(pictures, Path) else pictures
     style = Style(*pictures, config=FAST, **settings)
-    return stylize(scene, {name: style}, **(network or {}), device="cpu")
+    done = stylize_unmeasured(scene, {name: style}, **(network or {}), device="cpu")
+    return done.measured() if measured else done.scene
 
 
 def write_painted(
@@ -67,9 +74,10 @@ def write_painted(
     """
     wave, night = write_pictures(folder)
     scene_folder.save(TRAINED, folder / "trained")
-    once = painted(opened(folder / "trained"), "red", wave)
+    rest = {"measured": False}
+    once = painted(opened(folder / "trained"), "red", wave, **rest)
     scene_folder.save(once, folder / "once")
-    twice = painted(opened(folder / "once"), second, pictures(wave, night), canvas="fresh")
+    twice = painted(opened(folder / "once"), second, pictures(wave, night), canvas="fresh", **rest)
     scene_folder.save(twice, folder / "twice")
     return folder
 
