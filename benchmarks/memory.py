@@ -54,7 +54,7 @@ class Options:
     max_gaussians: int = 3000
     """Gaussians at most: few, for noise makes them large, and then the rasteriser's lists grow."""
     max_memory: float | None = None
-    """GiB for photos and label maps; the default by default."""
+    """GiB for photos and label maps; `train`'s own default if nothing is given."""
     folder: Path | None = None
     """A capture that is there already; what the process of its own is called with."""
 
@@ -126,7 +126,7 @@ def train(folder: Path, options: Options) -> None:
     width, height = load(folder).cameras[0].size
     print(
         f"{options.photos} photos of {width}x{height}, {options.steps} steps, "
-        f"max_memory {options.max_memory}: peak {peak / MIB:,.0f} MiB resident; "
+        f"max_memory {options.max_memory or 'as usual'}: peak {peak / MIB:,.0f} MiB resident; "
         f"{perf_counter() - begun:.0f} s in all, the first step after {starts[0]:.1f} s, "
         f"{states[0].seconds:.0f} s of steps",
         flush=True,

@@ -40,9 +40,10 @@ class Options:
     """Folder of all that is made."""
     scene: tuple[str, ...] = ("demo",)
     """`demo`, or folders of trained scenes with objects."""
-    effort: Literal["quick", "medium", "full"] = "full"
-    """quick takes 60 steps, and of our own paintings drafts; medium 100, and the default; full the
-    paper's 500 on larger frames, all of Figure 6, and trains anew for each set of label maps."""
+    effort: Literal["quick", "medium", "full"] = "medium"
+    """quick takes 60 steps, and makes our own paintings as drafts; medium 100, and makes ours as
+    users get them; full the paper's 500 on larger frames, all of Figure 6, and trains anew for each
+    set of label maps."""
     quick: bool = False
     """The same as --effort quick."""
     whole_grid: bool = False

@@ -1,13 +1,17 @@
 import pytest
 import torch
 
-from stylesplat.training.adam import BETA1, BETA2, EPS, Moments, adam_step
+from stylesplat.training.adam import BETA1, BETA2, EPS, Moments, Update, adam_step, adam_steps
 
 SEEN = torch.tensor([True, False, True, False, False, True])
 
 
+def seeded() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
 def gradients(count: int) -> list[torch.Tensor]:
-    generator = torch.Generator().manual_seed(0)
+    generator = seeded()
     return [torch.randn(6, 2, 3, generator=generator) for _ in range(count)]
 
 
@@ -68,6 +72,21 @@ def test_the_first_step_is_the_rate_whatever_the_gradient():
 def test_steps_are_proportional_to_the_rate():
     one, other = stepped(gradients(4), rate=0.01)[0], stepped(gradients(4), rate=0.02)[0]
     assert torch.allclose(2 * (one - 1), other - 1, atol=1e-6)
+
+
+def test_a_step_for_several_photos_is_longer_and_remembers_less():
+    param = torch.ones(4, dtype=torch.float32, requires_grad=True)
+    (first, second), gradient = torch.rand(2, 4, generator=seeded()), torch.tensor([1.0, -2, 3, 0])
+    moments = Moments({"x": first.clone()}, {"x": second.clone()})
+    param.grad = gradient
+    adam_steps(moments, [Update({"x": param}, {"x": 0.1}, 12)], photos=3)
+    mean = first.double() * BETA1**3 + gradient * (1 - BETA1**3)
+    square = second.double() * BETA2**3 + gradient**2 * (1 - BETA2**3)
+    root = (square / (1 - BETA2**12)).sqrt()
+    expected = 1 - 3**0.5 * 0.1 * (mean / (1 - BETA1**12)) / (root + EPS)
+    assert torch.allclose(moments.first["x"].double(), mean, atol=1e-6)
+    assert torch.allclose(moments.second["x"].double(), square, atol=1e-6)
+    assert torch.allclose(param.detach().double(), expected, atol=1e-6)
 
 
 def test_the_scale_of_the_loss_is_irrelevant():

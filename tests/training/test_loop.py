@@ -8,10 +8,13 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
+from stylesplat.training import loop
 from stylesplat.training.announce import GPU_STEPS, Tally
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import fit
+from stylesplat.training.run import Run
 from stylesplat.training.state import State
+from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
 
@@ -128,6 +131,22 @@ def test_objects_that_only_held_out_photos_show_are_no_classes(
 def test_no_photos_left(capture: Capture, config: TrainConfig):
     with pytest.raises(StyleSplatError, match="no photos left to train on"):
         fit(capture, replace(config, test_every=1))
+
+
+def test_kernels_are_compiled_before_the_clock_starts(
+    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
+):
+    """They are others for other numbers of photos in a round."""
+    rounds: list[tuple[int, bool]] = []
+
+    def noted(run: Run, state: State) -> tuple[State, torch.Tensor]:
+        rounds.append((len(run.photos(state)), run.every(run.config.identity_every, state.step)))
+        return train_step(run, state)
+
+    monkeypatch.setattr(loop, "train_step", noted)
+    fit(capture, replace(config, steps=9, photos_at_once=3))
+    assert rounds[:2] == [(3, True), (3, False)], "on a copy"
+    assert rounds[2:] == [(3, True), (3, False), (3, True)]
 
 
 def test_progress_is_told_after_each_step(capture: Capture, config: TrainConfig):

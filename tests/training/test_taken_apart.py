@@ -17,6 +17,11 @@ def test_is_what_slices_are(offset: tuple[int, int], stride: int):
     assert torch.equal(found, wanted)
 
 
+def test_gradients_are_those_of_differences():
+    render = torch.rand(3, 4, 5, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda each: taken_apart(each, (1, 0), 2), render)
+
+
 def test_either_part_may_be_of_no_matter():
     render = torch.rand(4, 6, 19, requires_grad=True)
     colors, features = taken_apart(render, (1, 1), 2)

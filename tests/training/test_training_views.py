@@ -114,6 +114,19 @@ def test_what_fits_is_decoded_once_in_all_sizes():
     assert reads.rows == [*range(8)]
 
 
+def test_on_the_cpu_a_quarter_gib_is_kept_and_on_a_gpu_more(monkeypatch: pytest.MonkeyPatch):
+    assert (module.KEPT["cpu"], module.KEPT["cuda"]) == (0.25, 1.0)
+    reads = Reads(items=8)
+    load = training_views(reads.capture, range(8), ids=IDS, device=CPU)
+    monkeypatch.setitem(module.KEPT, "cpu", 0.0)
+    bare = training_views(reads.capture, range(8), ids=IDS, device=CPU)
+    for view, expected in ((load, [0]), (bare, [0, 0, 0])):
+        reads.rows.clear()
+        for _ in range(3):
+            view(0, 1)
+        assert reads.rows == expected
+
+
 def test_what_does_not_fit_is_read_again():
     reads = Reads(items=4)
     load = reads.views()

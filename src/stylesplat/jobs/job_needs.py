@@ -3,7 +3,7 @@
 The numbers were measured on two cores of an AMD EPYC, with the demo's scene (60,000 Gaussians)
 and 17 copies of it (1,020,000): the journal of a batch has the seconds and the memory of every
 job. A job gets one core, for that makes the most of many: a second one makes a stylisation 1.8
-times as fast, and a training 1.2 times.
+times as fast, and a training 1.7 times.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ class Measured(NamedTuple):
 
 
 MEASURED = {
-    "train": Measured(2.3, 2.0),  # 1.14 with small photos, of which it keeps up to 1 GiB
+    "train": Measured(2.3, 2.0),  # 1.14 with small photos; for a GPU it keeps 1 GiB of them
     "import": Measured(1.3, 0.6),
     "mask": Measured(2.3, 1.0),  # as it trains for a minute
     "select": Measured(1.3, 0.7),

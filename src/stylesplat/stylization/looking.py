@@ -68,9 +68,10 @@ def check_visible(
     studio: Studio, job: StyleJob, boxes: Sequence[Box], stage: Stage, generator: torch.Generator
 ) -> None:
     """Raise the StyleSplatError of `stage_views`, if it has one, after few views if it has none."""
-    shown, zoom = _shown(boxes, stage, stage.lengths[0], generator)
-    if not any(_cut(studio, job, [box], zoom) for box in shown):
-        raise _hardly_visible(job, shown)
+    for length in stage.lengths:
+        shown, zoom = _shown(boxes, stage, length, generator)
+        if not any(_cut(studio, job, [box], zoom) for box in shown):
+            raise _hardly_visible(job, shown)
 
 
 def _shown(

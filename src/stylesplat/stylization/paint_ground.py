@@ -14,6 +14,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
+from stylesplat.stylization.color import with_rows
 from stylesplat.stylization.crossfade import UNSEEN
 from stylesplat.stylization.fresh_canvas import fresh_canvas
 from stylesplat.stylization.looking import object_views, see_object
@@ -50,12 +51,10 @@ class Ground:
 
     def handed_down(self, earlier: Splats) -> Splats:
         """The object's Gaussians in the colours that their parents had earlier."""
-        mask, splats = self.job.picked[:, None, None], self.studio.splats
-        return replace(
-            splats,
-            sh0=torch.where(mask, earlier.sh0[self.parents], splats.sh0),
-            shN=torch.where(mask, earlier.shN[self.parents], splats.shN),
-        )
+        rows = self.job.picked.nonzero()[:, 0]
+        parents = self.parents[rows]
+        colors = {"sh0": earlier.sh0[parents], "shN": earlier.shN[parents]}
+        return with_rows(self.studio.splats, rows, colors)
 
 
 def own_ground(studio: Studio, job: StyleJob) -> Ground:

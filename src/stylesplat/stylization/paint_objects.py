@@ -22,7 +22,7 @@ from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.repaint import Repainted, check_paintable, repaint
+from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
 from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
@@ -108,19 +108,29 @@ def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dic
     """
     check_jobs(jobs)
     jobs = [moved(job, studio.splats) for job in jobs]
-    pieces, seconds, cuts = [], {}, {}
+    found, pieces, seconds = [], [], {}
     for job in jobs:  # all are looked at before time goes into painting one
         began = time.perf_counter()
-        cuts[job.name] = cut_scene(studio, job.picked)
-        if len(jobs) > 1:
-            check_paintable(*_within(cuts[job.name], studio, job))
+        found.append(_looked_at(studio, job, closely=len(jobs) > 1))
         seconds[job.name] = time.perf_counter() - began
-    for job in jobs:
+    for job, (cut, sight) in zip(jobs, found, strict=True):
         began = time.perf_counter()
-        pieces.append(_painted_alone(studio, job, cuts[job.name]))
+        pieces.append(_painted_alone(studio, job, cut, sight))
         seconds[job.name] += time.perf_counter() - began
-    cuts = {name: cut for name, cut in cuts.items() if cut is not None}
+    cuts = {job.name: cut for job, (cut, _) in zip(jobs, found, strict=True) if cut is not None}
     return replace(assembled(studio.splats, pieces), cuts=cuts), seconds
+
+
+def _looked_at(
+    studio: Studio, job: StyleJob, *, closely: bool
+) -> tuple[CutScene | None, Sight | None]:
+    """The part of a large scene that an object is painted in, or how it looks in a small one.
+
+    How it looks in a part holds a copy of that.
+    """
+    cut = cut_scene(studio, job.picked)
+    sight = look_at(*_within(cut, studio, job), closely=True) if closely else None
+    return cut, sight if cut is None else None
 
 
 def _within(cut: CutScene | None, studio: Studio, job: StyleJob) -> tuple[Studio, StyleJob]:
@@ -128,9 +138,11 @@ def _within(cut: CutScene | None, studio: Studio, job: StyleJob) -> tuple[Studio
     return (studio, job) if cut is None else (cut.studio(studio), cut.job(job))
 
 
-def _painted_alone(studio: Studio, job: StyleJob, cut: CutScene | None) -> Piece:
+def _painted_alone(
+    studio: Studio, job: StyleJob, cut: CutScene | None, sight: Sight | None
+) -> Piece:
     """What becomes of an object."""
-    alone = _repaint_whole(*_within(cut, studio, job))
+    alone = _repaint_whole(*_within(cut, studio, job), sight)
     if cut is None:
         return piece_of(alone, job.picked)
     piece = piece_of(alone, job.picked[cut.rows], cut.rows)
@@ -199,11 +211,11 @@ def moved(job: StyleJob, splats: Splats) -> StyleJob:
     return replace(job, picked=job.picked.to(splats.device), styles=styles)
 
 
-def _repaint_whole(studio: Studio, job: StyleJob) -> Styled:
+def _repaint_whole(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Styled:
     """All steps of one object, with a progress bar."""
     state = None
     with task(job.name, job.config.all_steps) as bar:
-        for state in repaint(studio, job):
+        for state in repaint(studio, job, sight):
             bar.advance()
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")

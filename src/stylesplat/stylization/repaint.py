@@ -66,8 +66,25 @@ class Aim:
     """The colours to stay near to; None leaves them free."""
 
 
-def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
+@dataclass(frozen=True)
+class Sight:
+    """What is known of an object before it is painted."""
+
+    ground: Ground
+    """What it is painted on at first."""
+    boxes: Sequence[Box]
+    """Where it shows, in the views that are used."""
+    stages: Sequence[Stage]
+    """How it is painted."""
+
+
+def repaint(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Iterator[Repainted]:
     """Repaint one object of a scene.
+
+    Args:
+        studio: The scene.
+        job: The object.
+        sight: What is known of it, if it was looked at before.
 
     Yields:
         The state after every step. Whoever stops asking keeps what there is; whoever asks again
@@ -78,7 +95,8 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             small.
     """
     config = job.config
-    ground, boxes, stages = _looked_at(studio, job)
+    sight = sight or look_at(studio, job)
+    ground, boxes, stages = sight.ground, sight.boxes, sight.stages
     finest = config.finest(typical_length(boxes))
     finer_at = min(FINER_AT, len(stages) - 1)
     if finer_at == 0:
@@ -112,19 +130,25 @@ def repaint(studio: Studio, job: StyleJob) -> Iterator[Repainted]:
             yield Repainted(done, config.all_steps, step.nnfm, shown, base, parents)
 
 
-def check_paintable(studio: Studio, job: StyleJob) -> None:
-    """Raise the StyleSplatError that `repaint` would before its first step, and sooner."""
-    ground, boxes, stages = _looked_at(studio, job)
-    generator = torch.Generator().manual_seed(job.config.seed)
-    check_visible(ground.studio, ground.job, boxes, stages[0], generator)
+def look_at(studio: Studio, job: StyleJob, *, closely: bool = False) -> Sight:
+    """Look at an object before it is painted.
 
+    Args:
+        studio: The scene.
+        job: The object.
+        closely: Whether it is to be seen at the size of the first stage, too.
 
-def _looked_at(studio: Studio, job: StyleJob) -> tuple[Ground, list[Box], list[Stage]]:
-    """What an object is painted on at first, where it shows in the views used, and the stages."""
+    Raises:
+        StyleSplatError: As `repaint` does, as far as it can be told so.
+    """
     ground = own_ground(studio, job)
     boxes = see_object(studio, ground.job, studio.cameras)
     boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
-    return ground, boxes, _stages(studio, job, typical_length(boxes))
+    stages = _stages(studio, job, typical_length(boxes))
+    if closely:
+        generator = torch.Generator().manual_seed(job.config.seed)
+        check_visible(studio, ground.job, boxes, stages[0], generator)
+    return Sight(ground, boxes, stages)
 
 
 def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats, Splats]:

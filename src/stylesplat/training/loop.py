@@ -98,13 +98,13 @@ def fit(
     )
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
-    _warm_up(run, state)
     crew = Crew(config.photos_at_once or MOST_AT_ONCE, device)
     ranks = Ranks.here()
-    batch = config.photos_at_once or _photos_at_once(crew, ranks, device)
-    run = replace(run, crew=crew, batch=batch, ranks=ranks)
-    keeper = Keeper(saved if ranks.number == 0 else None, state)
+    run = replace(run, batch=config.photos_at_once or _photos_at_once(crew, ranks, device))
     try:
+        _warm_up(run, state)
+        run = replace(run, crew=crew, ranks=ranks)
+        keeper = Keeper(saved if ranks.number == 0 else None, state)
         with announced(config, state, on_progress) as report:
             return _finish(run, state, keeper, report)
     finally:
@@ -144,10 +144,10 @@ def _continued(saved: Checkpoint | None, device: torch.device) -> State | None:
 
 
 def _warm_up(run: Run, state: State) -> None:
-    """Compile the kernels before the clock starts, by steps on a copy; leaves no trace."""
+    """Compile the kernels before the clock starts, by rounds on a copy; leaves no trace."""
     if run.progress(state) < 1:
-        for step in range(min(run.config.identity_every, 2)):  # with and without identities
-            train_step(run, replace(state.clone(), step=step))
+        for number in range(min(run.config.identity_every, 2)):  # with and without identities
+            train_step(run, replace(state.clone(), step=number * run.batch))
 
 
 def _finish(run: Run, state: State, keeper: Keeper, report: Report) -> State:

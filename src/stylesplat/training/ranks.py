@@ -32,7 +32,8 @@ class Ranks:
 
         They have the same shapes everywhere.
         """
-        works = [dist.all_reduce(each, async_op=True) for each in tensors if self.count > 1]
+        alone = self.count == 1
+        works = [] if alone else [dist.all_reduce(each, async_op=True) for each in tensors]
 
         def wait() -> None:
             for work in works:

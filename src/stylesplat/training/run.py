@@ -52,8 +52,13 @@ class Run:
         return range(state.step + number, state.step + turns * count, count)
 
     def every(self, rounds: int, step: int) -> bool:
-        """Whether a step is of the first of so many rounds: all of a round are, or none."""
-        return step // (self.batch * self.ranks.count) % rounds == 0
+        """Whether a photo is of the first of so many rounds.
+
+        All of a round are, or none, if the run has had the same rounds from its start; all of a
+        turn are in any case, as processes send each other the same tensors.
+        """
+        turn = step - self.ranks.number
+        return turn // (self.batch * self.ranks.count) % rounds == 0
 
     def row(self, step: int) -> int:
         """The photo of a step: every photo once, in random order, then all over again."""

@@ -38,7 +38,7 @@ class Look(NamedTuple):
     outcome: Outcome
     """Which Gaussians are seen, and how well."""
     noise: Float[Tensor, "N 3"]
-    """Standard normal: what moves means at random after the photo's step."""
+    """Standard normal: what moves means at random after the steps of the round."""
 
 
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
@@ -48,6 +48,7 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     each in turn: the gradients of the later ones are as old as the round. That costs nothing that
     can be measured for a few photos (Langford, Smola and Zinkevich 2009, "Slow learners are fast"),
     and unlike one step for all needs no other rates, as Adam's moments are those of single photos.
+    Then noise moves the means, once for each photo.
 
     Of several processes each looks at photos of its own, and a turn's step is for one photo of
     each, by the mean of their gradients.
