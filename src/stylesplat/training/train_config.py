@@ -54,7 +54,7 @@ class TrainConfig:
     """Steps between those that train identities too; they cost over twice as much."""
     identity_stride: int = 3
     """The identity loss looks at every n-th pixel along x and y, from a random offset."""
-    means_rate: float = 4.8e-4
+    means_rate: float = 9.6e-4
     """Learning rate of the means at first, over the scene's extent; it falls to a hundredth."""
     bands_rate: float = 5e-4
     """Learning rate of the higher colour bands."""
