@@ -1,6 +1,6 @@
 """The `Splats` noun: a set of 3D Gaussians, with the objects they belong to."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -110,6 +110,12 @@ class Splats:
         """The per-Gaussian tensors that are present, by field name."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in values.items() if isinstance(value, Tensor)}
+
+    def with_rows(self, rows: Int[Tensor, " M"], tensors: Mapping[str, Tensor]) -> "Splats":
+        """The same with other values of some Gaussians, by field name; gradients reach these."""
+        every = self.tensors()
+        changed = {name: every[name].index_copy(0, rows, part) for name, part in tensors.items()}
+        return replace(self, **changed)
 
     def to(self, device: torch.device | str) -> "Splats":
         """The same splats on another device."""

@@ -122,11 +122,8 @@ def _looking(splats: Splats, parts: Sequence[tuple[Int[Tensor, " _"], Looks]]) -
         return splats
     rows = torch.cat([rows for rows, _ in parts])
     looks = [vars(look) for _, look in parts]
-    tensors = {
-        name: tensor.index_copy(0, rows, torch.cat([each[name] for each in looks]))
-        for name, tensor in vars(Looks.of(splats)).items()
-    }
-    return replace(splats, **tensors)
+    names = looks[0].keys()
+    return splats.with_rows(rows, {n: torch.cat([each[n] for each in looks]) for n in names})
 
 
 def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:

@@ -1,11 +1,11 @@
 """Colours of an object in closed form: a picture's mean and covariance, mixtures by shares."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -97,7 +97,7 @@ def map_colors(
     shift = (matrix @ grey + offset - grey) / SH_C0
     rows = picked.nonzero()[:, 0]
     sh0, shN = splats.sh0[rows] @ matrix.T + shift, splats.shN[rows] @ matrix.T
-    return with_rows(splats, rows, {"sh0": sh0, "shN": shN})
+    return splats.with_rows(rows, {"sh0": sh0, "shN": shN})
 
 
 def _matrix_sqrt(matrix: Tensor) -> Tensor:
@@ -117,12 +117,4 @@ def mixed_colors(base: Splats, paint: Splats, shares: Float[Tensor, " N"]) -> Sp
         return torch.lerp(before[rows], after[rows], weights)
 
     mixtures = {"sh0": mixed(base.sh0, paint.sh0), "shN": mixed(base.shN, paint.shN)}
-    return with_rows(base, rows, mixtures)
-
-
-def with_rows(splats: Splats, rows: Int[Tensor, " M"], tensors: Mapping[str, Tensor]) -> Splats:
-    """The splats with other values of some tensors in some rows; gradients reach these."""
-    changed = {
-        name: getattr(splats, name).index_copy(0, rows, part) for name, part in tensors.items()
-    }
-    return replace(splats, **changed)
+    return base.with_rows(rows, mixtures)

@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.sampling import drawn
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import mixed_colors, with_rows
+from stylesplat.stylization.color import mixed_colors
 from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
 from stylesplat.stylization.objective import Objective
@@ -71,7 +71,7 @@ def optimize_colors(
     trust = _trust(base, picked, views)
     for number, view in enumerate(drawn(views, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(view, with_rows(shown, rows, _mixed_rows(own, leaves, part)))
+            losses = objective(view, shown.with_rows(rows, _mixed_rows(own, leaves, part)))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         decayed = config.final_lr ** ((number - 1) / steps)
@@ -81,8 +81,8 @@ def optimize_colors(
                 leaf.copy_(torch.lerp(before[name], leaf, trust))
                 leaf.grad = None
         _keep_in_range(leaves["sh0"])
-        after = with_rows(shown, rows, _mixed_rows(own, leaves, part)).detach()
-        full = with_rows(paint, rows, leaves).detach()
+        after = shown.with_rows(rows, _mixed_rows(own, leaves, part)).detach()
+        full = paint.with_rows(rows, leaves).detach()
         yield Step(number, losses.style.item(), after, full)
 
 

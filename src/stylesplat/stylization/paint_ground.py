@@ -14,7 +14,6 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
-from stylesplat.stylization.color import with_rows
 from stylesplat.stylization.crossfade import UNSEEN
 from stylesplat.stylization.fresh_canvas import fresh_canvas
 from stylesplat.stylization.looking import object_views, see_object
@@ -54,7 +53,7 @@ class Ground:
         rows = self.job.picked.nonzero()[:, 0]
         parents = self.parents[rows]
         colors = {"sh0": earlier.sh0[parents], "shN": earlier.shN[parents]}
-        return with_rows(self.studio.splats, rows, colors)
+        return self.studio.splats.with_rows(rows, colors)
 
 
 def own_ground(studio: Studio, job: StyleJob) -> Ground:

@@ -75,9 +75,8 @@ def unsplit(splats: Splats, split: Split, rows: Int[Tensor, " R"]) -> Split:
     whole[rows] = True
     kept = ~whole[split.parents]
     kept[: len(splats)] = True
-    before, after = splats.tensors(), split.splats[kept]
-    tensors = {k: t.index_copy(0, rows, before[k][rows]) for k, t in after.tensors().items()}
-    return Split(replace(after, **tensors), split.parents[kept])
+    after = split.splats[kept].with_rows(rows, splats[rows].tensors())
+    return Split(after, split.parents[kept])
 
 
 def screen_sizes(

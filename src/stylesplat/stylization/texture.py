@@ -65,11 +65,7 @@ def soften(
     patches = _pooled(places, weights, normals, own.flatten(1))
     calm = _interpolated(patches.places, _calm(patches), places).view_as(own)
     mixed = torch.lerp(own, calm, share)
-    return replace(
-        splats,
-        sh0=splats.sh0.index_copy(0, rows, mixed[:, :1]),
-        shN=splats.shN.index_copy(0, rows, mixed[:, 1:]),
-    )
+    return splats.with_rows(rows, {"sh0": mixed[:, :1], "shN": mixed[:, 1:]})
 
 
 def _size(means: Float[Tensor, "M 3"]) -> Tensor:

@@ -90,11 +90,8 @@ def _unsplit(splats: Splats, mine: Bool[Tensor, " N"], unsplit: Unsplit | None) 
         return splats
     chosen_rows = mine[unsplit.rows]
     rows = unsplit.rows[chosen_rows]
-    return replace(
-        splats,
-        scales=splats.scales.index_copy(0, rows, unsplit.scales[chosen_rows]),
-        opacities=splats.opacities.index_copy(0, rows, unsplit.opacities[chosen_rows]),
-    )
+    shapes = {name: getattr(unsplit, name)[chosen_rows] for name in ("scales", "opacities")}
+    return splats.with_rows(rows, shapes)
 
 
 def _painted_still(

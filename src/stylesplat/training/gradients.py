@@ -62,11 +62,11 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
         background=background if changes is None else None,
         sh_degree=schedule.sh_degree(progress, config),
     )
-    image, identities = render.squeeze(0), None
+    image, sampled = render.squeeze(0), None
     if classes is not None:
-        y, x = run.offset(state.step)
-        image, identities = taken_apart(image, (y, x), config.identity_stride)
-        classes = classes[y :: config.identity_stride, x :: config.identity_stride]
+        (y, x), stride = run.offset(state.step), config.identity_stride
+        image, identities = taken_apart(image, (y, x), stride)
+        sampled = identities, classes[y::stride, x::stride]
     if changes is not None:
         image = mapped(image, alphas[0], changes[place])
         if background is not None:
@@ -75,8 +75,8 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
     loss, error = photometric_loss(image, target)
     loss = loss + per_photo.regularizer(state.params, place)
     loss = loss + growth.regularizer(state.params, run.extent)
-    if identities is not None and classes is not None:
-        loss = loss + _identity_losses(run, state, (identities, classes), generator)
+    if sampled is not None:
+        loss = loss + _identity_losses(run, state, sampled, generator)
     loss.backward()
     seen = (info["radii"][0] > 0).all(dim=-1)
     return Outcome(seen, torch.stack([loss.detach(), decibels(error)]))
