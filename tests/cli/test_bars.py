@@ -1,7 +1,11 @@
+import sys
+from io import StringIO
+
 import pytest
 
 from stylesplat.cli import bars
 from stylesplat.cli.bars import Bars
+from stylesplat.cli.log_lines import LogLines
 from stylesplat.progress import Observer, observed, say, task, track
 
 
@@ -57,3 +61,22 @@ def test_a_bar_that_a_line_has_drawn_is_ended(capsys: pytest.CaptureFixture[str]
         say("A line.")
     last = capsys.readouterr().err.rpartition("\n")[2]
     assert not last.strip("\r"), "what is written next begins a line"
+
+
+class InterruptedTerminal(StringIO):
+    """Ctrl-C comes as soon as something was written."""
+
+    def write(self, text: str, /) -> int:
+        super().write(text)
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("observer", [Bars, LogLines])
+def test_an_interruption_leaves_no_half_line(
+    observer: type[Observer], monkeypatch: pytest.MonkeyPatch
+):
+    terminal = InterruptedTerminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with observed(observer()), pytest.raises(KeyboardInterrupt):
+        say("A line.")
+    assert terminal.getvalue() == "A line.\n"

@@ -64,10 +64,10 @@ class Bars(Once):
                 self._drawn.remove(bar)
 
     def _write(self, line: str) -> None:
-        """Above the bars that there are."""
+        """Above the bars that there are, and in one piece: Ctrl-C leaves no half line."""
         from tqdm import tqdm
 
-        tqdm.write(line, file=sys.stderr)
+        tqdm.write(f"{line}\n", file=sys.stderr, end="")
 
 
 @cache

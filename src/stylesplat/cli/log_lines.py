@@ -96,7 +96,7 @@ class LogLines(Once):
 
 
 def _write(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    print(f"{line}\n", end="", file=sys.stderr, flush=True)  # in one piece: see Bars
 
 
 def _plural(unit: str) -> str:
