@@ -5,6 +5,7 @@ import ctypes
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -127,9 +128,16 @@ def _is_loaded(name: str) -> bool:
 def _try_again() -> None:
     """Let the last signal come once more, a moment later."""
 
+    main = threading.main_thread().ident
+    assert main, "it has begun"
+
     def come() -> None:
         time.sleep(AGAIN)
-        _thread.interrupt_main(signal.Signals(_Last.number or signal.SIGINT))
+        number = signal.Signals(_Last.number or signal.SIGINT)
+        if sys.platform == "win32":
+            _thread.interrupt_main(number)
+        else:
+            signal.pthread_kill(main, number)  # wakes it, should it wait
 
     _Last.waits = True
     _thread.start_new_thread(come, ())  # takes no lock that what is interrupted may hold

@@ -36,13 +36,7 @@ def style(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Objects are compared with their styles at a size that takes less time."""
-    monkeypatch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
-
-
-@pytest.fixture
-def styled(scene: Path, style: Path, small_measurements: None) -> Path:
+def styled(scene: Path, style: Path, quick_painting: None) -> Path:
     """Two balls in stripes, at half intensity."""
     out = scene.with_name("styled")
     styles = ("--style", f"3={style}", "--style", f"7={style}")

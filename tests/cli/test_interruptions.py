@@ -97,7 +97,7 @@ def test_while_it_starts(library: str, number: signal.Signals, capture: Path, tm
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_training_is_kept_and_goes_on(number: signal.Signals, capture: Path, tmp_path: Path):
     out = tmp_path / "out"
-    options = ("--device", "cpu", "--max-seconds", 4)
+    options = ("--device", "cpu", "--max-seconds", 2)
     begun = Begun(tmp_path, "train", capture, "-o", out, *options)
     begun.wait_for(lambda begun: begun.says("Gaussians"))
     assert begun.ended_by(number) == CONTINUES

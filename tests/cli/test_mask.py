@@ -16,13 +16,9 @@ from stylesplat.selection.identities import render_labels
 from stylesplat.verbs.export import export
 from stylesplat.verbs.select import select
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
 BOX = "vase=0001.jpg:6,8,23,24"
 QUICK = ("--features", "compact", "--steps", 1, "--pattern", "large", "--max-growth", 2)
-
-
-@pytest.fixture(autouse=True)
-def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
 
 
 def run(*arguments: object) -> int:

@@ -12,11 +12,11 @@ import torch
 
 from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.cli import main
-from stylesplat.evaluation import style_metrics as report
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import strict_json
 from stylesplat.verbs import evaluate as verb
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
 MEASURED = {"psnr": math.inf, "rmse": math.nan, "by": {"vase": -math.inf}, "all": [math.nan, 1.5]}
 WRITTEN = {"psnr": None, "rmse": None, "by": {"vase": None}, "all": [None, 1.5]}
 
@@ -26,11 +26,6 @@ def strictly(text: str) -> Any:
         raise ValueError(f"{constant} is no JSON")
 
     return json.loads(text, parse_constant=refuse)
-
-
-@pytest.fixture(autouse=True)
-def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "LENGTH", 30.0)
 
 
 def test_files_of_a_scene(tmp_path: Path):

@@ -11,7 +11,7 @@ from command_line import QUICK, result, run
 
 SPLIT = ("sh0", "shN", "scales", "opacities")  # what a Gaussian that is split and painted changes
 
-pytestmark = pytest.mark.usefixtures("small_measurements")
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 
 def test_the_scene_is_there_before_it_is_measured(

@@ -21,6 +21,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.training.train_config import TrainConfig
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
 PICKED = torch.arange(len(SPLATS)) >= 200  # the balls
 
 

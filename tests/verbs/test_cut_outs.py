@@ -14,6 +14,8 @@ from stylesplat.scene.scene import SceneObject
 from stylesplat.stylization.scene_parts import cut_out, rows_of_part
 from stylesplat.verbs.export import export, export_each
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
+
 
 def test_parts_fit_together_again(tmp_path: Path):
     whole = TRAINED.splats

@@ -18,7 +18,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.verbs.evaluate import SCHEMA, evaluate
 from stylesplat.verbs.load import load
 
-pytestmark = pytest.mark.usefixtures("small_measurements")
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 PHOTOS = {"psnr", "ssim", "iou", "miou", "boundary_iou", "boundary_miou"}
 CHANGES = {"changed_gaussians", "outside_psnr", "outside_max_difference", "edge_psnr", "rim_error"}

@@ -18,7 +18,7 @@ from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.stylize import stylize
 
-pytestmark = pytest.mark.usefixtures("small_measurements")
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 EXACT = 1e-5  # colours below 2, sums over some dozen Gaussians in float32
 INTENSITIES = (0.3, 0.6, 1.5)

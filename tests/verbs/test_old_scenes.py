@@ -23,7 +23,7 @@ from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.stylize import stylize
 
-pytestmark = pytest.mark.usefixtures("small_measurements")
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 
-pytestmark = pytest.mark.usefixtures("small_measurements")
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 VGG19 = Path("/work/shared/weights/vgg19_conv1_1-conv3_4.safetensors")
 

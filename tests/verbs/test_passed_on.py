@@ -21,6 +21,7 @@ from stylesplat.verbs.import_ import import_
 from stylesplat.verbs.objects import objects
 from stylesplat.verbs.select import select
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
 FRAME = Frame(
     torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double(), 2.0, torch.ones(3).double()
 )

@@ -23,7 +23,7 @@ SCENE = select(select(Scene(SPLATS, CAMERAS), "red", id=3), "green", id=7)
 
 
 @pytest.fixture(scope="module")
-def styled(tmp_path_factory: pytest.TempPathFactory, small_measurements: None) -> Scene:
+def styled(tmp_path_factory: pytest.TempPathFactory, quick_painting: None) -> Scene:
     """The red ball painted, from disk."""
     folder = tmp_path_factory.mktemp("styled")
     wave, _ = write_pictures(folder)

@@ -29,7 +29,7 @@ from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.stylize import stylize
 
-pytestmark = pytest.mark.usefixtures("small_measurements")
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from stylesplat.posing.match_table import match_table
 from stylesplat.posing.pairs import match_photos
 from stylesplat.posing.prepared import Prepared
 from stylesplat.posing.sfm_config import SfmConfig
-from stylesplat.posing.undistort import is_firm
+from stylesplat.posing.undistort import firm_points
 from stylesplat.posing.unregistered import why_unregistered
 from stylesplat.posing.workplace import open_workplace
 
@@ -75,7 +75,7 @@ def reconstruct(
         numbers={
             "photos": len(prepared.names),
             "registered": model.num_reg_images(),
-            "points": sum(is_firm(model, key) for key in model.points3D),
+            "points": len(firm_points(model)),
             "reprojection_error": model.compute_mean_reprojection_error(),
             "compared_pairs": table.compared,
             "matched_pairs": table.matched,

@@ -74,12 +74,13 @@ def _pinhole_model(
         camera = lenses[key].pinhole().camera
         camera.camera_id = key
         pinholes.add_camera_with_trivial_rig(camera)
+    firm = firm_points(model)
     rows: dict[tuple[int, int], int] = {}  # a feature's new place in its photo
     for image in images:
         kept = [
             row
             for row, point in enumerate(image.points2D)
-            if point.has_point3D() and is_firm(model, point.point3D_id)
+            if point.has_point3D() and point.point3D_id in firm
         ]
         rows |= {(image.image_id, old): new for new, old in enumerate(kept)}
         lens = lenses[image.camera_id]
@@ -92,7 +93,7 @@ def _pinhole_model(
         )
         pinholes.add_image_with_trivial_frame(posed, image.cam_from_world())
     for key, point in sorted(model.points3D.items()):
-        if not is_firm(model, key):
+        if key not in firm:
             continue
         views = [(e.image_id, rows[e.image_id, e.point2D_idx]) for e in point.track.elements]
         elements = [pycolmap.TrackElement(*view) for view in views]
@@ -101,9 +102,9 @@ def _pinhole_model(
     return pinholes
 
 
-def is_firm(model: pycolmap.Reconstruction, key: int) -> bool:
-    """Whether a point is one that is written."""
-    return model.point3D(key).track.length() >= LEAST_TRACK
+def firm_points(model: pycolmap.Reconstruction) -> set[int]:
+    """The points that are written."""
+    return {key for key, point in model.points3D.items() if point.track.length() >= LEAST_TRACK}
 
 
 def _write_model(model: pycolmap.Reconstruction, sparse: Path) -> None:

@@ -6,7 +6,7 @@ cameras' poses where these ask for them; intrinsics are taken as fixed.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -45,12 +45,11 @@ Noun = TypeVar("Noun", bound=tuple)
 
 def arrays(noun: Noun) -> Noun:
     """The noun as kernels take it, without gradients: arrays that share the tensors' memory."""
-    fields = [_array(f) if isinstance(f, Tensor) else f for f in noun]
-    return type(noun)(*fields)
+    return type(noun)(*_as_arrays(*noun))
 
 
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()
+def _as_arrays(*fields: Any) -> list[Any]:
+    return [f.detach().contiguous().numpy() if isinstance(f, Tensor) else f for f in fields]
 
 
 def partial_sums(count: int, stride: int) -> Float[Tensor, "G count stride"]:
@@ -80,8 +79,7 @@ class _SphericalHarmonics(Function):
         sh_colors.colors_backward(
             ctx.bases,
             arrays(Harmonics(*harmonics)),
-            _array(out),
-            _array(v_out),
+            *_as_arrays(out, v_out),
             arrays(gradients),
             get_num_threads(),
         )
@@ -154,8 +152,8 @@ def sort_into_tiles(
 ) -> Tiled:
     """Lists of what to blend, without gradients, for an image of a width and height."""
     ellipses = arrays(Ellipses(projected.means2d, projected.conics, opacities, colors))
-    radii = _array(projected.radii)
-    order = tiles.depth_order(_array(projected.depths), radii)
+    depths, radii = _as_arrays(projected.depths, projected.radii)
+    order = tiles.depth_order(depths, radii)
     stride = tiles.row_stride(colors.shape[1])
     rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
     tiles.pack_rows(order, ellipses, rows)
@@ -177,7 +175,8 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
 def picture_of(image: Tensor, alphas: Tensor) -> Picture:
     """An image and its coverage, or their gradients, as kernels take them."""
     height, width, _ = image.shape
-    return Picture(_array(image).reshape(-1), _array(alphas).reshape(-1), width, height)
+    colors, coverage = _as_arrays(image.flatten(), alphas.flatten())
+    return Picture(colors, coverage, width, height)
 
 
 class _Blend(Function):

@@ -4,6 +4,7 @@ The scene is looked through a part at a time, so that what is found takes the me
 seen. Kernels are loaded when something is looked up: to select by id none are needed.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -62,9 +63,8 @@ def seen(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = N
     starts = range(0, max(1, len(splats)), PART)
     marked = None if pixels is None else _marked(pixels)
     parts = [_seen_part(splats, camera, start, marked) for start in starts]
-    rows, opacities, *projected = ([*each] for each in zip(*parts, strict=True))
-    del parts  # what is joined is let go
-    return Seen(_joined(rows), Projected(*map(_joined, projected)), _joined(opacities))
+    rows, opacities, *projected = parts.pop() if len(parts) == 1 else _joined(parts)
+    return Seen(rows, Projected(*projected), opacities)
 
 
 def _seen_part(
@@ -82,10 +82,12 @@ def _seen_part(
     return start + rows, *(each.index_select(0, rows) for each in found)
 
 
-def _joined(parts: list[Tensor]) -> Tensor:
-    whole = parts[0] if len(parts) == 1 else torch.cat(parts)
+def _joined(parts: list[tuple[Tensor, ...]]) -> Iterator[Tensor]:
+    columns = [[*each] for each in zip(*parts, strict=True)]
     parts.clear()
-    return whole
+    for column in columns:
+        yield torch.cat(column)
+        column.clear()  # what is joined is let go
 
 
 def touching(
