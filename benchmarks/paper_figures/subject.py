@@ -93,11 +93,10 @@ class Subject:
 
     @cached_property
     def ids(self) -> tuple[int, ...]:
-        """The objects' label ids, most visible first."""
-        rows = [self.capture.cameras.index(n) for n in self.held_out.names]
-        maps = [m for m in (self.truth.label_maps[row] for row in rows) if m is not None]  # type: ignore[index]
-        counts = {id: sum(int((m == id).sum()) for m in maps) for id in object_ids(self.splats)}
-        return tuple(sorted(counts, key=lambda id: -counts[id]))
+        """The objects' label ids, the one that its best view shows best first."""
+        maps = [self.true_map(camera) for camera in each(self.held_out)]
+        best = {id: max(shown(labels, id) for labels in maps) for id in object_ids(self.splats)}
+        return tuple(sorted(best, key=lambda id: -best[id]))
 
     @property
     def truth(self) -> Capture:
@@ -138,10 +137,17 @@ class Subject:
         return self.capture.object_names.get(id, f"object {id}")
 
     def best_view(self, *ids: int) -> Cameras:
-        """The held-out view that shows most of an object, or of that which it shows least of."""
+        """The held-out view that shows an object best, or of several the one it shows worst."""
         maps = [self.true_map(camera) for camera in each(self.held_out)]
-        areas = [min(int((labels == id).sum()) for id in ids) for labels in maps]
-        return self.held_out[areas.index(max(areas))]
+        worst = [min(shown(labels, id) for id in ids) for labels in maps]
+        return self.held_out[worst.index(max(worst))]
+
+
+def shown(labels: Labels, id: int) -> float:
+    """How large an object is shown; much less where the picture's edge cuts it off."""
+    mask = labels == id
+    edge = sum(int(side.sum()) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+    return int(mask.sum()) / (1 + edge)
 
 
 def each(cameras: Cameras) -> list[Cameras]:

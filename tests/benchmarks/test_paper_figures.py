@@ -20,7 +20,7 @@ from paper_figures import (
 )
 from paper_figures.book import Book, Result, work_through
 from paper_figures.story import Table
-from paper_figures.subject import Effort, Subject
+from paper_figures.subject import Effort, Subject, shown
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
@@ -51,13 +51,20 @@ def test_a_scene_against_itself_leaks_nothing(subject: Subject):
     assert len(found) == 4 and {*found.values()} == {0}
 
 
-def test_names_and_the_most_visible_first(subject: Subject):
+def test_names_and_the_best_shown_first(subject: Subject):
     assert {*subject.ids} == {3, 7, 300} and subject.called(3) == "red"
-    areas = [
-        sum(int((subject.true_map(LARGE[row]) == id).sum()) for row in range(2))
-        for id in subject.ids
-    ]
-    assert areas == sorted(areas, reverse=True)
+    maps = [subject.true_map(LARGE[row]) for row in range(2)]
+    best = [max(shown(labels, id) for labels in maps) for id in subject.ids]
+    assert best == sorted(best, reverse=True)
+    assert shown(maps[LARGE.names.index(subject.best_view(3).names[0])], 3) == max(
+        shown(labels, 3) for labels in maps
+    )
+
+
+def test_what_the_edge_cuts_off_is_shown_worse():
+    whole, cut = torch.zeros(20, 20, dtype=torch.long), torch.zeros(20, 20, dtype=torch.long)
+    whole[5:15, 5:15], cut[:12, :12] = 1, 1
+    assert (shown(whole, 1), shown(cut, 1), shown(cut, 2)) == (100, 144 / 25, 0)
 
 
 def test_masks_without_error_are_exact_and_more_error_is_more(subject: Subject):
