@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from stylesplat.training.loop import _photos_at_once
 from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
-from stylesplat.training.step import _look, _together, train_step
+from stylesplat.training.step import Look, _look, _mean, train_step
 from stylesplat.training.train_config import TrainConfig
 
 together = pytest.mark.skipif(not SHARED, reason="numba has no OpenMP: one thread at a time")
@@ -46,19 +46,15 @@ class Threads(Ranks):
 
     meeting: Meeting = field(default_factory=lambda: Meeting(1))
 
-    def add_up(self, tensors: Iterable[Tensor]) -> Callable[[], None]:
+    def add_up(self, tensors: Iterable[Tensor]) -> None:
         """As torch.distributed does."""
         own = [*tensors]
         self.meeting.tensors[self.number] = [each.clone() for each in own]
         self.meeting.barrier.wait()
         everybody = [self.meeting.tensors[number] for number in range(self.count)]
         self.meeting.barrier.wait()
-
-        def wait() -> None:
-            for each, *others in zip(own, *everybody, strict=True):
-                each.copy_(sum(others[1:], others[0]))
-
-        return wait
+        for each, *others in zip(own, *everybody, strict=True):
+            each.copy_(sum(others[1:], others[0]))
 
 
 def runs(capture: Capture, config: TrainConfig, count: int, batch: int) -> list[tuple[Run, State]]:
@@ -74,21 +70,24 @@ def at_a_time(function, processes: list[tuple[Run, State]]) -> list:
 
 
 @together
-def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainConfig):
-    config = replace(config, refine_poses=True)
-    looks = at_a_time(
-        lambda run, state: _together(run, [_look(run, state, run.ranks.number)])[0],
-        runs(capture, config, 3, 1),
-    )
+@pytest.mark.parametrize("batch", [1, 2])
+def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainConfig, batch: int):
+    config, photos = replace(config, refine_poses=True), 3 * batch
+
+    def told(run: Run, state: State) -> Look:
+        return _mean(run, [_look(run, state, step) for step in run.photos(state)])
+
+    looks = at_a_time(told, runs(capture, config, 3, batch))
+    assert all((look.photos, look.state.step) == (photos, 0) for look in looks)
     (run, state), single = runs(capture, config, 1, 1)[0], []
-    for step in range(3):
+    for step in range(photos):
         single.append(state.beside(step))
-        fill_gradients(replace(run, batch=3), single[-1], run.generator(step))
+        fill_gradients(replace(run, batch=photos), single[-1], run.generator(step))
     for name in ("means", "quats", "scales", "opacities", "sh0", "identities", "weight"):
         found = [look.state.params[name].grad for look in looks]
         expected = torch.stack([each.params[name].grad for each in single]).sum(dim=0)
         assert all(torch.equal(each, found[0]) for each in found), name
-        assert (3 * found[0] - expected).norm() <= 1e-6 * expected.norm(), name
+        assert (photos * found[0] - expected).norm() <= 1e-6 * expected.norm(), name
     rows = looks[0].state.params["pose_shifts"].grad
     for step, each in enumerate(single):
         assert torch.equal(rows[run.row(step)], each.params["pose_shifts"].grad[run.row(step)])
@@ -116,9 +115,9 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
     assert found == [[0, 2], [1, 3], [4, 6], [5, 7], [8, 10], [9, 11]]
 
 
-def test_a_process_among_others_looks_at_two_photos_on_the_cpu():
+def test_processes_on_the_cpu_look_at_four_photos_in_all_or_at_one_each():
     crew, cpu, cuda = Crew(1), torch.device("cpu"), torch.device("cuda")
-    assert _photos_at_once(crew, Ranks(0, 2), cpu) == 2
+    assert [_photos_at_once(crew, Ranks(0, count), cpu) for count in (2, 3, 4, 8)] == [2, 1, 1, 1]
     assert _photos_at_once(crew, ALONE, cpu) == _photos_at_once(crew, Ranks(0, 2), cuda) == 1
 
 
@@ -133,7 +132,7 @@ def test_all_of_a_turn_learn_identities_or_none(capture: Capture, config: TrainC
 def test_alone():
     assert Ranks.here() == ALONE and ALONE.largest(2.0, True) == [2.0, True]
     tensor = torch.ones(2)
-    ALONE.add_up([tensor])()
+    ALONE.add_up([tensor])
     ALONE.meet()
     assert tensor.tolist() == [1.0, 1.0]
 

@@ -72,10 +72,10 @@ def test_looks_are_of_one_moment_and_steps_in_turn(capture: Capture, config: Tra
     together, one, other = after(run, state, 1), state.clone(), state.clone()
     looks = [_look(run, one, step) for step in (0, 1)]
     calm = [look._replace(noise=torch.zeros_like(look.noise)) for look in looks]
-    _take_steps(run, one, calm)
-    for step, look in enumerate([_look(run, other, step) for step in (0, 1)]):
+    _take_steps(run, calm)
+    for look in [_look(run, other, step) for step in (0, 1)]:
         still = look._replace(noise=torch.zeros_like(look.noise))
-        _take_steps(run, replace(other, step=step), [still])
+        _take_steps(run, [still])
     assert same(one, other)
     for name, each in one.params.items():
         assert torch.equal(each, together.params[name]) == (name != "means"), name

@@ -30,7 +30,7 @@ from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views, training_views
 
-MOST_AT_ONCE = 4  # photos, unless the settings say otherwise
+MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
 
 
 def fit(
@@ -98,8 +98,8 @@ def fit(
     )
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
-    crew = Crew(config.photos_at_once or MOST_AT_ONCE, device)
     ranks = Ranks.here()
+    crew = Crew(config.photos_at_once or _most_at_once(ranks), device)
     run = replace(run, batch=config.photos_at_once or _photos_at_once(crew, ranks, device))
     try:
         _warm_up(run, state)
@@ -112,9 +112,17 @@ def fit(
 
 
 def _photos_at_once(crew: Crew, ranks: Ranks, device: torch.device) -> int:
-    """Photos of a round of one process, unless the settings say otherwise."""
+    """Photos of a round of one process, unless the settings say otherwise.
+
+    Of several on the CPU each looks at the same number, however many threads it has: what a round
+    tells is sent once.
+    """
     sends = ranks.count > 1 and device.type == "cpu"
-    return max(crew.size, 2) if sends else crew.size  # one is sent while another is looked at
+    return _most_at_once(ranks) if sends else crew.size
+
+
+def _most_at_once(ranks: Ranks) -> int:
+    return max(1, MOST_AT_ONCE // ranks.count)
 
 
 def _first(

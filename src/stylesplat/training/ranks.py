@@ -5,7 +5,7 @@ number 0 of one, or r of many. As all begin alike, draw the same random numbers 
 gradients, their Gaussians stay the same without being sent.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -27,20 +27,13 @@ class Ranks:
             return cls(dist.get_rank(), dist.get_world_size())
         return cls()
 
-    def add_up(self, tensors: Iterable[Tensor]) -> Callable[[], None]:
-        """Begin to make each the sum of all processes', in place; what is returned waits for it.
-
-        They have the same shapes everywhere.
-        """
-        alone = self.count == 1
-        works = [] if alone else [dist.all_reduce(each, async_op=True) for each in tensors]
-
-        def wait() -> None:
+    def add_up(self, tensors: Iterable[Tensor]) -> None:
+        """Make each the sum of all processes', in place; they have the same shapes everywhere."""
+        if self.count > 1:
+            works = [dist.all_reduce(each, async_op=True) for each in tensors]
             for work in works:
                 assert work is not None
                 work.wait()
-
-        return wait
 
     def meet(self) -> None:
         """Wait until all have come here."""

@@ -1,8 +1,8 @@
 """One round of training: gradients, Adam, noise, and now and then growth."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import torch
@@ -31,14 +31,16 @@ REFINE_END = 0.9  # share of the run after which Gaussians are neither moved nor
 
 
 class Look(NamedTuple):
-    """What a photo of a round tells."""
+    """What a photo of a round tells, or some photos together."""
 
     state: State
-    """The tensors before the round, with their gradients; its step is the photo's."""
+    """The tensors before the round, with their gradients; its step is the first photo's."""
     outcome: Outcome
     """Which Gaussians are seen, and how well."""
     noise: Float[Tensor, "N 3"]
     """Standard normal: what moves means at random after the steps of the round."""
+    photos: int = 1
+    """How many the gradients are the mean of."""
 
 
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
@@ -50,17 +52,19 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     and unlike one step for all needs no other rates, as Adam's moments are those of single photos.
     Then noise moves the means, once for each photo.
 
-    Of several processes each looks at photos of its own, and a turn's step is for one photo of
-    each, by the mean of their gradients.
+    Of several processes each looks at photos of its own, and there is one step for all of a round,
+    by the mean of their gradients, so that these are sent once.
 
     The tensors stay the same ones, unless Gaussians are moved or added.
     """
-    first, every, count = state.step, run.config.refine_every, run.ranks.count
-    looks = _together(run, run.crew.in_order(partial(_look, run, state), run.photos(state)))
-    _take_steps(run, state, looks)
-    end = first + count * len(looks)
+    first, every = state.step, run.config.refine_every
+    looks = [*run.crew.in_order(partial(_look, run, state), run.photos(state))]
+    if run.ranks.count > 1:
+        looks = [_mean(run, looks)]
+    _take_steps(run, looks)
+    end = first + sum(look.photos for look in looks)
     if end // every > first // every:
-        last = end - count
+        last = end - looks[-1].photos
         state = _refined(run, replace(state, step=last), run.generator(last, MOVES))
     scores = torch.stack([look.outcome.scores for look in looks]).mean(dim=0)
     return replace(state, step=end), scores
@@ -73,58 +77,47 @@ def _look(run: Run, state: State, step: int) -> Look:
     return Look(own, fill_gradients(run, own, run.generator(step)), noise)
 
 
-def _together(run: Run, looks: Iterable[Look]) -> list[Look]:
-    """The same with the gradients, the Gaussians seen and the scores of all processes.
+def _mean(run: Run, looks: Sequence[Look]) -> Look:
+    """What the photos of a round tell in all processes: the mean of their gradients.
 
-    What one photo tells is sent while the next one is looked at.
+    Gradients of what is learned of each photo are sums: a row has those of one photo.
     """
-    if run.ranks.count == 1:
-        return [*looks]
-    return [ended() for ended in [_begin_to_send(run, look) for look in looks]]
-
-
-def _begin_to_send(run: Run, look: Look) -> Callable[[], Look]:
-    """Wait for the result by calling what is returned."""
-    ranks, outcome, params = run.ranks, look.outcome, look.state.params
-    learned = run.every(run.config.identity_every, look.state.step)
+    first, photos = looks[0], run.ranks.count * len(looks)
+    learned = any(run.every(run.config.identity_every, look.state.step) for look in looks)
     skipped = () if learned else ("identities", *CLASSIFIER)
-    for name, param in params.items():
-        if name not in skipped and param.grad is None:  # a photo without a label map
-            param.grad = torch.zeros_like(param)
+    params = first.state.params
+    for name in params.keys() - {*skipped}:
+        own = [look.state.params[name].grad for look in looks]
+        found = [gradient for gradient in own if gradient is not None]  # else: no label map
+        params[name].grad = reduce(Tensor.add_, found or [torch.zeros_like(params[name])])
     gradients = {name: p.grad for name, p in params.items() if p.grad is not None}
-    seen = outcome.seen.to(torch.int32)
-    wait = ranks.add_up([*gradients.values(), seen, outcome.scores])
-
-    def ended() -> Look:
-        wait()
-        for name, gradient in gradients.items():
-            if name not in PER_PHOTO:  # whose rows have one photo each
-                gradient.div_(ranks.count)
-        return look._replace(outcome=Outcome(seen > 0, outcome.scores.div_(ranks.count)))
-
-    return ended
+    seen = torch.stack([look.outcome.seen for look in looks]).sum(dim=0, dtype=torch.int32)
+    scores = torch.stack([look.outcome.scores for look in looks]).sum(dim=0)
+    run.ranks.add_up([*gradients.values(), seen, scores])
+    for name in gradients.keys() - {*PER_PHOTO}:
+        gradients[name].div_(photos)
+    start = replace(first.state, step=first.state.step - run.ranks.number)
+    return Look(start, Outcome(seen > 0, scores.div_(photos)), first.noise, photos)
 
 
-def _take_steps(run: Run, state: State, looks: Sequence[Look]) -> None:
+def _take_steps(run: Run, looks: Sequence[Look]) -> None:
     """Adam and noise for each turn, in place."""
-    count = run.ranks.count
-    firsts = range(state.step, state.step + count * len(looks), count)  # photos of the turns
-    decays = [schedule.means_decay(run.progress(replace(state, step=step))) for step in firsts]
-    turns = [*zip(firsts, decays, looks, strict=True)]
+    decays = [schedule.means_decay(run.progress(look.state)) for look in looks]
     updates = [
         Update(
             {name: each for name, each in look.state.params.items() if name not in PER_PHOTO},
             rates(run.config, run.extent * decay),
-            first + count,
+            look.state.step + look.photos,
             look.outcome.seen,
         )
-        for first, decay, look in turns
+        for decay, look in zip(decays, looks, strict=True)
     ]
-    adam_steps(state.moments, updates, photos=count)
-    for first, decay, look in turns:
-        for step in range(first, first + count):
+    adam_steps(looks[0].state.moments, updates, photos=looks[0].photos)
+    for decay, look in zip(decays, looks, strict=True):
+        first, photos = look.state.step, look.photos
+        for step in range(first, first + photos):
             step_photo(run, replace(look.state, step=step))
-        growth.add_noise(look.state.params, run.extent, decay, look.noise, photos=count)
+        growth.add_noise(look.state.params, run.extent, decay, look.noise, photos=photos)
 
 
 def rates(config: TrainConfig, unit: float) -> dict[str, float]:
