@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS
-from command_line import complaint, run
+from command_line import QUICK, complaint, run
 from stylesplat.drawing.grid import CAPTION, HEAD
 from stylesplat.drawing.object_sheet import CELL, MARGIN
 from stylesplat.drawing.style_sheet import plan_sheet
@@ -17,7 +17,8 @@ from stylesplat.io.captures.photos import read_image
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.stylization.style_config import PRESETS
 
-REPAINT = "stylesplat.verbs.sheet.repaint"
+PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"
+OTHER = ("--steps", 2, "--intensity", 0.5, *QUICK)  # as `styled` is painted
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 
@@ -74,6 +75,25 @@ def test_intensities_are_blends_of_one_result(draw, style: Path):
     assert (full - none).abs().mean() > 6
     # Half of it if no blend; colours that leave their range and are clamped make it more than 0
     assert (half - (none + full) / 2).abs().mean() < 0.2 * (full - none).abs().mean()
+
+
+def test_what_is_painted_is_painted_anew(
+    styled: Path, scene: Path, style: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """From the colours before, as `stylize` does it; other paintings stay and show."""
+    gradient = tmp_path / "gradient.png"
+    Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(gradient)
+    ways = ("--style", f"3={gradient}", "--view", CAMERAS.names[0], *FAST)
+    other = tmp_path / "other"
+    assert run("stylize", scene, "-o", other, "--style", f"7={style}", *OTHER) == 0
+    files = []
+    for name, place in {"upon": styled, "bare": other}.items():
+        files.append(tmp_path / f"{name}.png")
+        assert run("sheet", place, "-o", files[-1], *ways) == 0
+    upon, bare = map(read_image, files)
+    assert torch.equal(cell(upon, 0, 1), cell(bare, 0, 1))
+    assert not torch.equal(cell(upon, 0, 0), cell(bare, 0, 0)), "the object as it is"
+    assert "anew" not in capsys.readouterr().err
 
 
 def test_several_styles_are_rows(draw, style: Path, tmp_path: Path):
@@ -145,7 +165,7 @@ def test_settings_start_from_the_preset():
 def test_refusals_come_before_any_repainting(
     arguments: list[str], expected: str, scene: Path, style: Path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(REPAINT, lambda *_: pytest.fail("it started to repaint"))
+    monkeypatch.setattr(PAINT, lambda *_, **__: pytest.fail("it started to paint"))
     places = {"style": style, "tmp": scene.parent}
     files = sorted(scene.parent.rglob("*"))
     filled = [argument.format(**places) for argument in arguments]
@@ -155,12 +175,12 @@ def test_refusals_come_before_any_repainting(
 
 
 def test_a_failure_keeps_the_sheet_before(scene: Path, style: Path, tmp_path: Path, monkeypatch):
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise StyleSplatError("no")
 
     out = tmp_path / "sheet.png"
     out.write_bytes(b"mine")
-    monkeypatch.setattr(REPAINT, fail)
+    monkeypatch.setattr(PAINT, fail)
     arguments = ("--style", f"3={style}", "--overwrite", *FAST)
     assert run("sheet", scene, "-o", out, *arguments) == 1
     assert out.read_bytes() == b"mine"

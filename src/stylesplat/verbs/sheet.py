@@ -1,7 +1,7 @@
 """`sheet`: one object in a grid of styles and settings, to choose from."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +12,22 @@ from torch import Tensor
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import draw_grid
 from stylesplat.drawing.object_sheet import close_up
-from stylesplat.drawing.style_sheet import Place, SheetPlan, captioned, plan_sheet
-from stylesplat.progress import Task, task
+from stylesplat.drawing.style_sheet import SheetPlan, captioned, plan_sheet
+from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.one_line import counted, one_line
-from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.bookkeeping import at_intensities
-from stylesplat.stylization.crossfade import crossfade
-from stylesplat.stylization.paint_objects import REPORT_EVERY, check_jobs, moved, open_studio
-from stylesplat.stylization.repaint import Repainted, repaint
+from stylesplat.stylization.bookkeeping import at_intensities, strengths
+from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Picture
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
-from stylesplat.stylization.style_job import Studio, StyleJob
-from stylesplat.verbs.stylize import load_network
+from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.undo import unpainted
+from stylesplat.verbs.stylize import stylize_unmeasured
 
 Drawn = UInt8[Tensor, "_ _ 3"]
 
@@ -88,14 +86,15 @@ def sheet(
     """
     several = [(s,) if isinstance(s, str | Path | Tensor) else tuple(s) for s in styles]
     variations = [(key, tuple(values)) for key, values in (vary or {}).items()]
-    looked = _looked(scene, name, plan_sheet(several, variations, settings=settings), view, device)
-    runs, splats = looked.plan.runs(), looked.splats
-    file = Source(Path(weights)) if weights else None
-    network = load_network([style for style, _ in runs], features, file)
-    training, held_out = scene.working_views()
-    studio = open_studio(splats, training, network, held_out=held_out)
-    planned = [(moved(job, splats), p) for job, (_, p) in zip(looked.jobs, runs, strict=True)]
-    return looked.drawn(_painted(studio, planned, looked.camera))
+    plan = plan_sheet(several, variations, settings=settings)
+    how = {"features": features, "weights": weights, "device": device}
+
+    def painted() -> Iterator[Scene]:
+        bare = replace(unpainted(scene, {name} & strengths(scene).keys()), path=scene.path)
+        for style, _ in track(plan.runs(), name, unit="painting"):
+            yield stylize_unmeasured(bare, {name: style}, **how).scene
+
+    return sheet_of(scene, name, plan, painted(), view=view, device=device)
 
 
 def sheet_of(
@@ -157,33 +156,6 @@ def _looked(scene: Scene, name: str, plan: SheetPlan, view: str | None, device: 
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
     camera = close_up(splats, cameras, picked.to(splats.device))
     return _Looked(plan, splats, jobs, camera)
-
-
-def _painted(
-    studio: Studio, runs: Sequence[tuple[StyleJob, Sequence[Place]]], camera: Cameras
-) -> Mapping[tuple[int, int], Drawn]:
-    """The picture of each cell, by row and column."""
-    pictures = {}
-    total = sum(len(places) for _, places in runs)
-    with task(runs[0][0].name, total, unit="cell") as counted:
-        for job, places in runs:
-            state = _repainted(studio, job, counted)
-            mask = job.picked[state.parents]
-            for place in places:
-                splats = crossfade(state.base, state.splats, mask, place.intensity)
-                pictures[place.row, place.column] = _picture(splats, camera)
-                counted.advance()
-    return pictures
-
-
-def _repainted(studio: Studio, job: StyleJob, counted: Task) -> Repainted:
-    """The last state of a repainting."""
-    state = None
-    for state in repaint(studio, job):
-        if state.step % REPORT_EVERY == 0:
-            counted.note(f"step {state.step} of {state.steps}")
-    assert state is not None  # there is at least one step
-    return state
 
 
 @torch.no_grad()
