@@ -27,7 +27,7 @@ from bench import capture, machine, table
 
 from stylesplat.rendering.at_once import Crew
 from stylesplat.training.initialize import scene_extent
-from stylesplat.training.loop import MOST_AT_ONCE, fit
+from stylesplat.training.loop import fit, most_at_once
 from stylesplat.training.ranks import Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
@@ -79,7 +79,7 @@ def config_of(options: Options, steps: int) -> TrainConfig:
 def ways() -> list[Way]:
     """Those of this machine."""
     cores = numba.get_num_threads()
-    of_each = max(1, MOST_AT_ONCE // cores)
+    of_each = most_at_once(Ranks(0, cores))
     return [
         Way("one thread", 1, 1),
         *(Way(f"{cores} threads, {each} at a time", cores, each) for each in (1, 2, 4)),

@@ -8,9 +8,7 @@ import stylesplat  # noqa: F401  (first: it sets up threading before torch loads
 import pytest  # isort: skip
 import torch  # isort: skip
 
-from stylesplat.evaluation import style_metrics
 from stylesplat.progress import Silence, observed
-from stylesplat.stylization import fresh_canvas, refit
 from tiny_network import network, stripes  # noqa: F401  (fixtures)
 
 
@@ -36,9 +34,9 @@ def said() -> Iterator[list[str]]:
 def quick_painting() -> Iterator[None]:
     """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style_metrics, "LENGTH", 30.0)
-        patch.setattr(refit, "STEPS", 4)
-        patch.setattr(fresh_canvas, "STEPS", 4)
+        patch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 30.0)
+        patch.setattr("stylesplat.stylization.refit.STEPS", 4)
+        patch.setattr("stylesplat.stylization.fresh_canvas.STEPS", 4)
         yield
 
 

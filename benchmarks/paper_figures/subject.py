@@ -94,8 +94,8 @@ class Subject:
     @cached_property
     def ids(self) -> tuple[int, ...]:
         """The objects' label ids, the one that its best view shows best first."""
-        maps = [self.true_map(camera) for camera in each(self.held_out)]
-        best = {id: max(shown(labels, id) for labels in maps) for id in object_ids(self.splats)}
+        ids, maps = object_ids(self.splats), self.true_maps
+        best = {id: max(shown(labels, id) for labels in maps) for id in ids}
         return tuple(sorted(best, key=lambda id: -best[id]))
 
     @property
@@ -125,6 +125,11 @@ class Subject:
             raise SystemExit(f"{camera.names[0]} of {self.name} has no label map.")
         return resize_labels(labels, camera.size[::-1])
 
+    @cached_property
+    def true_maps(self) -> list[Labels]:
+        """Those of the held-out views."""
+        return [self.true_map(camera) for camera in each(self.held_out)]
+
     def picked(self, id: int) -> Tensor:
         """An object's Gaussians."""
         return pick(self.splats, object_id=id)
@@ -137,9 +142,8 @@ class Subject:
         return self.capture.object_names.get(id, f"object {id}")
 
     def best_view(self, *ids: int) -> Cameras:
-        """The held-out view that shows an object best, or of several the one it shows worst."""
-        maps = [self.true_map(camera) for camera in each(self.held_out)]
-        worst = [min(shown(labels, id) for id in ids) for labels in maps]
+        """The held-out view that shows an object best; of several, the worst shown."""
+        worst = [min(shown(labels, id) for id in ids) for labels in self.true_maps]
         return self.held_out[worst.index(max(worst))]
 
 

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from stylesplat.stderr import write_lines
+
 TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others only repeat it: clean-up goes on
 LOADING = 10.0  # seconds for which a signal waits for a module: some crash if they are interrupted
@@ -31,6 +33,7 @@ class _Last:
     number: int | None = None
     moment = -PATIENCE  # when it came, or was raised
     waits = False  # to be raised
+    others = 0  # libraries that may take signals now
 
 
 def take_signals() -> None:
@@ -68,7 +71,7 @@ def interruption(error: BaseException) -> signal.Signals | None:
 def told(number: signal.Signals, advice: str = WHOLE) -> int:
     """Say in one line that a command was interrupted; the exit status, as shells report it."""
     what = "terminated" if number == signal.SIGTERM else "interrupted"
-    print(f"stylesplat: {what}. {advice}", file=sys.stderr)
+    write_lines(f"stylesplat: {what}. {advice}")
     return 128 + number
 
 
@@ -83,6 +86,7 @@ def kept_signals() -> Iterator[None]:
     except (AttributeError, OSError, TypeError):  # Windows
         yield
         return
+    _Last.others += 1
     numbers = [getattr(signal, name) for name in CRASHES]
     actions = {number: ctypes.create_string_buffer(ACTION_BYTES) for number in numbers}
     for number, action in actions.items():
@@ -92,6 +96,7 @@ def kept_signals() -> Iterator[None]:
     finally:
         for number, action in actions.items():
             sigaction(number, action, None)
+        _Last.others -= 1
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -127,12 +132,13 @@ def _is_loaded(name: str) -> bool:
 
 def _try_again() -> None:
     """Let the last signal come once more, a moment later."""
-
     main = threading.main_thread().ident
     assert main, "it has begun"
 
     def come() -> None:
         time.sleep(AGAIN)
+        while _Last.others:  # one of them would end the process
+            time.sleep(AGAIN)
         number = signal.Signals(_Last.number or signal.SIGINT)
         if sys.platform == "win32":
             _thread.interrupt_main(number)

@@ -56,9 +56,15 @@ def test_names_and_the_best_shown_first(subject: Subject):
     maps = [subject.true_map(LARGE[row]) for row in range(2)]
     best = [max(shown(labels, id) for labels in maps) for id in subject.ids]
     assert best == sorted(best, reverse=True)
-    assert shown(maps[LARGE.names.index(subject.best_view(3).names[0])], 3) == max(
-        shown(labels, 3) for labels in maps
-    )
+
+
+def test_the_view_is_one_that_cuts_nothing_off(subject: Subject):
+    whole, cut = torch.zeros(2, 20, 20, dtype=torch.long)
+    whole[5:15, 5:15], cut[:12, :12], cut[15:17, 15:17] = 1, 1, 2
+    other = replace(subject)
+    vars(other)["true_maps"] = [cut, whole]
+    assert other.best_view(1).names == LARGE.names[1:2]
+    assert other.best_view(1, 2).names == LARGE.names[:1], "the other one shows no 2"
 
 
 def test_what_the_edge_cuts_off_is_shown_worse():

@@ -97,7 +97,7 @@ def test_while_it_starts(library: str, number: signal.Signals, capture: Path, tm
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_training_is_kept_and_goes_on(number: signal.Signals, capture: Path, tmp_path: Path):
     out = tmp_path / "out"
-    options = ("--device", "cpu", "--max-seconds", 2)
+    options = ("--device", "cpu", "--max-seconds", 3)
     begun = Begun(tmp_path, "train", capture, "-o", out, *options)
     begun.wait_for(lambda begun: begun.says("Gaussians"))
     assert begun.ended_by(number) == CONTINUES
@@ -144,7 +144,7 @@ class Dying:
         signal.raise_signal(signal.SIGTERM)
 try:
     Dying()
-    time.sleep(9)
+    time.sleep(99)
 except Terminated:
     print("raised")
 """
@@ -196,7 +196,26 @@ take_signals()
 try:
     import slow
     import time
-    time.sleep(9)
+    time.sleep(99)
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+
+TAKEN_BY_OTHERS = """
+import pathlib, sys
+from stylesplat.signals import take_signals
+sys.path.insert(0, {folder!r})
+import stylesplat.io.locks
+pathlib.Path({folder!r}, "slow.py").write_text(
+    "import signal\\nsignal.raise_signal(signal.SIGTERM)\\n"
+    "from stylesplat.io.captures.colmap_library import pycolmap\\nprint('loaded')"
+)
+take_signals()
+try:
+    import slow
+    import time
+    time.sleep(99)
 except KeyboardInterrupt:
     print("raised")
 """
@@ -205,6 +224,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize(
     ("script", "status", "expected"),
     [
+        pytest.param(TAKEN_BY_OTHERS, 0, "loaded\nraised\n", id="while a library takes signals"),
         pytest.param(IN_A_DEL, 0, "raised\n", id="where Python cannot raise"),
         pytest.param(TWICE, 0, "cleaned up\nraised\n", id="twice"),
         pytest.param(IN_A_TEXT, 0, "130\n", id="in a text that is run"),

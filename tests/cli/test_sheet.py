@@ -17,6 +17,7 @@ from stylesplat.io.captures.photos import read_image
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.stylization.style_config import PRESETS
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
 PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"
 OTHER = ("--steps", 2, "--intensity", 0.5, *QUICK)  # as `styled` is painted
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")

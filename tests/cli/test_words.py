@@ -25,6 +25,7 @@ def said(capsys: pytest.CaptureFixture[str]):
     return said
 
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
 EXPORT = "stylesplat export"
 
 

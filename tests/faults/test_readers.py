@@ -58,7 +58,7 @@ for line in sys.stdin:
 def test_crashes_and_hangs_are_told_and_the_next_mutant_follows(tmp_path: Path, monkeypatch):
     (tmp_path / "script.py").write_text(SCRIPT)
     monkeypatch.setattr("trials.STARTS", 6.0)
-    worker = Worker(tmp_path / "work", script=tmp_path / "script.py", patience=2.0)
+    worker = Worker(tmp_path / "work", script=tmp_path / "script.py", patience=4.0)
     outcomes = [trial.outcome for trial in worker.trials("any", 0, 4)]
     worker.close()
     assert outcomes == ["fine", "crash", "hang", "fine"]

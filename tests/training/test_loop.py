@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from begun_runs import begun
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
@@ -12,6 +13,7 @@ from stylesplat.training import loop
 from stylesplat.training.announce import GPU_STEPS, Tally
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import fit
+from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
 from stylesplat.training.step import train_step
@@ -147,6 +149,18 @@ def test_kernels_are_compiled_before_the_clock_starts(
     fit(capture, replace(config, steps=9, photos_at_once=3))
     assert rounds[:2] == [(3, True), (3, False)], "on a copy"
     assert rounds[2:] == [(3, True), (3, False), (3, True)]
+
+
+def test_of_several_processes_a_round_has_one_step(
+    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
+):
+    """Its kernel is another one than that of a step for each photo."""
+    photos: list[int] = []
+    run, state = begun(capture, config, 2, of_photos=True)
+    monkeypatch.setattr(loop, "train_step", lambda run, state: photos.append(run.batch))
+    loop._warm_up(run, state, Ranks(0, 2))
+    loop._warm_up(run, state, ALONE)
+    assert photos == [1, 1, 2, 2]
 
 
 def test_progress_is_told_after_each_step(capture: Capture, config: TrainConfig):

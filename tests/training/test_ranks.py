@@ -18,12 +18,14 @@ from begun_runs import begun
 from stylesplat.rendering.at_once import Crew
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
+from stylesplat.training.adam import Update, adam_steps
 from stylesplat.training.gradients import fill_gradients
+from stylesplat.training.growth import add_noise
 from stylesplat.training.loop import _photos_at_once
 from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.run import Run
-from stylesplat.training.state import State
-from stylesplat.training.step import Look, _look, _mean, train_step
+from stylesplat.training.state import PER_PHOTO, State
+from stylesplat.training.step import Look, _look, _mean, rates, train_step
 from stylesplat.training.train_config import TrainConfig
 
 together = pytest.mark.skipif(not SHARED, reason="numba has no OpenMP: one thread at a time")
@@ -91,6 +93,34 @@ def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainCo
     rows = looks[0].state.params["pose_shifts"].grad
     for step, each in enumerate(single):
         assert torch.equal(rows[run.row(step)], each.params["pose_shifts"].grad[run.row(step)])
+
+
+@together
+def test_all_photos_of_a_round_have_one_step(capture: Capture, config: TrainConfig):
+    config = replace(config, color_correction="on")
+    processes = runs(capture, config, 2, 2)
+    run, state = processes[0]
+    expected, looks = state.clone(), [_look(run, state.beside(step), step) for step in range(4)]
+    for name, param in expected.params.items():
+        gradients = [look.state.params[name].grad for look in looks]
+        param.grad = torch.stack([each for each in gradients if each is not None]).sum(dim=0) / 4
+    own = {name: each for name, each in expected.params.items() if name not in PER_PHOTO}
+    seen = torch.stack([look.outcome.seen for look in looks]).any(dim=0)
+    update = Update(own, rates(config, run.extent), step=4, seen=seen)
+    adam_steps(expected.moments, [update], photos=4)
+    add_noise(expected.params, run.extent, 1.0, looks[0].noise, photos=4)
+    after, _ = at_a_time(train_step, processes)[0]
+    assert after.step == 4
+    for name in ("means", "opacities", "sh0", "identities", "weight"):
+        pairs = [(after.params[name], expected.params[name])]
+        pairs += [
+            (getattr(after.moments, which)[name], getattr(expected.moments, which)[name])
+            for which in ("first", "second")
+        ]
+        for found, wanted in pairs:
+            assert 0 < wanted.norm() and (found - wanted).norm() <= 1e-5 * wanted.norm(), name
+    stepped = after.moments.second["color_maps"].flatten(1).any(dim=1).nonzero()[:, 0]
+    assert {*stepped.tolist()} == {run.rows.index(run.row(step)) for step in range(4)}
 
 
 @together

@@ -32,6 +32,7 @@ from stylesplat.cli.usage import read
 from stylesplat.cli.view import View
 from stylesplat.progress import observed
 from stylesplat.signals import WHOLE
+from stylesplat.stderr import write_lines
 
 VERBS = {
     "demo": Demo,
@@ -83,7 +84,7 @@ def _run(command: Any) -> None:
     if command.json:
         print(strict_json(result), flush=True)
     else:
-        print(*told(command, result), sep="\n", file=sys.stderr)
+        write_lines(*told(command, result))
     if isinstance(result, Answer):
         with closing(_observer()) as observer, observed(observer):
             result.rest()

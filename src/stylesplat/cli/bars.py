@@ -64,7 +64,7 @@ class Bars(Once):
                 self._drawn.remove(bar)
 
     def _write(self, line: str) -> None:
-        """Above the bars that there are, and in one piece: Ctrl-C leaves no half line."""
+        """Above the bars that there are, and in one piece, as `write_lines` does."""
         from tqdm import tqdm
 
         tqdm.write(f"{line}\n", file=sys.stderr, end="")

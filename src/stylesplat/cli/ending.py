@@ -9,6 +9,7 @@ from pathlib import Path
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import DISK_FULL, reason
 from stylesplat.signals import WHOLE, interruption, told
+from stylesplat.stderr import write_lines
 
 AT_FAULT = 1  # the user's input, or a machine that is too small for it
 PIPE_CLOSED = 141  # what shells report of programs that nobody listens to any more
@@ -41,7 +42,7 @@ def status_after(error: BaseException, advice: Callable[[], str] = lambda: WHOLE
     if line is None:
         error.add_note(BUG)
         return None
-    print(f"stylesplat: {line}", file=sys.stderr)
+    write_lines(f"stylesplat: {line}")
     return AT_FAULT
 
 

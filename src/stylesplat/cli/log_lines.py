@@ -1,11 +1,11 @@
 """Progress where no terminal is, as in logs: now and then a line on stderr."""
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from stylesplat.cli.once import Once
+from stylesplat.stderr import write_lines
 
 EVERY = 10.0  # seconds between two lines of a task
 SURE = 0.02  # of the whole: the first step alone takes much longer than the others
@@ -39,7 +39,7 @@ class _Counted:
         if self._done == self._total:  # the end will be said
             return
         note = f" ({self._note})" if self._note else ""
-        _write(f"{self._what}: {self._stand()}{self._left(now)}{note}")
+        write_lines(f"{self._what}: {self._stand()}{self._left(now)}{note}")
 
     def note(self, text: str) -> None:
         """Keep it for the next line."""
@@ -52,7 +52,7 @@ class _Counted:
         whole = self._total is None or self._done >= self._total
         how = "done" if whole else "ended"
         seconds = self._clock() - self._start
-        _write(f"{self._what}: {how}, {self._stand()} in {_duration(seconds)}")
+        write_lines(f"{self._what}: {how}, {self._stand()} in {_duration(seconds)}")
 
     def _stand(self) -> str:
         if self._unit == "B":
@@ -92,11 +92,7 @@ class LogLines(Once):
             counted.end()
 
     def _write(self, line: str) -> None:
-        _write(line)
-
-
-def _write(line: str) -> None:
-    print(f"{line}\n", end="", file=sys.stderr, flush=True)  # in one piece: see Bars
+        write_lines(line)
 
 
 def _plural(unit: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from stylesplat.cli.arguments import read_command, understood
 from stylesplat.cli.wrong_usage import WrongUsage
+from stylesplat.stderr import write_lines
 
 PROGRAM = "stylesplat"
 ALIASES = {"stylise": "stylize"}
@@ -57,7 +58,7 @@ def read(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
 
 
 def _refuse(line: str, verb: str) -> NoReturn:
-    print(f"{PROGRAM}{verb}: {line} See `{PROGRAM}{verb} --help`.", file=sys.stderr)
+    write_lines(f"{PROGRAM}{verb}: {line} See `{PROGRAM}{verb} --help`.")
     raise SystemExit(WRONG_USAGE)
 
 

@@ -83,11 +83,12 @@ def _seen_part(
 
 
 def _joined(parts: list[tuple[Tensor, ...]]) -> Iterator[Tensor]:
+    """Each column as a whole; parts are let go once they are joined."""
     columns = [[*each] for each in zip(*parts, strict=True)]
     parts.clear()
     for column in columns:
         yield torch.cat(column)
-        column.clear()  # what is joined is let go
+        column.clear()
 
 
 def touching(

@@ -23,14 +23,17 @@ OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth 
 
 def adam(steps: AdamSteps) -> None:
     """Adam, all turns in one pass through memory, whose speed is the limit."""
-    tensors = (steps.param, steps.first, steps.second), [turn.grad for turn in steps.turns]
-    arrays, grads = (
-        tuple(each.contiguous().view(len(each), -1).numpy() for each in some) for some in tensors
-    )
+    arrays = tuple(_rows(each) for each in (steps.param, steps.first, steps.second))
+    grads = tuple(_rows(turn.grad) for turn in steps.turns)
     chosen = tuple(turn.rows.numpy() for turn in steps.turns)
     factors = [(turn.rate / turn.corrections[0], 1 / turn.corrections[1]) for turn in steps.turns]
     kept = np.float32(steps.kept[0]), np.float32(steps.kept[1])
     _adam(arrays, kept, grads, chosen, np.array(factors, np.float32))
+
+
+@no_type_check
+def _rows(tensor: Tensor) -> np.ndarray:
+    return tensor.contiguous().view(len(tensor), -1).numpy()
 
 
 @no_type_check

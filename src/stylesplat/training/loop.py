@@ -99,10 +99,10 @@ def fit(
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
     ranks = Ranks.here()
-    crew = Crew(config.photos_at_once or _most_at_once(ranks), device)
+    crew = Crew(config.photos_at_once or most_at_once(ranks), device)
     run = replace(run, batch=config.photos_at_once or _photos_at_once(crew, ranks, device))
     try:
-        _warm_up(run, state)
+        _warm_up(run, state, ranks)
         run = replace(run, crew=crew, ranks=ranks)
         keeper = Keeper(saved if ranks.number == 0 else None, state)
         with announced(config, state, on_progress) as report:
@@ -118,10 +118,11 @@ def _photos_at_once(crew: Crew, ranks: Ranks, device: torch.device) -> int:
     tells is sent once.
     """
     sends = ranks.count > 1 and device.type == "cpu"
-    return _most_at_once(ranks) if sends else crew.size
+    return most_at_once(ranks) if sends else crew.size
 
 
-def _most_at_once(ranks: Ranks) -> int:
+def most_at_once(ranks: Ranks) -> int:
+    """Photos of a round of one process at most, unless the settings say otherwise."""
     return max(1, MOST_AT_ONCE // ranks.count)
 
 
@@ -151,8 +152,12 @@ def _continued(saved: Checkpoint | None, device: torch.device) -> State | None:
     return state
 
 
-def _warm_up(run: Run, state: State) -> None:
-    """Compile the kernels before the clock starts, by rounds on a copy; leaves no trace."""
+def _warm_up(run: Run, state: State, ranks: Ranks) -> None:
+    """Compile the kernels before the clock starts, by rounds on a copy; leaves no trace.
+
+    The rounds are those of one process; of several processes all photos of a round have one step.
+    """
+    run = run if ranks.count == 1 else replace(run, batch=1)
     if run.progress(state) < 1:
         for number in range(min(run.config.identity_every, 2)):  # with and without identities
             train_step(run, replace(state.clone(), step=number * run.batch))

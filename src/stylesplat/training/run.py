@@ -46,19 +46,19 @@ class Run:
 
     def photos(self, state: State) -> range:
         """Numbers of the photos of the next round that are this process's; see `row`."""
-        turns, number, count = self.batch, self.ranks.number, self.ranks.count
+        own, number, count = self.batch, self.ranks.number, self.ranks.count
         if self.config.max_seconds is None:
-            turns = max(1, min(turns, -(-(self.config.steps - state.step) // count)))
-        return range(state.step + number, state.step + turns * count, count)
+            own = max(1, min(own, -(-(self.config.steps - state.step) // count)))
+        return range(state.step + number, state.step + own * count, count)
 
     def every(self, rounds: int, step: int) -> bool:
         """Whether a photo is of the first of so many rounds.
 
-        All of a round are, or none, if the run has had the same rounds from its start; all of a
-        turn are in any case, as processes send each other the same tensors.
+        All of a round are, or none, if the run has had the same rounds from its start. In any case
+        the processes agree on it photo by photo, as they send each other the same tensors.
         """
-        turn = step - self.ranks.number
-        return turn // (self.batch * self.ranks.count) % rounds == 0
+        first = step - self.ranks.number  # number of the first process's photo beside it
+        return first // (self.batch * self.ranks.count) % rounds == 0
 
     def row(self, step: int) -> int:
         """The photo of a step: every photo once, in random order, then all over again."""

@@ -72,15 +72,16 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
 
 def _look(run: Run, state: State, step: int) -> Look:
     own, means = state.beside(step), state.params["means"]
-    moves = run.generator(step - run.ranks.number, MOVES)  # the turn's, so alike everywhere
+    moves = run.generator(step - run.ranks.number, MOVES)  # alike in all processes
     noise = torch.randn(means.shape, generator=moves, device=means.device)
     return Look(own, fill_gradients(run, own, run.generator(step)), noise)
 
 
 def _mean(run: Run, looks: Sequence[Look]) -> Look:
-    """What the photos of a round tell in all processes: the mean of their gradients.
+    """What the photos of a round tell in all processes: the mean of their gradients, sent once.
 
-    Gradients of what is learned of each photo are sums: a row has those of one photo.
+    Of what is learned of each photo they are sums, as a row has those of its photo alone. The
+    gradients of the looks are used up.
     """
     first, photos = looks[0], run.ranks.count * len(looks)
     learned = any(run.every(run.config.identity_every, look.state.step) for look in looks)

@@ -76,8 +76,8 @@ class TrainConfig:
     photos_at_once: int | None = None
     """Photos that are looked at together, each by threads of its own, before their steps are taken.
 
-    None: on the CPU as many as there are threads, at most 4; of several processes 4 in all, or one
-    each; else one.
+    None: on the CPU as many as there are threads, at most 4; else one. Several processes take one
+    step for all of theirs: on the CPU each looks at as many as make at most 4, or at one.
     """
     max_memory: float | None = None
     """GiB for photos and label maps; what does not fit is read again.
