@@ -19,6 +19,7 @@ import stylesplat as ss
 from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.one_line import counted
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import load_vgg
@@ -161,7 +162,8 @@ def _status(field: str) -> int:
 def machine() -> str:
     """The processor and its threads, for the head of a report."""
     found = re.search(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())
-    return f"{found[1] if found else platform.processor()}, {numba.get_num_threads()} threads"
+    threads = counted(numba.get_num_threads(), "thread")
+    return f"{found[1] if found else platform.processor()}, {threads}"
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -14,7 +14,7 @@ from paper_figures.pictures import grid, picture, strip
 from paper_figures.subject import Subject
 from stylesplat.drawing.page_parts import figure_html, page_style, picture_url, table_html
 
-QUALITY = 82  # of JPEG in docs
+QUALITY = 72  # of JPEG in docs
 OURS = "demo"  # the scene that is made here
 GIVEN = ("photo", "label map")  # what others took: of their scenes docs show renders alone
 
