@@ -86,12 +86,12 @@ def kept_signals() -> Iterator[None]:
     except (AttributeError, OSError, TypeError):  # Windows
         yield
         return
-    _Last.others += 1
     numbers = [getattr(signal, name) for name in CRASHES]
     actions = {number: ctypes.create_string_buffer(ACTION_BYTES) for number in numbers}
     for number, action in actions.items():
         sigaction(number, None, action)
     try:
+        _Last.others += 1
         yield
     finally:
         for number, action in actions.items():
@@ -137,7 +137,7 @@ def _try_again() -> None:
 
     def come() -> None:
         time.sleep(AGAIN)
-        while _Last.others:  # one of them would end the process
+        while _Last.others > 0:  # one of them would end the process
             time.sleep(AGAIN)
         number = signal.Signals(_Last.number or signal.SIGINT)
         if sys.platform == "win32":

@@ -202,23 +202,9 @@ except KeyboardInterrupt:
 """
 
 
-TAKEN_BY_OTHERS = """
-import pathlib, sys
-from stylesplat.signals import take_signals
-sys.path.insert(0, {folder!r})
-import stylesplat.io.locks
-pathlib.Path({folder!r}, "slow.py").write_text(
-    "import signal\\nsignal.raise_signal(signal.SIGTERM)\\n"
-    "from stylesplat.io.captures.colmap_library import pycolmap\\nprint('loaded')"
+TAKEN_BY_OTHERS = LOADING.replace("SIGINT", "SIGTERM").replace(
+    "print(", "from stylesplat.io.captures.colmap_library import pycolmap\\nprint(", 1
 )
-take_signals()
-try:
-    import slow
-    import time
-    time.sleep(99)
-except KeyboardInterrupt:
-    print("raised")
-"""
 
 
 @pytest.mark.parametrize(

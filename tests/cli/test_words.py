@@ -75,7 +75,7 @@ def test_objects_names_nothing_twice(scene: Path, said):
     ]
 
 
-def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, quick_painting, said):
+def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, said):
     out = scene.with_name("painted")
     options = ("--steps", 2, "--pattern", "large", "--max-growth", 1, "--device", "cpu")
     lines = said("stylize", scene, "--style", f"3={style}", "-o", out, *options)

@@ -23,7 +23,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.bookkeeping import at_intensities, strengths
 from stylesplat.stylization.paint_objects import check_jobs
-from stylesplat.stylization.style import Picture
+from stylesplat.stylization.style import Picture, Style
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
@@ -119,43 +119,27 @@ def sheet_of(
     Raises:
         StyleSplatError: As `sheet` does.
     """
-    looked = _looked(scene, name, plan, view, device)
+    runs = plan.runs()
+    splats, camera = _looked(scene, name, runs, view, device)
     pictures = {}
-    for (_, places), each in zip(plan.runs(), painted, strict=True):
+    for (_, places), each in zip(runs, painted, strict=True):
         for place in places:
-            splats = at_intensities(each, {name: place.intensity}).splats
-            pictures[place.row, place.column] = _picture(
-                splats.to(looked.splats.device), looked.camera
-            )
-    return looked.drawn(pictures)
+            shown = at_intensities(each, {name: place.intensity}).splats.to(splats.device)
+            pictures[place.row, place.column] = _picture(shown, camera)
+    grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
+    return Sheet(grid, camera.names[0], len(pictures), len(runs))
 
 
-@dataclass(frozen=True)
-class _Looked:
-    """An object of which a sheet is to be drawn."""
-
-    plan: SheetPlan
-    splats: Splats
-    jobs: Sequence[StyleJob]
-    """Those of `plan.runs()`."""
-    camera: Cameras
-
-    def drawn(self, pictures: Mapping[tuple[int, int], Drawn]) -> Sheet:
-        """The sheet of what its cells show, by row and column."""
-        before = _picture(self.splats, self.camera)
-        grid = draw_grid(captioned(self.plan, pictures, before))
-        return Sheet(grid, self.camera.names[0], len(pictures), len(self.jobs))
-
-
-def _looked(scene: Scene, name: str, plan: SheetPlan, view: str | None, device: str) -> _Looked:
-    """An object as a sheet shows it, checked."""
+def _looked(
+    scene: Scene, name: str, runs: Sequence[tuple[Style, Any]], view: str | None, device: str
+) -> tuple[Splats, Cameras]:
+    """What a sheet shows an object with, and from where; it and its styles are checked."""
     picked = find_object(scene, name)
-    jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in plan.runs()]
+    jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in runs]
     check_jobs(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
-    camera = close_up(splats, cameras, picked.to(splats.device))
-    return _Looked(plan, splats, jobs, camera)
+    return splats, close_up(splats, cameras, picked.to(splats.device))
 
 
 @torch.no_grad()
