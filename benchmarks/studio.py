@@ -42,7 +42,7 @@ def seconds_until(ask: Callable[[], object], what: str) -> float:
 def opening(scene: Path, styles: Path, tab: Tab) -> tuple[Studio, float]:
     start = time.perf_counter()
     opened = ss.studio(scene, styles=styles, port=0, block=False)
-    tab.page.open(f"http://127.0.0.1:{opened.port}")
+    tab.page.open(opened.url)
     until(lambda: opened.server.get_clients() or None, "a browser", PATIENCE)
     seconds_until(lambda: fits(opened, tab) and rests(opened), "a picture")
     return opened, time.perf_counter() - start

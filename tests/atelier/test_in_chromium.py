@@ -73,7 +73,7 @@ def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
     downloads.mkdir()
     with studio_tab(size=SIZE, downloads=downloads) as tab:
         tab.page.call("Page.addScriptToEvaluateOnNewDocument", source=COUNTED)
-        tab.page.open(f"http://127.0.0.1:{opened.port}")
+        tab.page.open(opened.url)
         yield tab
 
 

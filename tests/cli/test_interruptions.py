@@ -126,7 +126,7 @@ def test_the_viewer(number: signal.Signals, scene: Path, tmp_path: Path):
     pytest.importorskip("viser")
     begun = Begun(tmp_path, "view", scene)
     begun.wait_for(lambda begun: begun.says("Ctrl-C closes the viewer."))
-    assert begun.says("http://127.0.0.1:")
+    assert begun.says("StyleSplat: http://127.0.0.1:") and begun.says("/?token=")
     assert begun.ended_by(number) == "The viewer is closed."
 
 

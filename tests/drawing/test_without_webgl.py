@@ -11,7 +11,7 @@ def test_a_browser_without_webgl_is_told_what_helps():
     server = serve(SPLATS, cameras=CAMERAS, port=0, block=False)
     try:
         with launched(600, 400, "--disable-3d-apis") as page:
-            page.open(f"http://localhost:{server.get_port()}")
+            page.open(server.url)
             page.until(f"({SAID}).includes('WebGL is unavailable')")
             assert "hardware acceleration" in page.evaluate(SAID)
     finally:

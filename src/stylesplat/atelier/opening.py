@@ -1,9 +1,8 @@
 """`studio`: choose, paint and compare in the browser."""
 
-import secrets
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stylesplat.atelier.easel import Easel
 from stylesplat.atelier.gallery import MOST_BYTES, Gallery, too_large
@@ -13,14 +12,11 @@ from stylesplat.atelier.session import Session
 from stylesplat.atelier.uploads import bound_uploads
 from stylesplat.atelier.warming import warm_up_for_the_first
 from stylesplat.drawing.browser import refuse_empty
-from stylesplat.drawing.private_server import ADDRESS, private_server
+from stylesplat.drawing.private_server import ADDRESS, PrivateServer, private_server
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.progress import say
 from stylesplat.scene.scene import Scene
-
-if TYPE_CHECKING:
-    import viser
 
 AUTOSAVE_SECONDS = 60.0
 
@@ -28,20 +24,15 @@ AUTOSAVE_SECONDS = 60.0
 class Studio:
     """A studio that is open."""
 
-    def __init__(self, server: "viser.ViserServer", page: Page, place: Place, gallery: Gallery):
-        self.server, self.page, self.place, self._gallery = server, page, place, gallery
+    def __init__(self, opened: PrivateServer, page: Page, place: Place, gallery: Gallery):
+        self.server, self.page, self.place, self._gallery = opened.server, page, place, gallery
         self.session = page.session
-        self.token: str | None = None
-        """What browsers are asked for; None on this machine alone."""
+        self.url = opened.url
+        """The address that opens it, with the token."""
         self._closed = threading.Event()
         self._complained = False
         self._timer = threading.Thread(target=self._autosaves, daemon=True)
         self._timer.start()
-
-    @property
-    def port(self) -> int:
-        """Where it is served."""
-        return self.server.get_port()
 
     def wait(self) -> None:
         """Serve until Ctrl-C, then close."""
@@ -103,8 +94,7 @@ def studio(
         scene: A scene's folder, or a scene that was opened from one: there it is saved.
         styles: A folder of style pictures; more can be sent from the browser.
         port: Port, or the next free one.
-        host: The address to serve at. Others than 127.0.0.1 are open to the network, so that
-            browsers are asked for a token.
+        host: The address to serve at. Others than 127.0.0.1 are open to the network.
         block: Serve until Ctrl-C; otherwise return at once.
         options: Of `stylize_live`, such as `features` and `device`.
 
@@ -121,21 +111,17 @@ def studio(
         raise StyleSplatError("This scene has no folder to save to. Save it first, and open that.")
     refuse_empty(scene.splats)
     gallery = Gallery(None if styles is None else Path(styles))
-    token = None if host == ADDRESS else secrets.token_urlsafe(12)
-    server = private_server(port, "StyleSplat studio", host=host, token=token)
+    private = private_server(port, "StyleSplat studio", host=host)
+    server = private.server
     session = Session(scene, folder=scene.path)
     place = Place(scene.path)
     _recover(session, place)
     page = Page(server, session, Easel(session, **options), gallery, place)
     bound_uploads(server, MOST_BYTES, lambda size: session.tell(too_large(size), failure=True))
     warm_up_for_the_first(server, session.worker, **options)
-    opened = Studio(server, page, place, gallery)
-    opened.token = token
-    if token is not None:
-        say(
-            f"Everybody who reaches {host}:{opened.port} and has the token {token} sees and "
-            f"changes this scene: http://{host}:{opened.port}/?token={token}"
-        )
+    opened = Studio(private, page, place, gallery)
+    if host != ADDRESS:
+        say(f"{host} is open to the network: who has the token sees and changes the scene.")
     if block:
         opened.wait()
     return opened

@@ -16,8 +16,7 @@ def serve(start: Callable[[], Callable[[], None]], hint: str) -> NoReturn:
     from stylesplat.drawing.browser import until_interrupted
     from stylesplat.progress import say
 
-    sys.stdout = sys.stderr  # viser says where it serves
     stop = start()
-    sys.stdout = StringIO()  # and its thread, after our last line, that it no longer does
+    sys.stdout = StringIO()  # viser's thread says, after our last line, that it no longer serves
     say(hint)
     until_interrupted(stop)

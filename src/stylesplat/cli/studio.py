@@ -26,7 +26,7 @@ class Studio:
     port: int = 8080
     """Port, or the next free one."""
     host: str = "127.0.0.1"
-    """Address to serve at; any other than 127.0.0.1 lets the network in, and asks for a token."""
+    """Address to serve at; any other than 127.0.0.1 lets the network in."""
     device: Device = "auto"
     """Where to paint; auto takes an NVIDIA GPU where there is one."""
     json: Json = False

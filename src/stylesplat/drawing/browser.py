@@ -9,7 +9,7 @@ from stylesplat.drawing.at_rest import AtRest
 from stylesplat.drawing.compositing import BLACK
 from stylesplat.drawing.first_view import first_view
 from stylesplat.drawing.live_splats import LiveSplats
-from stylesplat.drawing.private_server import private_server
+from stylesplat.drawing.private_server import PrivateServer, private_server
 from stylesplat.drawing.shown import Shown
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 def serve(
     splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
-) -> "viser.ViserServer":
+) -> PrivateServer:
     """Show splats in a browser: in mean colours, and as they are as soon as the camera rests.
 
-    Only this machine is served, and only the server's own pages: other sites cannot read along.
+    Only this machine is served, and only browsers that have the token of the printed address.
 
     Args:
         splats: The Gaussians.
@@ -37,25 +37,26 @@ def serve(
         block: Serve until Ctrl-C; otherwise return at once.
 
     Returns:
-        The running server; `stop()` ends it.
+        The running server; its `url` opens it, `stop()` ends it.
 
     Raises:
         StyleSplatError: If viser is not installed or there is nothing to show.
     """
     refuse_empty(splats)
-    server = private_server(port, "StyleSplat")
+    opened = private_server(port, "StyleSplat")
+    server = opened.server
     shown = Shown(splats.detach().to("cpu"))
     place_camera(server, shown.splats, cameras)
     LiveSplats(server, shown)
     AtRest(server, Worker(_failed), lambda camera: shown.render(camera, BLACK).numpy())
     if block:
         try:
-            until_interrupted(server.stop)
+            until_interrupted(opened.stop)
         except Terminated:
             raise
         except KeyboardInterrupt:  # how a viewer is closed
             pass
-    return server
+    return opened
 
 
 def until_interrupted(stop: Callable[[], object]) -> NoReturn:

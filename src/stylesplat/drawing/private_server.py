@@ -1,55 +1,58 @@
-"""A viser server that only its own pages may talk to.
+"""A viser server that answers only those who have its token.
 
-Any site can make a browser send requests to this machine: under a name of its own that it lets
-point here (DNS rebinding), which `Host` then tells; and over websockets, which browsers open to
-everywhere, telling the site as `Origin`. Either could read the splat.
+Other accounts of this machine reach its ports as well, and any site can make a browser send
+requests to it: under a name of its own that it lets point here (DNS rebinding), and over
+websockets. Browsers send neither the cookie with the token.
 """
 
 import errno
 import hmac
-import re
+import secrets
 import socket
 from collections.abc import Callable
-from functools import partial
+from contextlib import redirect_stdout
+from dataclasses import dataclass
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
+from io import StringIO
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.stderr import write_lines
 
 if TYPE_CHECKING:
     import viser
     from websockets.asyncio.server import ServerConnection
+    from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 
 ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
-OWN = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?")  # at any port: of a tunnel too
-REFUSAL = (
-    "This server answers its own pages only. Open it as http://localhost:PORT, from elsewhere by "
-    "way of an SSH tunnel.\n"
-)
+REFUSAL = "This server needs a token. Open the address that its terminal shows.\n"
 COOKIE = "stylesplat-token"
 LARGEST = 4 * 2**20  # bytes of what a page sends at once; files come in parts of half a MB
-ASKING = """<!doctype html><html lang="en"><meta charset="utf-8"><title>StyleSplat</title>
-<body style="font: 16px system-ui; background: #161618; color: #e6e6e8; display: grid;
-place-content: center; height: 90vh"><form method="get"><h1>StyleSplat</h1>
-<p>This studio asks for the token that its terminal shows.</p>
-<input name="token" autofocus autocomplete="off" style="font: inherit; padding: 6px; width: 22em">
-<button style="font: inherit; padding: 6px 14px">Open</button></form></body></html>
-"""
 
 
-def private_server(
-    port: int, label: str, *, host: str = ADDRESS, token: str | None = None
-) -> "viser.ViserServer":
-    """Serve on this machine alone, to pages of this server alone; or to those who have a token.
+@dataclass(frozen=True)
+class PrivateServer:
+    """A viser server, and the address that opens it."""
+
+    server: "viser.ViserServer"
+    url: str
+    """With the token: without it every request is refused."""
+
+    def stop(self) -> None:
+        """End it."""
+        self.server.stop()
+
+
+def private_server(port: int, label: str, *, host: str = ADDRESS) -> PrivateServer:
+    """Serve to those who have a token, and print the address with it on stderr.
 
     Args:
         port: Port, or the next free one.
         label: Title of the page.
-        host: The address to serve at; others than 127.0.0.1 need a token.
-        token: What everybody is asked for before anything is sent; None asks nobody.
+        host: The address to serve at.
 
     Raises:
         StyleSplatError: If viser is not installed, or does not let others be refused, or there is
@@ -63,27 +66,28 @@ def private_server(
         ) from error
     from websockets.asyncio import server as library
 
-    assert token or host == ADDRESS  # never to a network without one
     _refuse_address(host, port)
-    serve, guarded = library.serve, list[bool]()
-    guard = _own_only if token is None else partial(_with_token, token)
+    serve, guarded, token = library.serve, list[bool](), secrets.token_urlsafe(24)
 
-    def serve_own(*args: Any, process_request: Any = None, **options: Any) -> Any:
+    def serve_guarded(*args: Any, process_request: Any = None, **options: Any) -> Any:
         guarded.append(True)
         options["max_size"] = LARGEST
-        return serve(*args, process_request=guard(process_request), **options)
+        return serve(*args, process_request=_with_token(token, process_request), **options)
 
-    library.serve = serve_own  # viser has no hook; it has called this when it is made
+    library.serve = serve_guarded  # viser has no hook; it has called this when it is made
     try:
-        server = viser.ViserServer(host=host, port=port, label=label)
+        with redirect_stdout(StringIO()):  # viser prints the address without the token
+            server = viser.ViserServer(host=host, port=port, label=label)
     finally:
         library.serve = serve
     if not guarded:
         server.stop()
         raise StyleSplatError(
-            f"viser {viser.__version__} answers to other sites too. Run `pip install viser==1.1.1`."
+            f"viser {viser.__version__} answers everybody. Run `pip install viser==1.1.1`."
         )
-    return server
+    url = f"http://{host}:{server.get_port()}/?token={token}"
+    write_lines(f"{label}: {url}")
+    return PrivateServer(server, url)
 
 
 def _refuse_address(host: str, port: int) -> None:
@@ -102,57 +106,33 @@ def _refuse_address(host: str, port: int) -> None:
         ) from error
 
 
-def is_own(hosts: list[str], origins: list[str]) -> bool:
-    """Whether a request with these headers comes from a page of this server, or from no page."""
-    if len(hosts) != 1 or not OWN.fullmatch(hosts[0]):
-        return False
-    return origins in ([], [f"http://{hosts[0]}"])
-
-
-def _own_only(process_request: Callable[..., Any] | None) -> Callable[..., Any]:
-    def checked(connection: "ServerConnection", request: "Request") -> "Response | Any":
-        headers = request.headers
-        if not is_own(headers.get_all("Host"), headers.get_all("Origin")):
-            return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
-        return None if process_request is None else process_request(connection, request)
-
-    return checked
-
-
-def has_token(token: str, path: str, cookies: list[str]) -> bool:
+def _has_token(token: str, path: str, headers: "Headers", cookie: str) -> bool:
     """Whether a request has the token: in its address, or in a cookie of an earlier one."""
     given = parse_qs(urlsplit(path).query).get("token", [])
-    for text in cookies:
+    for text in headers.get_all("Cookie"):
         try:
-            given += [morsel.value for name, morsel in SimpleCookie(text).items() if name == COOKIE]
+            given += [morsel.value for name, morsel in SimpleCookie(text).items() if name == cookie]
         except CookieError:
             continue
-    return any(hmac.compare_digest(each.strip().encode(), token.encode()) for each in given)
+    return any(hmac.compare_digest(each.encode(), token.encode()) for each in given)
 
 
 def _with_token(token: str, process_request: Callable[..., Any] | None) -> Callable[..., Any]:
-    """Ask everybody for a token, before pages and before websockets; also where Origin differs."""
+    """Refuse pages, files and websockets without the token, and websockets of other sites."""
 
     def checked(connection: "ServerConnection", request: "Request") -> "Response | Any":
         headers = request.headers
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or origins not in ([], [f"http://{hosts[0]}"]):
             return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
-        if not has_token(token, request.path, headers.get_all("Cookie")):
-            return _page(connection, HTTPStatus.UNAUTHORIZED, ASKING)
-        if "token=" in urlsplit(request.path).query:  # from now on the cookie has it
-            response = _page(connection, HTTPStatus.SEE_OTHER, "")
-            response.headers["Location"] = "/"
-            cookie = f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
-            response.headers["Set-Cookie"] = cookie
-            return response
-        return None if process_request is None else process_request(connection, request)
+        # One for each port: browsers send a machine's cookies to all its servers
+        cookie = f"{COOKIE}-{hosts[0].rpartition(':')[2].strip(']')}"
+        if not _has_token(token, request.path, headers, cookie):
+            return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
+        response = None if process_request is None else process_request(connection, request)
+        if response is not None:
+            value = f"{cookie}={token}; HttpOnly; SameSite=Strict; Path=/"
+            response.headers["Set-Cookie"] = value
+        return response
 
     return checked
-
-
-def _page(connection: "ServerConnection", status: HTTPStatus, text: str) -> "Response":
-    response = connection.respond(status, text)
-    del response.headers["Content-Type"]
-    response.headers["Content-Type"] = "text/html; charset=utf-8"
-    return response

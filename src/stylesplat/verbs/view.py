@@ -1,16 +1,12 @@
 """`view`: look at a scene in the browser."""
 
-from typing import TYPE_CHECKING
-
 from stylesplat.drawing.browser import serve
+from stylesplat.drawing.private_server import PrivateServer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
-if TYPE_CHECKING:
-    import viser
 
-
-def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "viser.ViserServer":
+def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> PrivateServer:
     """Show a scene in a browser: in mean colours, and as it is as soon as the camera rests.
 
     Args:
@@ -19,7 +15,7 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "vise
         block: Serve until Ctrl-C; otherwise return at once.
 
     Returns:
-        The running server; `stop()` ends it.
+        The running server; its `url` opens it, `stop()` ends it.
 
     Raises:
         StyleSplatError: If viser is not installed or there is nothing to show.
