@@ -17,6 +17,7 @@ from stylesplat.atelier.studio_state import State, with_scene
 from stylesplat.drawing.client_camera import browser_camera
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
+from stylesplat.progress import track
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
@@ -123,6 +124,44 @@ def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
     assert session.preview is None and not easel.waiting
     painted(session, "3")
     assert strengths(session.state.scene) == {"3": 1.0}, "it can be painted afterwards"
+
+
+def test_stop_between_the_order_and_its_first_step_ends_nothing_else(
+    session: Session, said: list[str]
+):
+    easel, done = Easel(session, device="cpu"), list[int]()
+
+    def order_and_stop() -> None:
+        easel.paint(("3",), quick_style(), "stripes")
+        easel.stop()
+
+    session.ask(order_and_stop)
+    assert session.worker.settle() and not session.painting
+    session.ask(lambda: done.extend(track(range(3), "another job")))
+    assert session.worker.settle()
+    assert done == [0, 1, 2] and not said
+
+
+def test_stop_during_a_job_within_the_first_step_ends_the_painting_alone(
+    session: Session, said: list[str]
+):
+    easel, before, done = Easel(session, device="cpu"), session.state, list[int]()
+
+    def other_job() -> None:
+        easel.stop()
+        done.extend(track(range(3), "another job"))
+
+    def ask_once() -> None:
+        if not asked:
+            asked.append(True)
+            session.ask(other_job)
+
+    asked = list[bool]()
+    session.on_progress(ask_once)
+    easel.paint(("3",), quick_style(), "stripes")
+    assert session.worker.settle()
+    assert done == [0, 1, 2] and not said
+    assert session.state is before and not session.painting
 
 
 def test_what_cannot_be_painted_is_told_and_changes_nothing(session: Session, said: list[str]):

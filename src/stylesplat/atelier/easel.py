@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -106,8 +106,7 @@ class Easel:
             return False
         self.session.worker.go_on_with(None)
         if latest is None:
-            self.session.stopping = True  # within the first step: it ends that
-            self._end()
+            self._end()  # and the first step, if it has begun
             return True
         lives, step = self._lives, latest.state.step
         self._kept(current, latest, f"Stopped at step {step} of {current.name}")
@@ -131,19 +130,22 @@ class Easel:
     def _begin(self, order: Order, lives: Iterator[Live]) -> None:
         self._current, self._latest, self._left, self._lives = order, None, None, lives
         self._began, self._first, self._shown_at = time.monotonic(), 0, 0.0
-        self.session.stopping, self.session.painting = False, True
+        self.session.painting = True
         self.session.progress = Progress(f"{order.name}: {order.title}", 0.0)
         self.session.worker.go_on_with(self._steps(order, lives))
         self.session.tell_change()
 
     def _steps(self, order: Order, lives: Iterator[Live]) -> Iterator[None]:
         try:
-            while (live := self._next(lives)) is not None:
+            # Nothing would be kept of the first step: Stop ends it in its middle
+            live = self._next(lives, stopped=lambda: self._current is not order)
+            while live is not None:
                 if self._current is not order:  # it was stopped meanwhile
                     return
                 self._latest = live
                 self._show(order, live)
                 yield
+                live = self._next(lives)
             latest = self._latest
             assert latest is not None  # there is at least one step
             self._kept(order, latest, f"Painted {order.name} like {order.title}")
@@ -156,8 +158,10 @@ class Easel:
             raise
         self._start()
 
-    def _next(self, lives: Iterator[Live]) -> Live | None:
-        with self.session.listening():
+    def _next(
+        self, lives: Iterator[Live], stopped: Callable[[], bool] = lambda: False
+    ) -> Live | None:
+        with self.session.listening(stopped):
             return next(lives, None)
 
     def _show(self, order: Order, live: Live) -> None:

@@ -61,8 +61,6 @@ class Session:
         """Ends at once what is being painted, keeping what there is of it; whether it could."""
         self.greetings = list[str]()
         """What everybody is told who comes to see."""
-        self.stopping = False
-        """Whether long work is to end at once."""
         self._changed, self._progressed = list[Callable[[], None]](), list[Callable[[], None]]()
         self._told = list[Callable[[str, bool], None]]()
         self._painted = list[Callable[[str, str], None]]()
@@ -168,9 +166,13 @@ class Session:
             callback(line, failure)
 
     @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Within the block the library's words are the user's."""
-        with observed(_Ear(self)):
+    def listening(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[None]:
+        """Within the block the library's words are the user's.
+
+        Args:
+            stopped: Whether the work of the block is to end at once; then it raises Stopped.
+        """
+        with observed(_Ear(self, stopped)):
             yield
 
     def close(self) -> None:
@@ -187,8 +189,8 @@ class Session:
 class _Ear(Silence, Observer):
     """Passes words on, and lets short work in between the parts of long work."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, session: Session, stopped: Callable[[], bool]) -> None:
+        self._session, self._stopped = session, stopped
 
     @contextmanager
     def task(
@@ -204,8 +206,7 @@ class _Ear(Silence, Observer):
     def advance(self, amount: int | float = 1) -> None:
         """Something may wait."""
         self._session.worker.breathe()
-        if self._session.stopping:
-            self._session.stopping = False
+        if self._stopped():
             raise Stopped
 
     def say(self, line: str) -> None:
