@@ -124,7 +124,8 @@ class AtRest:
         pixels = (look or self._look)(camera_of(client))
 
         def send() -> None:
-            if self.active and self._motions.get(client_id) == motion:
+            stays = client_id in self._clients and self._motions.get(client_id) == motion
+            if self.active and stays:
                 near = None if self.behind else np.full((2, 2), IN_FRONT)
                 client.scene.set_background_image(pixels, jpeg_quality=QUALITY, depth=near)
                 self._shown.add(client_id)
