@@ -1,3 +1,4 @@
+import socket
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,10 @@ from studio_balls import QUICK, stripes
 from stylesplat.atelier.keeping import AUTOSAVE, exported
 from stylesplat.atelier.opening import studio
 from stylesplat.atelier.picking import pick_names, renamed
+from stylesplat.atelier.studio_state import with_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.style import Style
 from unprivileged import as_nobody, public_folder
 
@@ -58,6 +60,45 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
     kept = open(folder / AUTOSAVE)
     assert kept.painted is not None and kept.painted.names == ("3",)
     assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
+
+
+def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(folder: Path):
+    opened = studio(folder, port=0, block=False, device="cpu")
+    kept = list[bool]()
+
+    def look() -> None:
+        if opened.session.painting:
+            opened.autosave()
+            kept.append((folder / AUTOSAVE).exists())
+
+    try:
+        opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+        opened.session.on_change(look)
+        opened.page.paint.easel.paint(("red",), Style(stripes(), config=QUICK), "stripes")
+        assert opened.session.worker.settle()
+        assert kept and not any(kept)
+        painted = open(folder / AUTOSAVE).painted
+        assert painted is not None and painted.names == ("red",)
+    finally:
+        opened.close()
+
+
+def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, block=False)
+    number, no_json = opened.server.get_port(), {"how": object()}
+    opened.session.do(
+        lambda state: with_scene(
+            state,
+            replace(state.scene, objects={"red": SceneObject(SPLATS.means[:, 0] > 0, no_json)}),
+            "an object that no file can hold",
+        )
+    )
+    assert opened.session.worker.settle()
+    with pytest.raises(TypeError):
+        opened.close()
+    assert "something may be lost: TypeError" in said[-1]
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", number)) != 0
 
 
 def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[str]):

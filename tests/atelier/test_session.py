@@ -10,9 +10,9 @@ from studio_balls import QUICK, quick_style, session_in, stripes
 from stylesplat.atelier.comparing import at_intensity, taken_back, variant_of
 from stylesplat.atelier.easel import Easel, previewed
 from stylesplat.atelier.history import History
-from stylesplat.atelier.keeping import AUTOSAVE, FORMATS, Place, exported, still
+from stylesplat.atelier.keeping import AUTOSAVE, COMMANDS, FORMATS, Place, exported, still
 from stylesplat.atelier.picking import pick_names, renamed
-from stylesplat.atelier.session import Session
+from stylesplat.atelier.session import Change, Session
 from stylesplat.atelier.studio_state import State, with_scene
 from stylesplat.drawing.client_camera import browser_camera
 from stylesplat.errors import StyleSplatError
@@ -252,6 +252,35 @@ def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, s
     assert session.worker.settle()
     place.save(session)
     assert open(session.folder).painted is None, "saving after undo takes the paint back"
+
+
+def versions(folder: Path) -> dict[str, tuple[int, int]]:
+    """Of each file, what is another as soon as it is written again."""
+    found = {path.name: path.stat() for path in folder.iterdir()}
+    return {name: (file.st_ino, file.st_mtime_ns) for name, file in found.items()}
+
+
+def test_autosaves_write_what_changed_since_the_last_one_alone(session: Session):
+    place, folder = Place(session.folder), session.folder / AUTOSAVE
+
+    def kept_after(change: Change) -> dict[str, tuple[int, int]]:
+        session.do(change)
+        assert session.worker.settle() and place.autosave(session)
+        return versions(folder)
+
+    first = kept_after(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert place.autosave(session) and versions(folder) == first, "nothing changed"
+    second = kept_after(lambda state: renamed(pick_names(state, ["7"]), "blue"))
+    changed = {name for name in second if second[name] != first[name]}
+    assert changed == {"objects.json", "picks.safetensors", COMMANDS}
+    again = Place(session.folder)
+    kept = again.recovered(State(open(session.folder)))
+    assert kept is not None and [*kept.scene.objects] == ["red", "blue"]
+    session.history.add(kept)
+    assert again.autosave(session) and versions(folder) == second, "it is kept already"
+    session.step(-3)
+    assert session.worker.settle() and not session.unsaved
+    assert not again.autosave(session) and not folder.exists(), "all of it was undone"
 
 
 def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Session):

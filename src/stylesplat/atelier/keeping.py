@@ -34,6 +34,8 @@ FRAMES = 120  # of a turntable: four seconds
 TURNTABLE = 960  # pixels along its longer side
 MOST_PIXELS = 8192  # along a side of a still picture
 
+Stamp = dict[str, tuple[int, int]]
+
 
 @dataclass(frozen=True)
 class Told:
@@ -50,6 +52,7 @@ class Place:
         """Remember how it is now."""
         self.folder = folder
         self._stamp = _stamp(folder)
+        self._kept: tuple[State, Stamp] | None = None  # what its `AUTOSAVE` holds, if we know
 
     def save(self, session: Session) -> None:
         """Write the scene as it is now; paintings can be taken back from it.
@@ -80,32 +83,51 @@ class Place:
             raise StyleSplatError("A name must not begin with a dot. Choose another one.")
         folder = self.folder.resolve().parent / name
         scene_folder.save(session.state.scene, folder)
-        with suppress(OSError):
-            shutil.rmtree(self.folder / AUTOSAVE)
+        self._remove_autosave()
         self.folder, self._stamp = folder, _stamp(folder)
         self._now_saved(session, f"Saved {folder}.")
 
     def _now_saved(self, session: Session, line: str) -> None:
         session.saved = session.state
-        with suppress(OSError):
-            shutil.rmtree(self.folder / AUTOSAVE)
+        self._remove_autosave()
         session.tell(line)
         session.tell_change()
+
+    def _remove_autosave(self) -> None:
+        self._kept = None
+        with suppress(OSError):
+            shutil.rmtree(self.folder / AUTOSAVE)
 
     def autosave(self, session: Session) -> bool:
         """Keep the scene in its folder if it differs from what is saved; whether it does.
 
+        Only what changed since the last time is written.
+
         Raises:
             StyleSplatError: If it cannot be written.
         """
+        state, folder = session.state, self.folder / AUTOSAVE
+        last, stamp = self._kept or (None, None)
+        if _stamp(folder) != stamp:  # somebody else's
+            last = None
         if not session.unsaved:
+            if last is not None:  # it was undone
+                self._remove_autosave()
             return False
+        if last is not None and state.scene is last.scene and state.commands == last.commands:
+            return True
         refuse_unwritable(self.folder)
-        kept, commands = self.folder / AUTOSAVE, session.state.commands
-        scene_folder.save(session.state.scene, kept, overwrite=True)
+        self._kept = None  # until all is written
+        if last is not None:
+            scene_folder.revise(last.scene, state.scene, folder)
+        else:
+            scene_folder.save(state.scene, folder, overwrite=True)
         known = len(session.saved.commands)
-        if commands[:known] == session.saved.commands:  # else something was undone that is saved
-            write_json({"commands": commands[known:]}, kept / COMMANDS)
+        if state.commands[:known] == session.saved.commands:
+            write_json({"commands": state.commands[known:]}, folder / COMMANDS)
+        else:  # something was undone that is saved
+            (folder / COMMANDS).unlink(missing_ok=True)
+        self._kept = state, _stamp(folder)
         return True
 
     def recovered(self, state: State) -> State | None:
@@ -117,12 +139,15 @@ class Place:
         kept = self.folder / AUTOSAVE
         if not kept.is_dir():
             return None
+        stamp = _stamp(kept)
         scene = replace(scene_folder.open(kept), path=state.scene.path)
         told, remedy = Told(), f"Remove {kept / COMMANDS}."
         if (kept / COMMANDS).exists():
             told = read_json_as(kept / COMMANDS, Told, remedy)
         state = with_scene(state, scene, "Recovered what was not saved")
-        return replace(state, commands=(*state.commands, *told.commands))
+        state = replace(state, commands=(*state.commands, *told.commands))
+        self._kept = state, stamp
+        return state
 
 
 def exported(scene: Scene, ending: str) -> bytes:
@@ -183,7 +208,7 @@ def turntable(
         done.append(path.read_bytes())
 
 
-def _stamp(folder: Path) -> dict[str, tuple[int, int]]:
+def _stamp(folder: Path) -> Stamp:
     """What tells whether a folder's files were changed."""
     try:
         files = [entry for entry in os.scandir(folder) if entry.is_file()]

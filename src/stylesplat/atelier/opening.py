@@ -1,6 +1,7 @@
 """`studio`: choose, paint and compare in the browser."""
 
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ class Studio:
         """The address that opens it, with the token."""
         self._closed = threading.Event()
         self._complained = False
+        self.session.on_painted(lambda name, title: self.autosave())
         self._timer = threading.Thread(target=self._autosaves, daemon=True)
         self._timer.start()
 
@@ -51,25 +53,36 @@ class Studio:
         self._closed.set()
         self.session.worker.close()
         try:
-            self.session.interrupt()  # what there is of a painting is kept, too
-        finally:
-            self._end()
+            with ExitStack() as rest:  # all of it is done, the last line first, whatever fails
+                rest.callback(self._gallery.close)
+                rest.callback(self.session.close)
+                rest.callback(self.server.stop)
+                rest.callback(self._keep_at_the_end)
+                self.session.interrupt()  # what there is of a painting is kept, too
+        except Exception as error:
+            say(f"Closing the studio failed, and something may be lost: {error!r}")
+            raise
 
-    def _end(self) -> None:
-        if self._autosave():
+    def _keep_at_the_end(self) -> None:
+        if self._keep():
             say(
                 f"Kept what was not saved in {self.place.folder}: `stylesplat studio` goes on "
                 "with it."
             )
-        self.server.stop()
-        self.session.close()
-        self._gallery.close()
 
     def _autosaves(self) -> None:
         while not self._closed.wait(AUTOSAVE_SECONDS):
-            self.session.ask(self._autosave, kind="autosave", patient=True)
+            self.session.ask(self.autosave, kind="autosave", patient=True)
 
-    def _autosave(self) -> bool:
+    def autosave(self) -> None:
+        """In the worker's thread: keep what is not saved, unless something is painted now.
+
+        What is painted is kept as soon as it is done.
+        """
+        if not self.session.painting:
+            self._keep()
+
+    def _keep(self) -> bool:
         try:
             return self.place.autosave(self.session)
         except StyleSplatError as error:
