@@ -39,6 +39,13 @@ def test_held_out_views_get_better(capture: Capture, config: TrainConfig):
         assert error(splats, capture, row) < 0.5 * error(start, capture, row)
 
 
+def test_points_train_alike_whatever_their_layout_in_memory(capture: Capture, config: TrainConfig):
+    assert capture.points is not None
+    transposed = replace(capture, points=capture.points.T.contiguous().T)
+    plain, other = (trained(each, config, steps=4) for each in (capture, transposed))
+    assert torch.equal(plain.means, other.means)
+
+
 def test_identities_learn_the_labels(capture: Capture, config: TrainConfig):
     splats = trained(capture, config, steps=500, coarse_to_fine=False)
     assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
