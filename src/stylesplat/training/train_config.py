@@ -21,6 +21,17 @@ POSITIVE = (
 )
 
 
+IDENTITY_SETTINGS = (
+    "object_growth",
+    "object_pixels",
+    "identity_every",
+    "identity_stride",
+    "identity_geometry",
+    "classifier_rate",
+)
+"""Settings of `TrainConfig` that need identities in training: `segment="joint"`."""
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """How to train. Everything scheduled is a share of the run, so any length works."""
@@ -128,3 +139,21 @@ PRESETS = {
 
 SEGMENTS: dict[str, Segment] = {"default": "lift", "paper": "joint"}
 """How Gaussians come to their objects by each preset; `benchmarks/paper.py` compares the ways."""
+
+
+def refuse_identity_settings(config: TrainConfig) -> None:
+    """Refuse settings that lifting ignores, unless they are those of a preset.
+
+    Raises:
+        StyleSplatError: If some are not.
+    """
+    changed = [
+        [name for name in IDENTITY_SETTINGS if getattr(config, name) != getattr(preset, name)]
+        for preset in PRESETS.values()
+    ]
+    names = min(changed, key=len)
+    if names:
+        raise StyleSplatError(
+            f"Cannot train with {', '.join(names)} and segment lift, which trains no identities: "
+            "use segment joint, or leave out what it ignores."
+        )

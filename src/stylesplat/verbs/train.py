@@ -23,7 +23,13 @@ from stylesplat.training.loop import fit
 from stylesplat.training.pose_shifts import refined
 from stylesplat.training.ranks import Ranks
 from stylesplat.training.state import State
-from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
+from stylesplat.training.train_config import (
+    PRESETS,
+    SEGMENTS,
+    Segment,
+    TrainConfig,
+    refuse_identity_settings,
+)
 from stylesplat.training.training_views import split_views
 
 LIBRARIES = ("stylesplat", "torch", "numba")
@@ -52,7 +58,8 @@ def train(
         device: `auto` takes an NVIDIA GPU where there is one.
         checkpoint: A file to continue from if it exists; written every minute and when
             interrupted, and left there.
-        settings: Fields of `TrainConfig` to change, such as `steps=2000`.
+        settings: Fields of `TrainConfig` to change, such as `steps=2000`. Those of identities and
+            of objects' Gaussians need `joint`.
 
     Returns:
         The scene, its objects called what the capture calls them. Its metrics are `psnr` and
@@ -62,8 +69,8 @@ def train(
         colours. With `refine_poses` the training views' cameras are the refined ones.
 
     Raises:
-        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
-            photos or settings.
+        StyleSplatError: If the capture leaves nothing to train on, `lift` would ignore a setting,
+            or the checkpoint is of other photos or settings.
         KeyboardInterrupt: After Ctrl-C, once the checkpoint is written.
 
     Example:
@@ -76,6 +83,8 @@ def train(
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
     config = replace(config or PRESETS[preset], **settings)
+    if segment == "lift":
+        refuse_identity_settings(config)
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
