@@ -109,6 +109,16 @@ def test_every_setting_but_those_of_memory_counts(place: Checkpoint):
             load_checkpoint(place, CPU)
 
 
+def test_settings_that_an_older_version_did_not_have_are_the_defaults(place: Checkpoint):
+    save_checkpoint(place, state())
+    content = torch.load(place.path, weights_only=True)
+    del content["config"]["refine_end"]
+    torch.save(content, place.path)
+    assert load_checkpoint(place, CPU).step == 4
+    with pytest.raises(StyleSplatError, match="another refine_end"):
+        load_checkpoint(replace(place, config=replace(place.config, refine_end=0.5)), CPU)
+
+
 @pytest.mark.parametrize(
     ("part", "told"),
     [

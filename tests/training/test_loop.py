@@ -17,7 +17,7 @@ from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
 from stylesplat.training.step import train_step
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.train_config import PRESETS, TrainConfig
 from stylesplat.training.training_views import split_views
 
 
@@ -44,6 +44,12 @@ def test_points_train_alike_whatever_their_layout_in_memory(capture: Capture, co
     transposed = replace(capture, points=capture.points.T.contiguous().T)
     plain, other = (trained(each, config, steps=4) for each in (capture, transposed))
     assert torch.equal(plain.means, other.means)
+
+
+def test_the_paper_trains_its_first_thousand_steps_without_higher_bands(capture: Capture):
+    splats = trained(capture, PRESETS["paper"], steps=5, max_gaussians=200)
+    assert splats.sh_degree == 3 and not splats.shN.any()
+    assert trained(capture, TrainConfig(), steps=5, max_gaussians=200).shN.any()
 
 
 def test_identities_learn_the_labels(capture: Capture, config: TrainConfig):

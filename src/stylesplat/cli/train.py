@@ -68,7 +68,7 @@ class Train:
     lifting the label maps afterwards, the default otherwise."""
     color_correction: Literal["auto", "on", "off"] | None = None
     """Learn each photo's exposure and white balance, and keep them out of the splat. auto, the
-    default, does where the photos differ in them."""
+    default, does where the photos differ in them; with `--preset paper` off is the default."""
     refine_poses: FlagCreatePairsOff[bool] = False
     """Turn and shift the training photos' cameras a little, where poses are not exact."""
     seed: int | None = None

@@ -126,10 +126,11 @@ def _write(content: dict[str, Any], path: Path) -> None:
 
 def _changed(content: Mapping[str, Any], checkpoint: Checkpoint) -> str:
     """In what the run of a checkpoint differs from another one; empty if in nothing."""
-    saved, wanted = content["config"], asdict(checkpoint.config)
+    # A setting that an older version did not have was what is the default now.
+    saved, wanted = asdict(TrainConfig()) | content["config"], asdict(checkpoint.config)
     if "capture" not in content:
         return "an older version, which did not note its photos, poses, label maps and size"
-    settings = [n for n, value in wanted.items() if n not in FREE and saved.get(n) != value]
+    settings = [n for n, value in wanted.items() if n not in FREE and saved[n] != value]
     changed = [f"a run with another {', '.join(settings)}"] if settings else []
     return ", ".join(changed + differences(content["capture"], checkpoint.capture))
 
