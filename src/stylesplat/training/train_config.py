@@ -102,6 +102,12 @@ class TrainConfig:
     None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
     """
 
+    def progress(self, steps: int, seconds: float) -> float:
+        """The share of the run that is done after so many steps, which took so long."""
+        if self.max_seconds is not None:
+            return min(seconds / self.max_seconds, 1.0)
+        return min(steps / self.steps, 1.0)
+
     def __post_init__(self) -> None:
         for name in POSITIVE:
             value = getattr(self, name)

@@ -43,6 +43,7 @@ def train(
     segment: Segment | None = None,
     device: str = "auto",
     checkpoint: Path | None = None,
+    finish: bool = False,
     **settings: Any,
 ) -> Scene:
     """Train a splat with objects from posed photos.
@@ -58,6 +59,8 @@ def train(
         device: `auto` takes an NVIDIA GPU where there is one.
         checkpoint: A file to continue from if it exists; written every minute and when
             interrupted, and left there.
+        finish: Take no more steps: make a scene of what the checkpoint of an interrupted run has,
+            however long that was to be.
         settings: Fields of `TrainConfig` to change, such as `steps=2000`. Those of identities and
             of objects' Gaussians need `joint`.
 
@@ -70,7 +73,7 @@ def train(
 
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, `lift` would ignore a setting,
-            or the checkpoint is of other photos or settings.
+            there is no checkpoint to finish, or it is of other photos or settings.
         KeyboardInterrupt: After Ctrl-C, once the checkpoint is written.
 
     Example:
@@ -90,7 +93,7 @@ def train(
     torch_device = pick_device(device)
     rows, held_out = split_views(capture, config.test_every)
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
-    state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
+    state = fit(learned, config, device=torch_device, checkpoint=checkpoint, finish=finish)
     splats, seconds = state.splats.detach(), state.seconds
     capture = refined(capture, state, rows)
     if segment == "lift" and capture.label_maps is not None:
