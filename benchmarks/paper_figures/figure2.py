@@ -21,8 +21,7 @@ from torch.nn import functional as F
 import stylesplat as ss
 from paper_figures.book import Cell, Outcome, Results
 from paper_figures.story import Block, Figure, Row, Table, Text, digits, percent
-from paper_figures.subject import Subject, each, shot
-from stylesplat.demo.demo_run import TRAINING
+from paper_figures.subject import JOINT_TRAINING, Subject, each, shot
 from stylesplat.demo.faults import FaultConfig, corrupt_label_maps
 from stylesplat.evaluation.statistics import content_ssim
 from stylesplat.metrics.masked_change import changed_share, farther_than, masked_psnr, strength
@@ -124,7 +123,7 @@ def segmented(subject: Subject, photos: Capture, way: str, level: float) -> Spla
 
 
 def _joint(photos: Capture) -> Splats:
-    return ss.train(photos, TRAINING, segment="joint").splats
+    return ss.train(photos, JOINT_TRAINING, segment="joint").splats
 
 
 def _in_2d(photos: Capture, id: int, camera: Cameras) -> Tensor | None:

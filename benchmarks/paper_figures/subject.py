@@ -1,7 +1,7 @@
 """A scene with all that figures need of it: views, true masks, styles, a network."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -27,6 +27,8 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.style_images import read_style
 
+# Many small Gaussians on the demo's objects carry the strokes.
+JOINT_TRAINING = replace(TRAINING, object_growth=10.0, object_pixels=2.5)
 MARGIN = 0.25  # of the object's size that pictures show around it
 
 
@@ -207,7 +209,7 @@ def _demo(output: Path) -> Path:
     folder = output / "demo-scene"
     if not (folder / "scene.json").is_file():
         photos = demo_capture(output / "demo-capture")
-        ss.save(ss.train(ss.load(photos), TRAINING, segment="joint"), folder)
+        ss.save(ss.train(ss.load(photos), JOINT_TRAINING, segment="joint"), folder)
     return folder
 
 

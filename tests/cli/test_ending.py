@@ -73,6 +73,7 @@ def test_who_restarts_is_told_how_to_go_on_instead(tmp_path: Path):
     (tmp_path / "out.partial").mkdir()
     (tmp_path / "out.partial" / "checkpoint_lift.pt").touch()
     assert command.after_interruption.startswith("Without `--restart`")
+    assert "`--finish`" in command.after_interruption
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")

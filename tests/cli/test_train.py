@@ -126,15 +126,42 @@ def test_overwriting_continues_too_and_keeps_the_scene_until_then(
 
 def test_restart_begins_anew(capture: Path, tmp_path: Path, capsys, interrupted):
     out = tmp_path / "scene"
-    interrupted("train", capture, "-o", out, "--steps", 12)
+    interrupted("train", capture, "-o", out, "--steps", 60)
     # With other settings the run cannot be continued
-    other = ("train", capture, "-o", out, "--steps", 6, "--seed", 3)
+    other = ("train", capture, "-o", out, "--steps", 30, "--seed", 3)
     assert "another steps, seed" in complaint(capsys, *other)
     assert (tmp_path / "scene.partial" / "checkpoint_lift.pt").exists()
     assert run(*other, "--restart") == 0
     assert "Continuing" not in capsys.readouterr().err
-    assert ss.open(out).metrics["steps"] == 6
+    assert ss.open(out).metrics["steps"] == 30
     assert [*tmp_path.iterdir()] == [out]
+
+
+@pytest.mark.parametrize("how", [("--finish",), ("--finish", "--max-seconds", 900), ("--steps", 2)])
+def test_an_interrupted_run_may_end_where_it_is(
+    capture: Path, tmp_path: Path, capsys, interrupted, how: tuple
+):
+    out = tmp_path / "scene"
+    command = ("train", capture, "-o", out, "--device", "cpu")
+    interrupted(*command, "--steps", 60)
+    assert "--finish" in capsys.readouterr().err
+    metrics = result(capsys, *command, *how)
+    assert STOP <= metrics["steps"] < 60 and metrics["psnr"] > 0
+    scene = ss.open(out)
+    assert scene.splats.classifier is not None
+    assert scene.splats.classifier.ids == (0, 3, 7, 300), "label maps are lifted as in any run"
+    assert [*tmp_path.iterdir()] == [out], "what was interrupted is done"
+
+
+def test_only_what_was_begun_can_be_finished(capture: Path, tmp_path: Path, capsys, interrupted):
+    out = tmp_path / "scene"
+    command = ("train", capture, "-o", out, "--steps", 60)
+    assert "checkpoint_lift.pt" in complaint(capsys, *command, "--finish")
+    assert not [*tmp_path.iterdir()]
+    interrupted(*command)
+    assert "--restart" in complaint(capsys, *command, "--finish", "--restart")
+    assert "another seed" in complaint(capsys, *command, "--finish", "--seed", 3)
+    assert run(*command, "--finish") == 0
 
 
 def test_what_is_wrong_costs_no_checkpoint(capture: Path, tmp_path: Path, capsys):

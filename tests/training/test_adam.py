@@ -110,6 +110,19 @@ def test_numbers_of_one_row_and_of_vectors():
         assert torch.allclose(param, torch.tensor(-0.5))
 
 
+def test_the_layout_in_memory_is_irrelevant():
+    plain = torch.ones(10, 3, requires_grad=True)
+    transposed = torch.ones(3, 10).T.requires_grad_()
+    gradient = torch.randn(10, 3, generator=seeded())
+    for param in (plain, transposed):
+        moments = Moments.zeros({"x": param})
+        for step in (1, 2):
+            param.grad = gradient
+            adam_step({"x": param}, moments, {"x": 0.1}, step)
+    assert not transposed.is_contiguous() and (transposed != 1).all()
+    assert torch.equal(transposed, plain)
+
+
 def test_taken_rows_keep_their_state_and_fresh_ones_are_zero():
     moments = Moments({"x": torch.arange(3.0), "y": torch.ones(1)}, {"x": torch.ones(3)})
     taken = moments.take(torch.tensor([2, -1, 0]), ("x",))

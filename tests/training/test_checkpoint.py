@@ -109,6 +109,16 @@ def test_every_setting_but_those_of_memory_counts(place: Checkpoint):
             load_checkpoint(place, CPU)
 
 
+def test_settings_that_an_older_version_did_not_have_are_the_defaults(place: Checkpoint):
+    save_checkpoint(place, state())
+    content = torch.load(place.path, weights_only=True)
+    del content["config"]["refine_end"]
+    torch.save(content, place.path)
+    assert load_checkpoint(place, CPU).step == 4
+    with pytest.raises(StyleSplatError, match="another refine_end"):
+        load_checkpoint(replace(place, config=replace(place.config, refine_end=0.5)), CPU)
+
+
 @pytest.mark.parametrize(
     ("part", "told"),
     [
@@ -319,6 +329,36 @@ def test_a_finished_run_is_not_run_again(capture: Capture, config: TrainConfig, 
     )
     assert steps == []
     assert_equal(done, again)
+
+
+def test_a_finished_run_can_be_continued(capture: Capture, config: TrainConfig, tmp_path: Path):
+    path = tmp_path / "checkpoint.pt"
+    with pytest.raises(StyleSplatError, match="Cannot finish"):
+        fit(capture, config, checkpoint=path, finish=True)
+    with pytest.raises(StyleSplatError, match="no checkpoint is given"):
+        fit(capture, config, finish=True)
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=path, on_progress=stopped_at(10))
+    shorter = replace(config, steps=10)
+    ended = [
+        fit(capture, shorter, checkpoint=path),
+        fit(capture, replace(shorter, max_seconds=1e6), checkpoint=path, finish=True),
+    ]
+    for state in ended:
+        assert state.step == 10
+        assert_equal(state, load_checkpoint(Checkpoint(path, shorter, fingerprint(capture)), CPU))
+    assert_equal(fit(capture, config, checkpoint=path), fit(capture, config))
+
+
+def test_a_run_that_took_fewer_steps_is_not_over(
+    capture: Capture, config: TrainConfig, tmp_path: Path
+):
+    path = tmp_path / "checkpoint.pt"
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=path, on_progress=stopped_at(10))
+    for settings in ({"steps": 11}, {"max_seconds": 1e6}):
+        with pytest.raises(StyleSplatError, match=f"another {next(iter(settings))}"):
+            fit(capture, replace(config, **settings), checkpoint=path)
 
 
 def test_a_run_of_other_photos_is_refused(capture: Capture, config: TrainConfig, tmp_path: Path):

@@ -17,7 +17,7 @@ from stylesplat.training.ranks import ALONE, Ranks
 from stylesplat.training.run import Run
 from stylesplat.training.state import State
 from stylesplat.training.step import train_step
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.train_config import PRESETS, TrainConfig
 from stylesplat.training.training_views import split_views
 
 
@@ -37,6 +37,19 @@ def test_held_out_views_get_better(capture: Capture, config: TrainConfig):
     _, held_out = split_views(capture, config.test_every)
     for row in held_out:
         assert error(splats, capture, row) < 0.5 * error(start, capture, row)
+
+
+def test_points_train_alike_whatever_their_layout_in_memory(capture: Capture, config: TrainConfig):
+    assert capture.points is not None
+    transposed = replace(capture, points=capture.points.T.contiguous().T)
+    plain, other = (trained(each, config, steps=4) for each in (capture, transposed))
+    assert torch.equal(plain.means, other.means)
+
+
+def test_the_paper_trains_its_first_thousand_steps_without_higher_bands(capture: Capture):
+    splats = trained(capture, PRESETS["paper"], steps=5, max_gaussians=200)
+    assert splats.sh_degree == 3 and not splats.shN.any()
+    assert trained(capture, TrainConfig(), steps=5, max_gaussians=200).shN.any()
 
 
 def test_identities_learn_the_labels(capture: Capture, config: TrainConfig):

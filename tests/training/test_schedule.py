@@ -46,9 +46,16 @@ def test_coarse_stages_come_in_order():
 @pytest.mark.parametrize("degree", range(4))
 def test_bands_are_added_one_by_one_up_to_the_degree(degree: int):
     config = TrainConfig(sh_degree=degree)
-    degrees = [sh_degree(p, config) for p in SHARES]
+    degrees = [sh_degree(p, 0, config) for p in SHARES]
     assert degrees[0] == 0 and degrees[-1] == degree
     assert degrees == sorted(degrees) and set(degrees) == set(range(degree + 1))
+
+
+def test_bands_may_follow_the_steps_whatever_the_length_of_the_run():
+    config = TrainConfig(sh_degree_every=1000)
+    for share in SHARES:
+        degrees = [sh_degree(share, step, config) for step in (0, 998, 999, 1999, 2999, 29_999)]
+        assert degrees == [0, 0, 1, 2, 3, 3]
 
 
 def test_rates_of_means_fall_to_a_hundredth():

@@ -25,6 +25,14 @@ def test_nothing_is_shared_with_the_splats():
     assert before.means.any()
 
 
+def test_a_first_state_is_contiguous_whatever_the_splats_are():
+    splats = random_splats(5)
+    state = first_state(replace(splats, means=splats.means.T.contiguous().T))
+    assert torch.equal(state.params["means"], splats.means)
+    tensors = (state.params, state.moments.first, state.moments.second)
+    assert all(tensor.is_contiguous() for each in tensors for tensor in each.values())
+
+
 def test_a_first_state_has_done_nothing():
     state = first_state(random_splats(5))
     assert (state.step, state.seconds, state.first_count) == (0, 0.0, 5)

@@ -19,7 +19,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.paintings import Looks, Painted, Painting
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Recipe, Style, StyledObject
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.train_config import PRESETS, TrainConfig
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 PICKED = torch.arange(len(SPLATS)) >= 200  # the balls
@@ -56,6 +56,40 @@ def inverted() -> Scene:
 def test_training_cannot_be_told_this(settings: dict, message: str):
     with pytest.raises(StyleSplatError, match=message):
         ss.train(photographed(), **settings)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"object_growth": 7.0},
+        {"object_pixels": 2.5},
+        {"identity_every": 3},
+        {"identity_stride": 2},
+        {"classifier_rate": 1e-3},
+        {"identity_every": 4, "object_growth": 3.0},
+    ],
+    ids=lambda settings: ", ".join(settings),
+)
+def test_lifting_refuses_settings_of_identities(settings: dict, preset: str):
+    with pytest.raises(StyleSplatError, match=", ".join(sorted(settings, reverse=True))):
+        ss.train(photographed(), preset=preset, segment="lift", steps=1, **settings)
+    with pytest.raises(StyleSplatError, match="segment lift"):
+        ss.train(photographed(), TrainConfig(steps=1, **settings))
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_lifting_refuses_a_choice_of_gradients(preset: str):
+    other = not PRESETS[preset].identity_geometry
+    with pytest.raises(StyleSplatError, match="identity_geometry"):
+        ss.train(photographed(), preset=preset, segment="lift", steps=1, identity_geometry=other)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_lifting_takes_what_presets_say_of_identities(preset: str):
+    every = PRESETS[preset].identity_every
+    scene = ss.train(photographed(), preset=preset, segment="lift", steps=1, identity_every=every)
+    assert scene.metrics["steps"] == 1
 
 
 def test_the_paper_has_a_preset_in_python(monkeypatch: pytest.MonkeyPatch):

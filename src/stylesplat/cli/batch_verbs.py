@@ -20,7 +20,8 @@ from stylesplat.cli.train import Train
 from stylesplat.cli.wrong_usage import WrongUsage
 from stylesplat.jobs.job_verbs import Content, JobOption, JobVerb
 
-OURS = ("json", "verbose", "overwrite", "restart", "output", "file")  # what a batch itself says
+# What a batch itself says
+OURS = ("json", "verbose", "overwrite", "restart", "finish", "output", "file")
 WITHIN = ("cells", "workers")  # what would make a batch of a job
 PLACES = {  # what is made in the job's folder
     Export: ("output", "each"),

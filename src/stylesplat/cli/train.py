@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
-from stylesplat.cli.options import CONTINUES, Device, Json, Output, Overwrite, Verbose, given
+from stylesplat.cli.options import (
+    CONTINUES,
+    Device,
+    Json,
+    Output,
+    Overwrite,
+    Verbose,
+    given,
+    refuse_given,
+)
 from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
@@ -33,6 +42,7 @@ SETTINGS = (
     "seed",
     "max_memory",
 )
+FINISHES = "`--finish` makes the scene of what there is."
 KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
 
 
@@ -68,7 +78,7 @@ class Train:
     lifting the label maps afterwards, the default otherwise."""
     color_correction: Literal["auto", "on", "off"] | None = None
     """Learn each photo's exposure and white balance, and keep them out of the splat. auto, the
-    default, does where the photos differ in them."""
+    default, does where the photos differ in them; with `--preset paper` off is the default."""
     refine_poses: FlagCreatePairsOff[bool] = False
     """Turn and shift the training photos' cameras a little, where poses are not exact."""
     seed: int | None = None
@@ -81,6 +91,9 @@ class Train:
     overwrite: Overwrite = False
     restart: FlagCreatePairsOff[bool] = False
     """Forget an interrupted run."""
+    finish: FlagCreatePairsOff[bool] = False
+    """Take no more steps: make the scene of what an interrupted run has reached. `--steps` below
+    those taken do the same."""
     verbose: Verbose = False
     json: Json = False
 
@@ -89,7 +102,9 @@ class Train:
         """How to go on."""
         if not is_there(self._checkpoint):
             return CONTINUES if is_under_way(self.capture, beside=self.output) else WHOLE
-        return CONTINUES if not self.restart else "Without `--restart` it goes on where it stopped."
+        if self.restart:
+            return f"Without `--restart` it goes on where it stopped. {FINISHES}"
+        return f"{CONTINUES} {FINISHES}"
 
     @property
     def _checkpoint(self) -> Path:
@@ -123,9 +138,13 @@ class Train:
     def _train(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE
+        from stylesplat.training.checkpoint import refuse_unbegun
         from stylesplat.training.ranks import Ranks
 
         config, partial = self._config(), self._checkpoint.parent
+        if self.finish:
+            refuse_given(self, ("restart",), "--finish")
+            refuse_unbegun(self._checkpoint)
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         capture = self._loaded()
         if self.restart:
@@ -165,6 +184,7 @@ class Train:
             segment=self._segment,
             device=self.device,
             checkpoint=self._checkpoint,
+            finish=self.finish,
         )
 
 

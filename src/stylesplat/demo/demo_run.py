@@ -32,16 +32,8 @@ from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
 
-# The capture has many points, so that few steps make it sharp. Many small Gaussians on the objects
-# carry the strokes.
-TRAINING = replace(
-    TRAIN_PRESETS["default"],
-    steps=1250,
-    sh_degree=2,
-    max_gaussians=60_000,
-    object_growth=10.0,
-    object_pixels=2.5,
-)
+# The capture has many points, so that few steps make it sharp.
+TRAINING = replace(TRAIN_PRESETS["default"], steps=1250, sh_degree=2, max_gaussians=60_000)
 STYLING = STYLE_PRESETS["default"]
 STYLES = {"vase": "swirling_night", "teapot": "burning_tide"}  # object: painting
 OBJECT_IDS = {"vase": 1, "teapot": 2}

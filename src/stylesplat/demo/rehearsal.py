@@ -64,7 +64,7 @@ def rehearse(part: Part) -> None:
         points=points,
         point_colors=torch.full((GAUSSIANS, 3), 99, dtype=torch.uint8),
     )
-    config = replace(TrainConfig(), steps=2, object_pixels=2.5, coarse_to_fine=False)
+    config = replace(TrainConfig(), steps=2, coarse_to_fine=False)
     scene = select(train(capture, config, segment="lift", device="cpu"), "noise", id=1)
     if part == "train":
         return

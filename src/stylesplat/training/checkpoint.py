@@ -23,6 +23,7 @@ from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
+LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
 REMEDY = "The same settings and photos continue it; `--restart` begins anew."
 OF_PHOTOS = {
     "color_maps": Declared(("photos", 3, 4)),
@@ -76,8 +77,27 @@ def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
         _write(content, temporary)
 
 
-def load_checkpoint(checkpoint: Checkpoint, device: torch.device) -> State:
+def refuse_unbegun(path: Path | None) -> None:
+    """Refuse to finish a run that has no checkpoint.
+
+    Raises:
+        StyleSplatError: If there is none.
+    """
+    if path is None or not path.exists():
+        fact = "no checkpoint is given" if path is None else f"there is no {path}"
+        raise StyleSplatError(
+            f"Cannot finish a training: {fact}. Without `--finish` a new training begins."
+        )
+
+
+def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: bool = False) -> State:
     """The state that `save_checkpoint` wrote; the file stays as it is.
+
+    Args:
+        checkpoint: What it has to be of. The length of the run may be another, if the steps taken
+            are enough for the length wanted.
+        device: Where to load it.
+        finish: Whether they are enough anyway.
 
     Raises:
         StyleSplatError: If the file is damaged, or its run had other settings or another capture.
@@ -86,7 +106,7 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device) -> State:
     try:
         _check_sizes(path)
         content = torch.load(path, map_location=device, weights_only=True)
-        changed = _changed(content, checkpoint)
+        changed = _changed(content, checkpoint, finish=finish)
         state = None if changed else _state(content, checkpoint)
     except Exception as error:  # torch.load raises half a dozen kinds
         raise StyleSplatError(
@@ -124,12 +144,15 @@ def _write(content: dict[str, Any], path: Path) -> None:
         raise next((e for e in causes if isinstance(e, OSError)), OSError(reason(error))) from error
 
 
-def _changed(content: Mapping[str, Any], checkpoint: Checkpoint) -> str:
+def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool) -> str:
     """In what the run of a checkpoint differs from another one; empty if in nothing."""
-    saved, wanted = content["config"], asdict(checkpoint.config)
+    # A setting that an older version did not have was what is the default now.
+    saved, wanted = asdict(TrainConfig()) | content["config"], asdict(checkpoint.config)
     if "capture" not in content:
         return "an older version, which did not note its photos, poses, label maps and size"
-    settings = [n for n, value in wanted.items() if n not in FREE and saved.get(n) != value]
+    over = finish or checkpoint.config.progress(content["counts"][1], content["seconds"]) >= 1
+    free = FREE | LENGTH if over else FREE
+    settings = [n for n, value in wanted.items() if n not in free and saved[n] != value]
     changed = [f"a run with another {', '.join(settings)}"] if settings else []
     return ", ".join(changed + differences(content["capture"], checkpoint.capture))
 

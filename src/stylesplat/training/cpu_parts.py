@@ -23,12 +23,17 @@ OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth 
 
 def adam(steps: AdamSteps) -> None:
     """Adam, all turns in one pass through memory, whose speed is the limit."""
-    arrays = tuple(_rows(each) for each in (steps.param, steps.first, steps.second))
+    changed = (steps.param, steps.first, steps.second)
+    packed = [tensor.contiguous() for tensor in changed]  # a copy of those that are not contiguous
+    arrays = tuple(_rows(tensor) for tensor in packed)
     grads = tuple(_rows(turn.grad) for turn in steps.turns)
     chosen = tuple(turn.rows.numpy() for turn in steps.turns)
     factors = [(turn.rate / turn.corrections[0], 1 / turn.corrections[1]) for turn in steps.turns]
     kept = np.float32(steps.kept[0]), np.float32(steps.kept[1])
     _adam(arrays, kept, grads, chosen, np.array(factors, np.float32))
+    for tensor, copy in zip(changed, packed, strict=True):
+        if copy is not tensor:
+            tensor.copy_(copy)
 
 
 @no_type_check

@@ -60,7 +60,7 @@ def fill_gradients(run: Run, state: State, generator: torch.Generator) -> Outcom
         features=None if classes is None else splats.identities,
         features_move_geometry=config.identity_geometry,
         background=background if changes is None else None,
-        sh_degree=schedule.sh_degree(progress, config),
+        sh_degree=schedule.sh_degree(progress, state.step, config),
     )
     image, sampled = render.squeeze(0), None
     if classes is not None:

@@ -16,6 +16,7 @@ from stylesplat.training.announce import Report, Tally, announced
 from stylesplat.training.checkpoint import (
     Checkpoint,
     load_checkpoint,
+    refuse_unbegun,
     remove_leftovers,
 )
 from stylesplat.training.classes import say_unseen, shown_ids
@@ -39,6 +40,7 @@ def fit(
     *,
     device: torch.device | str = "cpu",
     checkpoint: Path | None = None,
+    finish: bool = False,
     on_progress: Report | None = None,
 ) -> State:
     """Train until the run is over: the functional core of `train`, for programs of your own.
@@ -54,6 +56,7 @@ def fit(
         checkpoint: A file to continue from if it exists. It is written every minute, when the run
             is interrupted and at its end, and left where it is. If it cannot be written, that is
             said, and the training goes on.
+        finish: Take no more steps: return what the checkpoint has, which was of any length.
         on_progress: Told the state, and the means of loss and PSNR since it was told last: after
             each step; on a GPU, which would have to be waited for, after every tenth, when a second
             has passed, and at the end.
@@ -62,8 +65,8 @@ def fit(
         The trained tensors, with the optimiser's state; `state.splats.detach()` are the Gaussians.
 
     Raises:
-        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
-            settings or another capture; it is left as it is.
+        StyleSplatError: If the capture leaves nothing to train on, there is no checkpoint to
+            finish, or it is of other settings or another capture; it is left as it is.
         KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written;
             SIGTERM waits for them too, before it does what it does in your program.
 
@@ -73,6 +76,8 @@ def fit(
         >>> state = fit(ss.load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
         >>> splats = state.splats.detach()  # doctest: +SKIP
     """
+    if finish:
+        refuse_unbegun(checkpoint)
     device = torch.device(device)
     rows, _ = split_views(capture, config.test_every)
     if not rows:
@@ -84,7 +89,9 @@ def fit(
             checkpoint, config, fingerprint(replace(capture, object_names={})), len(rows)
         )
     )
-    continued = _continued(saved, device)
+    continued = _continued(saved, device, finish=finish)
+    if continued is not None and (finish or _is_over(continued, config)):
+        return continued
     state = continued or _first(capture, rows, config, device)
     run = Run(
         config=config,
@@ -141,13 +148,20 @@ def _first(
     return first_state(splats.to(device))
 
 
-def _continued(saved: Checkpoint | None, device: torch.device) -> State | None:
+def _is_over(state: State, config: TrainConfig) -> bool:
+    return config.progress(state.step, state.seconds) >= 1
+
+
+def _continued(saved: Checkpoint | None, device: torch.device, *, finish: bool) -> State | None:
     """What an earlier run has left, if there was one."""
     if saved is None:
         return None
-    state = load_checkpoint(saved, device) if saved.path.exists() else None
+    exists = saved.path.exists()
+    state = load_checkpoint(saved, device, finish=finish) if exists else None
     remove_leftovers(saved.path)
-    if state is not None:
+    if state is not None and (finish or _is_over(state, saved.config)):
+        say(f"Taking no more steps than the {state.step:,} of {saved.path}.")
+    elif state is not None:
         say(f"Continuing from {saved.path}, after {state.step:,} steps. `--restart` begins anew.")
     return state
 

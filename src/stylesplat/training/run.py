@@ -40,9 +40,7 @@ class Run:
 
     def progress(self, state: State) -> float:
         """The share of the run that is done."""
-        if self.config.max_seconds is not None:
-            return min(state.seconds / self.config.max_seconds, 1.0)
-        return min(state.step / max(self.config.steps, 1), 1.0)
+        return self.config.progress(state.step, state.seconds)
 
     def photos(self, state: State) -> range:
         """Numbers of the photos of the next round that are this process's; see `row`."""

@@ -1,10 +1,10 @@
-"""What changes in the course of training, as functions of the share of the run that is done."""
+"""What changes in the course of training, as functions of what is done of the run."""
 
 from stylesplat.training.train_config import TrainConfig
 
 COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
 MIN_SIZE = 64  # pixels; photos are not made smaller than this
-SH_DEGREE_EVERY = 0.1  # share of the run per band: 1000 of the official code's 30,000 is 0.03
+SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
 MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
 
 
@@ -17,8 +17,10 @@ def photo_downscale(progress: float, size: tuple[int, int], config: TrainConfig)
     return 1
 
 
-def sh_degree(progress: float, config: TrainConfig) -> int:
-    """The bands of colour in use."""
+def sh_degree(progress: float, step: int, config: TrainConfig) -> int:
+    """The degree of the spherical harmonics in use, after so many steps."""
+    if config.sh_degree_every is not None:  # the official code raises it before the 1000th step
+        return min(config.sh_degree, (step + 1) // config.sh_degree_every)
     return min(config.sh_degree, int(progress / SH_DEGREE_EVERY))
 
 

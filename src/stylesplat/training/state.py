@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor
 
 from stylesplat.scene.splats import Classifier, Splats
@@ -65,10 +66,13 @@ class State:
 
 
 def first_state(splats: Splats) -> State:
-    """The state before the first step."""
+    """The state before the first step, in contiguous tensors."""
     params = splats.tensors()
     if splats.classifier:
         params |= {"weight": splats.classifier.weight, "bias": splats.classifier.bias}
-    params = {name: t.detach().clone().requires_grad_() for name, t in params.items()}
+    params = {
+        name: t.detach().clone(memory_format=torch.contiguous_format).requires_grad_()
+        for name, t in params.items()
+    }
     ids = splats.classifier.ids if splats.classifier else ()
     return State(params, Moments.zeros(params), ids, len(splats))

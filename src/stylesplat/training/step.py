@@ -27,7 +27,6 @@ RATES = {
     "sh0": 2.5e-3,
     "identities": 2.5e-3,
 }
-REFINE_END = 0.9  # share of the run after which Gaussians are neither moved nor added
 
 
 class Look(NamedTuple):
@@ -136,7 +135,7 @@ def _refined(run: Run, state: State, generator: torch.Generator) -> State:
     config, progress = run.config, run.progress(state)
     if config.object_pixels is not None:
         limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
-    if progress >= REFINE_END:
+    if progress >= config.refine_end:
         return state
     params, moments = growth.refine(
         state.params,

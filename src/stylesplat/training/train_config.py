@@ -18,12 +18,25 @@ POSITIVE = (
     "identity_every",
     "identity_stride",
     "photos_at_once",
+    "sh_degree_every",
 )
+WHOLE_OR_NONE = ("photos_at_once", "sh_degree_every")
+
+
+IDENTITY_SETTINGS = (
+    "object_growth",
+    "object_pixels",
+    "identity_every",
+    "identity_stride",
+    "identity_geometry",
+    "classifier_rate",
+)
+"""Settings of `TrainConfig` that need identities in training: `segment="joint"`."""
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How to train. Everything scheduled is a share of the run, so any length works."""
+    """How to train. Schedules that do not count steps are shares of the run: any length works."""
 
     steps: int = 5000
     """Optimiser steps, one photo each."""
@@ -35,12 +48,16 @@ class TrainConfig:
     """Every this many photos one is held out to measure quality; 0 trains on all."""
     sh_degree: int = 3
     """Degree of the spherical harmonics, 0 to 3."""
+    sh_degree_every: int | None = None
+    """Steps after which the degree in use grows by 1, from 0; None: a tenth of the run."""
     seed: int = 0
     """Seed of everything random; the same seed and thread count reproduce a run."""
     coarse_to_fine: bool = True
     """Start on photos of a quarter, then half the size."""
     growth_end: float = 0.4
     """Share of the run after which no Gaussians are added."""
+    refine_end: float = 0.9
+    """Share of the run after which dead Gaussians are not moved either."""
     object_growth: float = 4.0
     """How many times likelier an object's Gaussians are to be copied than the background's."""
     object_pixels: float | None = None
@@ -85,6 +102,12 @@ class TrainConfig:
     None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
     """
 
+    def progress(self, steps: int, seconds: float) -> float:
+        """The share of the run that is done after so many steps, which took so long."""
+        if self.max_seconds is not None:
+            return min(seconds / self.max_seconds, 1.0)
+        return min(steps / self.steps, 1.0)
+
     def __post_init__(self) -> None:
         for name in POSITIVE:
             value = getattr(self, name)
@@ -99,7 +122,8 @@ class TrainConfig:
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
         if self.sh_degree not in SH_DEGREES:
             raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
-        for name in WHOLE if self.photos_at_once is None else (*WHOLE, "photos_at_once"):
+        given = [name for name in WHOLE_OR_NONE if getattr(self, name) is not None]
+        for name in (*WHOLE, *given):
             if not isinstance(getattr(self, name), int):
                 raise StyleSplatError(
                     f"Cannot train with {name} {getattr(self, name)}: give a whole number."
@@ -112,8 +136,10 @@ PRESETS = {
         TrainConfig(),
         steps=30_000,
         max_gaussians=1_000_000,
+        sh_degree_every=1000,
         coarse_to_fine=False,
         growth_end=0.5,
+        refine_end=0.5,
         object_growth=1.0,
         identity_every=1,
         identity_stride=1,
@@ -121,10 +147,29 @@ PRESETS = {
         bands_rate=1.25e-4,
         classifier_rate=5e-4,
         identity_geometry=True,
+        color_correction="off",
         photos_at_once=1,
     ),
 }
-"""Named settings: `paper` follows StyleSplat and Gaussian Grouping."""
+"""Named settings: `paper` follows StyleSplat and Gaussian Grouping; a test names each source."""
 
 SEGMENTS: dict[str, Segment] = {"default": "lift", "paper": "joint"}
 """How Gaussians come to their objects by each preset; `benchmarks/paper.py` compares the ways."""
+
+
+def refuse_identity_settings(config: TrainConfig) -> None:
+    """Refuse settings that lifting ignores, unless they are those of a preset.
+
+    Raises:
+        StyleSplatError: If some are not.
+    """
+    changed = [
+        [name for name in IDENTITY_SETTINGS if getattr(config, name) != getattr(preset, name)]
+        for preset in PRESETS.values()
+    ]
+    names = min(changed, key=len)
+    if names:
+        raise StyleSplatError(
+            f"Cannot train with {', '.join(names)} and segment lift, which trains no identities: "
+            "use segment joint, or leave out what it ignores."
+        )

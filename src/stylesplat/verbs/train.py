@@ -23,7 +23,13 @@ from stylesplat.training.loop import fit
 from stylesplat.training.pose_shifts import refined
 from stylesplat.training.ranks import Ranks
 from stylesplat.training.state import State
-from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
+from stylesplat.training.train_config import (
+    PRESETS,
+    SEGMENTS,
+    Segment,
+    TrainConfig,
+    refuse_identity_settings,
+)
 from stylesplat.training.training_views import split_views
 
 LIBRARIES = ("stylesplat", "torch", "numba")
@@ -37,6 +43,7 @@ def train(
     segment: Segment | None = None,
     device: str = "auto",
     checkpoint: Path | None = None,
+    finish: bool = False,
     **settings: Any,
 ) -> Scene:
     """Train a splat with objects from posed photos.
@@ -52,7 +59,10 @@ def train(
         device: `auto` takes an NVIDIA GPU where there is one.
         checkpoint: A file to continue from if it exists; written every minute and when
             interrupted, and left there.
-        settings: Fields of `TrainConfig` to change, such as `steps=2000`.
+        finish: Take no more steps: make a scene of what the checkpoint of an interrupted run has,
+            however long that was to be.
+        settings: Fields of `TrainConfig` to change, such as `steps=2000`. Those of identities and
+            of objects' Gaussians need `joint`.
 
     Returns:
         The scene, its objects called what the capture calls them. Its metrics are `psnr` and
@@ -62,8 +72,8 @@ def train(
         colours. With `refine_poses` the training views' cameras are the refined ones.
 
     Raises:
-        StyleSplatError: If the capture leaves nothing to train on, or the checkpoint is of other
-            photos or settings.
+        StyleSplatError: If the capture leaves nothing to train on, `lift` would ignore a setting,
+            there is no checkpoint to finish, or it is of other photos or settings.
         KeyboardInterrupt: After Ctrl-C, once the checkpoint is written.
 
     Example:
@@ -76,12 +86,14 @@ def train(
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
     config = replace(config or PRESETS[preset], **settings)
+    if segment == "lift":
+        refuse_identity_settings(config)
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
     rows, held_out = split_views(capture, config.test_every)
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
-    state = fit(learned, config, device=torch_device, checkpoint=checkpoint)
+    state = fit(learned, config, device=torch_device, checkpoint=checkpoint, finish=finish)
     splats, seconds = state.splats.detach(), state.seconds
     capture = refined(capture, state, rows)
     if segment == "lift" and capture.label_maps is not None:
