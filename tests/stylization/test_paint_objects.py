@@ -172,6 +172,13 @@ def test_intensity_0_changes_nothing(job: StyleJob, network: FeatureNetwork):
     assert same(splats, SCENE)
 
 
+def test_an_object_with_room_for_no_more_gaussians_is_painted_on_its_own(
+    job: StyleJob, network: FeatureNetwork
+):
+    styled = styled_by(job, network, max_growth=1.01)  # 0.8 Gaussians more than its 80
+    assert changed(styled) == {"sh0", "shN"}
+
+
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
 def test_views_that_do_not_fit_into_memory_give_the_same_picture(
     job: StyleJob,

@@ -78,6 +78,8 @@ CALLS = {
     "ss.render(scene, 'tests')": "no set of views 'tests'. Use test, train, all",
     "ss.mask(capture, method='sam9')": "no method 'sam9'. Use files, grabcut, sam",
     "ss.import_(SPLATS, capture, frame='blender')": "no frame 'blender'. Use capture",
+    "ss.render(scene, device='gpu')": "no device 'gpu'. Use auto, cpu or cuda",
+    "ss.train(capture, device='mps')": "no device 'mps'. Use auto, cpu or cuda",
     "ss.import_(SPLATS, up='w')": "no direction 'w'. Use x, -x",
 }
 
