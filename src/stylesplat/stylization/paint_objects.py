@@ -4,10 +4,9 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -24,7 +23,7 @@ from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_images import Picture, read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.styled_scene import Piece, Styled, assembled, piece_of
 
@@ -37,7 +36,7 @@ def paint(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
-    style: Path | str | Float[Tensor, "H W 3"],
+    style: Picture,
     *,
     config: StyleConfig | None = None,
     network: FeatureNetwork | None = None,
@@ -51,7 +50,7 @@ def paint(
         splats: The scene.
         capture: Views from which to look at the object; their photos are not used.
         picked: The object's Gaussians.
-        style: A picture's file, or its colours in 0..1.
+        style: A picture's file, or its colours: floats in 0..1, or bytes.
         config: Settings; see `StyleConfig` and `PRESETS`.
         network: Whose features are matched; the package's own by default.
 
@@ -66,7 +65,7 @@ def paint_live(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
-    style: Path | str | Float[Tensor, "H W 3"],
+    style: Picture,
     *,
     config: StyleConfig | None = None,
     network: FeatureNetwork | None = None,
@@ -188,7 +187,7 @@ def _one_object(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
-    style: Path | str | Float[Tensor, "H W 3"],
+    style: Picture,
     config: StyleConfig | None,
     network: FeatureNetwork | None,
 ) -> tuple[Studio, StyleJob]:
@@ -196,10 +195,7 @@ def _one_object(
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
     network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
-    if isinstance(style, Tensor):
-        image = style
-    else:
-        image = read_style(style, rotate=config.rotate, region=config.region)
+    image = read_style(style, rotate=config.rotate, region=config.region)
     job = StyleJob("object", picked, (image,), config)
     check_jobs([job])
     return open_studio(splats, cameras, network), moved(job, splats)

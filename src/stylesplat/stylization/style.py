@@ -16,10 +16,7 @@ from stylesplat.scene.one_line import one_line
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
-from stylesplat.stylization.style_images import read_style
-
-Picture = Path | str | Float[Tensor, "_ _ 3"]
-"""A file, or colours in 0..1."""
+from stylesplat.stylization.style_images import Picture, read_style
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -48,7 +45,7 @@ class Style:
         """Take a style.
 
         Args:
-            pictures: Files, or colours in 0..1.
+            pictures: Files, or colours: floats in 0..1, or bytes.
             config: All settings; by default those of the preset.
             preset: `default`, or `paper` for the method as published.
             settings: Fields of `StyleConfig` to change, such as `scale=2`.
@@ -73,15 +70,10 @@ class Style:
         """The pictures as they are to be used: cropped and turned.
 
         Raises:
-            StyleSplatError: If one is missing, unreadable or too small.
+            StyleSplatError: If one is missing, unreadable, too small, or of colours out of range.
         """
-        config = self.config
-        return tuple(
-            picture
-            if isinstance(picture, Tensor)
-            else read_style(picture, rotate=config.rotate, region=config.region)
-            for picture in self.pictures
-        )
+        turned = {"rotate": self.config.rotate, "region": self.config.region}
+        return tuple(read_style(picture, **turned) for picture in self.pictures)
 
     def sources(self) -> tuple[Source, ...]:
         """Where the pictures come from, with the digests of their content."""
