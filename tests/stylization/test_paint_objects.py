@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS
+from balls import CAMERAS, enlarged
 from striped_balls import FAST, GROWN, SCENE, TABLE, ball, same, with_settings
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
@@ -26,6 +26,7 @@ from stylesplat.stylization.paint_objects import (
     paint_live,
     paint_objects,
 )
+from stylesplat.stylization.style_config import PRESETS
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.styled_scene import Styled
 
@@ -170,6 +171,29 @@ def test_intensity_0_changes_nothing(job: StyleJob, network: FeatureNetwork):
     splats = styled_by(job, network, intensity=0.0, max_growth=GROWN)
     assert len(splats) == len(SCENE)
     assert same(splats, SCENE)
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_papers_steps_are_those_of_adam_at_its_rates(
+    job: StyleJob, network: FeatureNetwork, steps: int
+):
+    """3D Gaussian splatting's code: 0.0025 for the constant band, a twentieth for the others."""
+    glaring = SCENE.sh0.clone()
+    glaring[job.picked] *= 3  # beyond white and black, where it stays
+    scene = replace(SCENE, sh0=glaring)
+    paper = replace(PRESETS["paper"], steps=steps, layers=(2,), scale=1.5)
+    studio = open_studio(scene, enlarged(CAMERAS, 3), network)
+    styled = paint_objects(studio, [replace(job, config=paper)])[0].splats
+    before, after = scene.tensors(), styled.tensors()
+    assert {n for n in before if not torch.equal(before[n], after[n])} == {"sh0", "shN"}
+    for name, rate in {"sh0": 0.0025, "shN": 0.0025 / 20}.items():
+        moved = (after[name] - before[name]).abs().flatten(1)
+        assert not moved[~job.picked].any()
+        furthest = moved[job.picked].amax(dim=1)
+        assert furthest.max() == pytest.approx(steps * rate, rel=0.02)
+        if steps == 1:  # Adam's first step has the same length for all that show
+            shown = furthest[furthest > 0]
+            torch.testing.assert_close(shown, torch.full_like(shown, rate), rtol=1e-2, atol=0)
 
 
 def test_an_object_with_room_for_no_more_gaussians_is_painted_on_its_own(

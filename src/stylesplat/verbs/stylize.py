@@ -83,8 +83,8 @@ def stylize(
     Args:
         scene: What to paint on.
         styles: Pictures or a `Style` by object, which is a name or a label id; or a recipe.
-        features: The network whose features are matched; by default what the recipe says, or
-            `compact`, which ships with the package.
+        features: The network whose features are matched; by default what the recipe says, or that
+            of the preset: `compact`, which ships with the package, or VGG16 for the paper's.
         weights: The network's file; VGG's are else downloaded, once.
         max_memory: GiB for prepared views; what does not fit takes longer.
         device: Where to compute.

@@ -67,7 +67,7 @@ def stylize_live(
         scene: What to paint on.
         name: The object: a name, or a label id.
         style: What it is to look like.
-        features: The network whose features are matched; by default `compact`.
+        features: The network whose features are matched; by default that of the preset.
         weights: The network's file.
         max_memory: GiB for prepared views.
         device: Where to compute.
