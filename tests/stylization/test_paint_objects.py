@@ -18,7 +18,6 @@ from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.soft_picks import find_places, soft_shares
-from stylesplat.stylization import paint_objects as loop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import (
     open_studio,
@@ -26,7 +25,7 @@ from stylesplat.stylization.paint_objects import (
     paint_live,
     paint_objects,
 )
-from stylesplat.stylization.style_config import PRESETS
+from stylesplat.stylization.style_config import PRESETS, Precision
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.styled_scene import Styled
 
@@ -203,15 +202,16 @@ def test_an_object_with_room_for_no_more_gaussians_is_painted_on_its_own(
     assert changed(styled) == {"sh0", "shN"}
 
 
-@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_views_that_do_not_fit_into_memory_give_the_same_picture(
     job: StyleJob,
     network: FeatureNetwork,
-    precision: torch.dtype,
-    monkeypatch: pytest.MonkeyPatch,
+    precision: Precision,
 ):
-    monkeypatch.setattr(loop, "fastest_dtype", lambda _: precision)
-    kept, drawn = (painted([job], network, max_memory=memory).splats for memory in (1.0, 0.0))
+    kept, drawn = (
+        painted([job], network, max_memory=memory, precision=precision).splats
+        for memory in (1.0, 0.0)
+    )
     # weights are kept as float16, which may decide between two matches that are as good
     assert picture_error(kept, drawn) > 45
     assert picture_error(kept, SCENE) < 30

@@ -22,7 +22,7 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
-from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, Precision, StyleConfig
 from stylesplat.stylization.style_images import Picture, read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.styled_scene import Piece, Styled, assembled, piece_of
@@ -157,6 +157,7 @@ def open_studio(
     *,
     held_out: Cameras | None = None,
     max_memory: float = MAX_MEMORY,
+    precision: Precision | None = None,
 ) -> Studio:
     """What repainting needs besides a job.
 
@@ -166,6 +167,7 @@ def open_studio(
         network: Whose features are matched.
         held_out: More views in which nothing but the object may change.
         max_memory: GiB that linear views may take; see `cut_views`.
+        precision: In which features are computed; by default what is fastest on this machine.
 
     Raises:
         StyleSplatError: If `max_memory` is negative.
@@ -178,7 +180,7 @@ def open_studio(
         cameras=cameras,
         every_camera=cameras if held_out is None else cameras + held_out,
         network=network.to(device),
-        precision=fastest_dtype(device.type),
+        precision=getattr(torch, precision) if precision else fastest_dtype(device.type),
         max_memory=max_memory * GIB,
     )
 

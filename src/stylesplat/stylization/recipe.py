@@ -15,7 +15,7 @@ from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
-from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_config import PRESETS, Network, Precision, StyleConfig
 
 Preset = Literal["default", "paper"]
 VARIED = SETTINGS | {"preset": Preset}  # what a sheet may vary
@@ -37,6 +37,7 @@ OWN = {  # and of one
     "weights": str | None,
     "weights_sha256": str | None,
     "upon": dict[str, Intensity],
+    "precision": Precision | None,
 }
 
 
@@ -171,6 +172,7 @@ def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject
         weights=_weights(network, base.folder),
         intensity=told.get("intensity"),
         upon=own.get("upon", {} if recorded else None),
+        precision=own.get("precision"),
     )
 
 

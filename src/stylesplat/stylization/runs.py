@@ -11,7 +11,7 @@ from stylesplat.selection.choose import find_objects
 from stylesplat.stylization.bookkeeping import refuse_painted, strengths
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Recipe, StyledObject
-from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_config import Network, Precision
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 
@@ -26,6 +26,8 @@ class Run:
     """Whose features are matched."""
     weights: Source | None
     """The network's file; None for its own."""
+    precision: Precision | None
+    """In which features are computed; None takes what is fastest."""
     upon: Mapping[str, float]
     """What was painted before, and how strong it is to be meanwhile."""
     unneeded: Set[str] = frozenset()
@@ -116,7 +118,7 @@ def _groups(
         file = Source(Path(weights)) if weights else each.weights
         if features and features != _network(each) and not weights:
             file = None  # the recipe's is of its own network
-        own = Run((each,), network, file, _upon(each, upon))
+        own = Run((each,), network, file, each.precision, _upon(each, upon))
         if run is not None and replace(own, objects=()) == replace(run, objects=()):
             run = replace(run, objects=(*run.objects, each))
             continue

@@ -15,7 +15,7 @@ from stylesplat.io.files import read_bytes
 from stylesplat.scene.one_line import one_line
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
-from stylesplat.stylization.style_config import NETWORKS, PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_config import NETWORKS, PRESETS, Network, Precision, StyleConfig
 from stylesplat.stylization.style_images import Picture, read_style
 
 
@@ -106,6 +106,8 @@ class StyledObject:
     upon: Mapping[str, float] | None = None
     """The objects that were painted before it, and how strong they were then; None leaves that
     to whoever uses the recipe."""
+    precision: Precision | None = None
+    """In which features are computed; None takes what is fastest on the machine."""
     gone: bool = False
     """Whether it is there only as long as others are painted upon it."""
 

@@ -27,6 +27,7 @@ ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
 Texture = Literal["keep", "soften", "replace"]
 Canvas = Literal["fresh", "own"]
+Precision = Literal["float32", "bfloat16"]
 
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
