@@ -126,6 +126,7 @@ def test_settings_start_from_the_preset():
     plan = plan_sheet([(Path("a.png"),)], [kinds], settings={"preset": "default"})
     configs = [style.config for _, style in plan.rows[0].cells]
     assert configs == [PRESETS["paper"], PRESETS["default"]]
+    assert [style.network for style, _ in plan.runs()] == ["vgg16", "compact"]
     settings = {"preset": "paper", "steps": 9}
     plan = plan_sheet([(Path("a.png"),)], [("seed", (1, 2))], settings=settings)
     configs = [style.config for _, style in plan.rows[0].cells]

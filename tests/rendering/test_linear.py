@@ -8,7 +8,8 @@ import torch
 from scenes import leaf, random_splats, two_cameras
 from stylesplat.rendering import cpu
 from stylesplat.rendering.linear import Contributions, contributions
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.sh import SH_C0, sh_colors
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
@@ -164,15 +165,45 @@ def test_weights_are_the_sums_over_pixels(half: Contributions):
 def test_fixed_bands_give_the_same_image(half: Contributions):
     fixed = half.with_fixed_bands(SPLATS)
     brighter = replace(SPLATS, sh0=SPLATS.sh0 + 0.3 * HALF[:, None, None])
-    for splats in (SPLATS, brighter):  # HEADROOM costs 5 decimals of float32
-        torch.testing.assert_close(fixed.render(splats), half.render(splats), atol=1e-4, rtol=0)
+    for splats in (SPLATS, brighter):
+        torch.testing.assert_close(fixed.render(splats), half.render(splats), atol=2e-6, rtol=0)
     weights = torch.randn(half.background.shape, generator=torch.Generator().manual_seed(5))
     gradients = []
     for view in (half, fixed):
         splats = leaf(brighter, torch.float32)
         (view.render(splats) * weights).sum().backward()
         gradients.append(splats.sh0.grad)
-    assert relative_error(gradients[1], gradients[0].double()) < 1e-4
+    assert relative_error(gradients[1], gradients[0].double()) < 1e-6
+
+
+def test_an_unclamped_image_is_the_references(half: Contributions):
+    darker = replace(SPLATS, sh0=SPLATS.sh0 - 4.0 * HALF[:, None, None])
+    exact = leaf(darker, torch.float64)
+    dirs = exact.means - CAMERA.positions.double()
+    colors = sh_colors(exact.sh_degree, dirs, exact.sh0, exact.shN, clamp=False).detach()
+    assert (colors[half.gaussians] < 0).all(dim=1).any() and colors.min() < -1
+    fixed = half.with_fixed_bands(SPLATS)  # of the same higher bands
+    expected = half.image(colors[half.gaussians].float())
+    for view in (half, fixed):
+        image = view.render(darker, clamp=False)
+        torch.testing.assert_close(image, expected, atol=2e-6, rtol=0)  # float32
+    image, _, _ = rasterize(exact, CAMERA, clamp=False, backend="reference")
+    alone, _, _ = rasterize(exact, CAMERA, backend="reference")
+    others = contributions(darker, CAMERA, ~HALF)
+    both = fixed.render(darker, clamp=False) - fixed.background + others.render(darker, clamp=False)
+    both = both - others.background
+    assert relative_error(both, image.detach()[0]) < TOLERANCE
+    assert relative_error(both, alone.detach()[0]) > 0.1
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_colors_below_black_are_kept_where_they_are_wanted(backend: Backend):
+    dark = replace(SPLATS, sh0=SPLATS.sh0 * 0 - 5.0, shN=SPLATS.shN * 0)
+    image, alphas, _ = rasterize(dark, CAMERA, clamp=False, backend=backend)
+    torch.testing.assert_close(
+        image, alphas * (0.5 - 5.0 * SH_C0) * torch.ones(3), atol=1e-5, rtol=0
+    )
+    assert not rasterize(dark, CAMERA, backend=backend)[0].any()
 
 
 @pytest.mark.parametrize("everything", [False, True])

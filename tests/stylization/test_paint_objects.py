@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS
+from balls import CAMERAS, enlarged
 from striped_balls import FAST, GROWN, SCENE, TABLE, ball, same, with_settings
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.rasterize import rasterize
@@ -18,7 +18,6 @@ from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.soft_picks import find_places, soft_shares
-from stylesplat.stylization import paint_objects as loop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import (
     open_studio,
@@ -26,6 +25,7 @@ from stylesplat.stylization.paint_objects import (
     paint_live,
     paint_objects,
 )
+from stylesplat.stylization.style_config import PRESETS, Precision
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.styled_scene import Styled
 
@@ -172,15 +172,46 @@ def test_intensity_0_changes_nothing(job: StyleJob, network: FeatureNetwork):
     assert same(splats, SCENE)
 
 
-@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_papers_steps_are_those_of_adam_at_its_rates(
+    job: StyleJob, network: FeatureNetwork, steps: int
+):
+    """3D Gaussian splatting's code: 0.0025 for the constant band, a twentieth for the others."""
+    glaring = SCENE.sh0.clone()
+    glaring[job.picked] *= 3  # beyond white and black, where it stays
+    scene = replace(SCENE, sh0=glaring)
+    paper = replace(PRESETS["paper"], steps=steps, layers=(2,), scale=1.5)
+    studio = open_studio(scene, enlarged(CAMERAS, 3), network)
+    styled = paint_objects(studio, [replace(job, config=paper)])[0].splats
+    before, after = scene.tensors(), styled.tensors()
+    assert {n for n in before if not torch.equal(before[n], after[n])} == {"sh0", "shN"}
+    for name, rate in {"sh0": 0.0025, "shN": 0.0025 / 20}.items():
+        moved = (after[name] - before[name]).abs().flatten(1)
+        assert not moved[~job.picked].any()
+        furthest = moved[job.picked].amax(dim=1)
+        assert furthest.max() == pytest.approx(steps * rate, rel=0.02)
+        if steps == 1:  # Adam's first step has the same length for all that show
+            shown = furthest[furthest > 0]
+            torch.testing.assert_close(shown, torch.full_like(shown, rate), rtol=1e-2, atol=0)
+
+
+def test_an_object_with_room_for_no_more_gaussians_is_painted_on_its_own(
+    job: StyleJob, network: FeatureNetwork
+):
+    styled = styled_by(job, network, max_growth=1.01)  # 0.8 Gaussians more than its 80
+    assert changed(styled) == {"sh0", "shN"}
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_views_that_do_not_fit_into_memory_give_the_same_picture(
     job: StyleJob,
     network: FeatureNetwork,
-    precision: torch.dtype,
-    monkeypatch: pytest.MonkeyPatch,
+    precision: Precision,
 ):
-    monkeypatch.setattr(loop, "fastest_dtype", lambda _: precision)
-    kept, drawn = (painted([job], network, max_memory=memory).splats for memory in (1.0, 0.0))
+    kept, drawn = (
+        painted([job], network, max_memory=memory, precision=precision).splats
+        for memory in (1.0, 0.0)
+    )
     # weights are kept as float16, which may decide between two matches that are as good
     assert picture_error(kept, drawn) > 45
     assert picture_error(kept, SCENE) < 30

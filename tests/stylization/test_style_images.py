@@ -8,6 +8,7 @@ from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization import style_images as pictures
+from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_images import inscribed_rectangle, read_style
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
@@ -20,6 +21,33 @@ def save(path: Path, pixels: np.ndarray = PIXELS, **how) -> Path:
 
 def as_bytes(style: torch.Tensor) -> np.ndarray:
     return (255 * style).round().to(torch.uint8).numpy()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"rotate": 90.0}, {"rotate": 5.0}, {"region": (3, 2, 50, 39), "rotate": 180.0}],
+    ids=str,
+)
+def test_tensors_are_cropped_and_turned_as_files_are(tmp_path: Path, settings: dict):
+    expected = Style(save(tmp_path / "a.png"), **settings).read()[0]
+    levels = torch.from_numpy(PIXELS)
+    assert torch.equal(Style(levels, **settings).read()[0], expected)
+    found = Style(levels.double() / 255, **settings).read()[0]
+    torch.testing.assert_close(found, expected, atol=0.5 / 255 + 1e-6, rtol=0)  # levels of files
+
+
+@pytest.mark.parametrize(
+    ("colors", "fact"),
+    [
+        (torch.rand(40, 50, 3) * 255, "reaches from"),
+        (torch.rand(40, 50, 3) - 0.5, "reaches from -0"),
+        (torch.full((40, 50, 3), math.nan), "NaN"),
+        (torch.rand(40, 31, 3), "31x40"),
+    ],
+)
+def test_tensors_that_are_no_colors_are_refused(colors: torch.Tensor, fact: str):
+    with pytest.raises(StyleSplatError, match=fact):
+        Style(colors).read()
 
 
 def ramp(width: int, height: int) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What was painted is remembered as it was painted, and can be painted again just so."""
 
+import json
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -25,6 +26,7 @@ from stylesplat.io.json_files import read_json
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
+from stylesplat.stylization.style_config import Precision
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
@@ -136,6 +138,35 @@ def test_weights_that_are_others_now_are_refused(
     with pytest.raises(StyleSplatError, match="holds other weights than those that were used"):
         stylize(before, recipe, device="cpu")
     stylize(before, recipe, features="compact", device="cpu")
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_the_precision_is_recorded_and_replayed_whatever_is_fastest_here(
+    precision: Precision, trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+):
+    style = Style(pictures[0], config=FAST)
+    recipe = Recipe((StyledObject("red", style, precision=precision),))
+    scene = stylize(scene_folder.open(trained), recipe, device="cpu")
+    assert scene.metrics["precision"] == precision
+    assert_made_again(scene, trained, tmp_path)
+    (entry,) = json.loads((tmp_path / "again" / "recipe.json").read_text())["objects"]
+    assert entry["precision"] == precision
+    other = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
+    fastest = paint_of(other).paintings[0].precision
+    assert fastest == other.metrics["precision"]
+    same = torch.equal(other.splats.sh0, scene.splats.sh0)
+    assert same == (fastest == precision), "the two differ"
+
+
+def test_older_recipes_say_no_precision(once: Scene, trained: Path, tmp_path: Path):
+    scene_folder.save(once, tmp_path / "styled")
+    file = tmp_path / "styled" / "recipe.json"
+    content = json.loads(file.read_text())
+    del content["objects"][0]["precision"]
+    file.write_text(json.dumps(content))
+    assert paint_of(scene_folder.open(tmp_path / "styled")).paintings[0].precision is None
+    again = stylize(scene_folder.open(trained), read_recipe(file), device="cpu")
+    assert_same_splats(again.splats, once.splats)
 
 
 def test_a_recipe_may_say_what_an_object_is_painted_upon(

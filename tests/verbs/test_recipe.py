@@ -73,6 +73,7 @@ def test_a_preset_takes_the_place_of_the_defaults(read: Read):
     assert config_of(recipe) == replace(PRESETS["paper"], seed=1)
     (vase,) = recipe.objects
     assert (vase.features, vase.weights, vase.intensity, vase.upon) == (None, None, None, None)
+    assert vase.style.network == "vgg16"
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -20,7 +20,6 @@ from stylesplat.scene.content import solid
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import color_map, map_colors
 from stylesplat.stylization.style import Picture, Style
-from stylesplat.stylization.style_images import read_style
 from stylesplat.verbs.stylize_live import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of what is painted
@@ -216,12 +215,11 @@ def previewed(splats: Splats, picked: Bool[Tensor, " N"], pictures: tuple[Tensor
 
 
 def styled(picture: Picture, **settings: Any) -> Style:
-    """A style, its picture read already, so that a file that is none is told at once.
+    """A style, its picture read once, so that an unfit one is told at once.
 
     Raises:
         StyleSplatError: If the picture is unfit, or a setting out of range.
     """
     style = Style(picture, **settings)
-    if not isinstance(picture, Tensor):
-        read_style(picture, rotate=style.config.rotate, region=style.config.region)
+    style.read()
     return style

@@ -22,7 +22,7 @@ from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.signals import WHOLE
-from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_config import Network
 
 if TYPE_CHECKING:
     from stylesplat.verbs.sheet import Sheet as Drawn
@@ -49,11 +49,12 @@ class Sheet:
     view: str | None = None
     """Name of the photo to look from; by default the one that shows most of the object."""
     preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper is the method as published (which used --features vgg16)."""
+    """Settings to start from; paper is the method as published, with --features vgg16."""
     steps: int | None = None
     """Optimiser steps per cell."""
-    features: Network = DEFAULT_NETWORK
-    """Network whose features are matched; compact ships with the package."""
+    features: Network | None = None
+    """Network whose features are matched, by default compact, which ships with the package; vgg16
+    for --preset paper."""
     weights: Path | None = None
     """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
     seed: int | None = None
@@ -134,7 +135,8 @@ class Sheet:
         assert self.cells is not None
         vary = self._variations()
         plan = plan_sheet(styles, [*vary.items()], settings=self._settings)
-        how = {"features": self.features, "device": self.device, **self._settings}
+        how = {"device": self.device, **self._settings}
+        how |= {"features": self.features} if self.features else {}
         how |= {"weights": str(self.weights)} if self.weights else {}
         cells = Cells(self.scene, name, styles, vary, how)
         painted = cells.painted(self.cells, 1 if self.workers is None else self.workers)

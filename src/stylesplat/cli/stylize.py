@@ -56,13 +56,14 @@ class Stylize:
     """YAML file with objects, styles and settings instead of --style; options given
     here precede its own. A styled scene's recipe.json is one too."""
     preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper is the method as published (which used --features vgg16)."""
+    """Settings to start from; paper is the method as published, with --features vgg16."""
     quality: Literal["draft", "normal", "high"] | None = None
     """How fine, normal by default: draft is quick and soft, high takes a few minutes."""
     steps: int | None = None
     """Optimiser steps per object; by default as many as the quality needs."""
     features: Network | None = None
-    """Network whose features are matched, by default compact, which ships with the package."""
+    """Network whose features are matched, by default compact, which ships with the package; vgg16
+    for --preset paper."""
     weights: Path | None = None
     """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
     pattern: Literal["small", "medium", "large", "photo"] | None = None
@@ -154,7 +155,6 @@ class Stylize:
         """The recipe of a file, or of objects and pictures that all have the same settings."""
         from stylesplat.stylization.recipe import read_recipe
         from stylesplat.stylization.style import Recipe, Style, StyledObject
-        from stylesplat.stylization.style_config import PRESETS
 
         settings = given(self, SETTINGS)
         if self.hard:
@@ -178,7 +178,7 @@ class Stylize:
             raise StyleSplatError(
                 f"Got --style and --recipe. Write {name} into {self.recipe}, or pass only --style."
             )
-        recipe = read_recipe(self.recipe, defaults=PRESETS[self.preset])
+        recipe = read_recipe(self.recipe, preset=self.preset)
         return Recipe(tuple(_overridden(each, settings) for each in recipe.objects))
 
 
@@ -186,6 +186,7 @@ def _overridden(each: "StyledObject", settings: dict[str, Any]) -> "StyledObject
     """An object of a recipe with the settings that precede its own."""
     from stylesplat.stylization.style import Style
 
-    style = Style(*each.style.pictures, config=each.style.config, **settings)
+    known = each.style
+    style = Style(*known.pictures, config=known.config, preset=known.preset, **settings)
     intensity = settings.get("intensity", each.intensity)
     return replace(each, style=style, intensity=intensity)

@@ -49,14 +49,21 @@ class SheetPlan:
         for number, row in enumerate(self.rows):
             for column, (_, style) in enumerate(row.cells):
                 place = Place(number, column, style.config.intensity)
-                full = Style(*style.pictures, config=replace(style.config, intensity=1.0))
+                config = replace(style.config, intensity=1.0)
+                full = Style(*style.pictures, config=config, preset=style.preset)
                 for known, places in runs:
-                    if known.pictures == full.pictures and known.config == full.config:
+                    if _same(known, full):
                         places.append(place)
                         break
                 else:
                     runs.append((full, [place]))
         return runs
+
+
+def _same(one: Style, other: Style) -> bool:
+    """Whether two styles give the same painting."""
+    pairs = (one.pictures, other.pictures), (one.config, other.config), (one.network, other.network)
+    return all(mine == others for mine, others in pairs)
 
 
 def plan_sheet(

@@ -34,6 +34,7 @@ class RecipeEntry(msgspec.Struct):
     weights: FilePath | UnsetType | None = UNSET
     weights_sha256: Word | None = None
     upon: dict[str, Intensity] = {}
+    precision: Word | None = None
 
 
 class GoneEntry(RecipeEntry):
@@ -133,6 +134,8 @@ def _entry(painting: Painting, shared: Mapping[str, Any]) -> dict[str, Any]:
         "weights": weights and weights.path,
         "weights_sha256": weights and weights.sha256,
     }
+    if painting.precision:
+        entry["precision"] = painting.precision
     return entry | ({"upon": dict(painting.upon)} if painting.upon else {})
 
 
@@ -163,6 +166,7 @@ def _painting(entry: RecipeEntry, recipe: RecipeJson, picked: Bool[Tensor, " N"]
         features=features,
         weights=Source(Path(weights), entry.weights_sha256) if weights else None,
         upon=entry.upon,
+        precision=entry.precision,
     )
 
 

@@ -64,10 +64,10 @@ def partial_sums(count: int, stride: int) -> Float[Tensor, "G count stride"]:
 
 class _SphericalHarmonics(Function):
     @staticmethod
-    def forward(ctx, bases, *harmonics):
+    def forward(ctx, bases, lowest, *harmonics):
         out = harmonics[0].new_empty(harmonics[0].shape)
-        sh_colors.colors(bases, arrays(Harmonics(*harmonics)), out.numpy())
-        ctx.bases = bases
+        sh_colors.colors(bases, arrays(Harmonics(*harmonics)), lowest, out.numpy())
+        ctx.bases, ctx.lowest = bases, lowest
         ctx.save_for_backward(out, *harmonics)
         return out
 
@@ -79,11 +79,12 @@ class _SphericalHarmonics(Function):
         sh_colors.colors_backward(
             ctx.bases,
             arrays(Harmonics(*harmonics)),
+            ctx.lowest,
             *_as_arrays(out, v_out),
             arrays(gradients),
             get_num_threads(),
         )
-        return None, *gradients
+        return None, None, *gradients
 
 
 class _Project(Function):
@@ -213,9 +214,12 @@ def spherical_harmonics(
     dirs: Float[Tensor, "N 3"],
     sh0: Float[Tensor, "N 1 3"],
     shN: Float[Tensor, "N _ 3"],
+    *,
+    clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
     """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
-    return _SphericalHarmonics.apply(sh_bases(degree), dirs, sh0, shN)
+    lowest = sh_colors.ZERO if clamp else sh_colors.UNCLAMPED
+    return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 
 
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:

@@ -20,10 +20,13 @@ def spherical_harmonics(
     dirs: Float[Tensor, "N 3"],
     sh0: Float[Tensor, "N 1 3"],
     shN: Float[Tensor, "N _ 3"],
+    *,
+    clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
     """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
     sh = torch.cat([sh0, shN], dim=1)
-    return (gsplat.spherical_harmonics(degree, dirs, sh) + 0.5).clamp(min=0)
+    colors = gsplat.spherical_harmonics(degree, dirs, sh) + 0.5
+    return colors.clamp(min=0) if clamp else colors
 
 
 def rasterize(

@@ -28,7 +28,6 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
 GREY = 0.5  # what colours of no coefficients show
-HEADROOM = 1e3  # a constant band that keeps colours positive whatever the other bands
 
 
 @dataclass(frozen=True)
@@ -58,15 +57,21 @@ class Contributions:
         """The image when the Gaussians have these colours, which gradients reach."""
         return _Compose.apply(colors, self)
 
-    def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
-        """The image with the colours of these splats, which gradients reach."""
+    def render(self, splats: Splats, *, clamp: bool = True) -> Float[Tensor, "H W 3"]:
+        """The image with the colours of these splats, which gradients reach.
+
+        Args:
+            splats: They differ at most in the colours of the picked Gaussians.
+            clamp: Whether colours of these below 0 become 0, as everywhere else.
+        """
         shown = self.gaussians
         if self.bands is not None:
             sh0 = splats.sh0[:, 0].index_select(0, shown)  # its gradient is quicker than that of []
-            return self.image((sh0 * SH_C0 + self.bands).relu())
+            colors = sh0 * SH_C0 + self.bands
+            return self.image(colors.relu() if clamp else colors)
         dirs = splats.means[shown] - self.origin
         sh = splats.sh0[shown], splats.shN[shown]
-        return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh))
+        return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=clamp))
 
     def with_fixed_bands(
         self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
@@ -81,9 +86,9 @@ class Contributions:
         places = torch.arange(len(shown)) if varied is None else varied[shown].nonzero()[:, 0]
         rows = shown[places]
         dirs = splats.means[rows] - self.origin
-        raised = torch.full_like(splats.sh0[rows], HEADROOM)  # above the clamp at black
-        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, raised, splats.shN[rows])
-        return replace(self, bands=bands.index_copy(0, places, colors - HEADROOM * SH_C0))
+        sh = torch.zeros_like(splats.sh0[rows]), splats.shN[rows]
+        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=False)
+        return replace(self, bands=bands.index_copy(0, places, colors))
 
     def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
         """What each Gaussian contributes to some pixels, or to all: column sums of the weights."""

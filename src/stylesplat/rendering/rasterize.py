@@ -28,6 +28,8 @@ class Rasterizer(Protocol):
         dirs: Float[Tensor, "N 3"],
         sh0: Float[Tensor, "N 1 3"],
         shN: Float[Tensor, "N _ 3"],
+        *,
+        clamp: bool = True,
     ) -> Float[Tensor, "N 3"]:
         """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
         ...
@@ -68,6 +70,7 @@ def rasterize(
     features_move_geometry: bool = True,
     background: Float[Tensor, " 3"] | None = None,
     sh_degree: int | None = None,
+    clamp: bool = True,
     backend: Backend = "auto",
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render splats from cameras of one size, differentiably.
@@ -82,6 +85,7 @@ def rasterize(
         features_move_geometry: Whether gradients of these channels reach more than `features`.
         background: RGB behind everything; black by default. Features have 0 behind them.
         sh_degree: How many bands of colour to use; all of them by default.
+        clamp: Whether Gaussians' colours below 0 become 0, as gsplat has it.
         backend: `auto` takes `cuda` for tensors on a GPU and `cpu` for the others.
 
     Returns:
@@ -97,7 +101,7 @@ def rasterize(
     colors = torch.stack(
         [
             backend_module.spherical_harmonics(
-                degree, splats.means - origin, splats.sh0, splats.shN
+                degree, splats.means - origin, splats.sh0, splats.shN, clamp=clamp
             )
             for origin in cameras.positions
         ]

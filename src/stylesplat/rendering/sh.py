@@ -18,19 +18,22 @@ def sh_colors(
     dirs: Float[Tensor, "N 3"],
     sh0: Float[Tensor, "N 1 3"],
     shN: Float[Tensor, "N _ 3"],
+    *,
+    clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`, clamped at 0.
+    """Colours of Gaussians seen along `dirs`.
 
     Args:
         degree: How many bands to use; `shN` may hold more.
         dirs: From the camera to the Gaussians, any norm.
         sh0: Constant band.
         shN: Higher bands.
+        clamp: Whether colours below 0 become 0, as gsplat has it.
     """
     basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
     sh = torch.cat([sh0, shN], dim=1)[:, : basis.shape[1]]
     colors = torch.einsum("nk,nkc->nc", basis, sh)
-    return (colors + 0.5).clamp(min=0)
+    return (colors + 0.5).clamp(min=0) if clamp else colors + 0.5
 
 
 def sh0_from_rgb(rgb: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:

@@ -44,6 +44,8 @@ class Painting:
     """The network's file, if it was not its own."""
     upon: Mapping[str, float] = field(default_factory=dict)
     """The paintings that were there before, by name, and how strong they were then."""
+    precision: str | None = None
+    """In which features were computed; None if nobody kept it."""
 
     def __repr__(self) -> str:
         pictures = some(each.path.name if each.path else "a picture" for each in self.styles)

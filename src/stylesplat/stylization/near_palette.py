@@ -16,7 +16,7 @@ NEAR = 6.0  # of Lab: as near is near enough
 LEVELS = 24  # of red, green and blue, for which the nearest colour is looked up once
 ROUNDS = 4  # of `settle`; further ones hardly change anything
 STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would not settle
-DARKEST = 1e-4  # of 1: above the roundings of `Contributions.with_fixed_bands`, far below a level
+DARKEST = 1e-4  # of 1: above the clamp at black, where no gradient is, far below a level
 FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
 
 

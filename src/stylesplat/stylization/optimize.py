@@ -68,7 +68,7 @@ def optimize_colors(
     shown = mixed_colors(base, paint, shares)
     if "shN" not in leaves:
         views = with_fixed_bands(views, shown)
-    trust = _trust(base, picked, views)
+    trust = None if config.hard else _trust(base, picked, views)
     for number, view in enumerate(drawn(views, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off
             losses = objective(view, shown.with_rows(rows, _mixed_rows(own, leaves, part)))
@@ -78,9 +78,11 @@ def optimize_colors(
         adam_step(leaves, moments, {name: rate * decayed for name, rate in rates.items()}, number)
         with torch.no_grad():
             for name, leaf in leaves.items():
-                leaf.copy_(torch.lerp(before[name], leaf, trust))
+                if trust is not None:
+                    leaf.copy_(torch.lerp(before[name], leaf, trust))
                 leaf.grad = None
-        _keep_in_range(leaves["sh0"])
+        if "shN" not in leaves:
+            _keep_in_range(leaves["sh0"])
         after = shown.with_rows(rows, _mixed_rows(own, leaves, part)).detach()
         full = paint.with_rows(rows, leaves).detach()
         yield Step(number, losses.style.item(), after, full)

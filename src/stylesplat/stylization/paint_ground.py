@@ -81,13 +81,15 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     Raises:
         StyleSplatError: If it is hardly visible.
     """
-    growth = ground.job.config.growth(int(ground.job.picked.sum()))
-    if growth == 1 or ground.job.config.intensity == 0:
+    count = int(ground.job.picked.sum())
+    growth = ground.job.config.growth(count)
+    room = int((growth - 1) * count)
+    if room == 0 or ground.job.config.intensity == 0:
         return ground  # nothing would come of it
     # contributions are known on the CPU only
     studio = replace(ground.studio, splats=ground.studio.splats.to("cpu"))
     job, device = replace(ground.job, picked=ground.job.picked.cpu()), ground.studio.splats.device
-    canvas = _canvas(studio, job, boxes, length, growth) if job.config.canvas == "fresh" else None
+    canvas = _canvas(studio, job, boxes, length, room) if job.config.canvas == "fresh" else None
     split = canvas or _split(studio, job, boxes, length, growth)
     split = Split(split.splats.to(device), split.parents.to(device))
     job = replace(ground.job, picked=ground.job.picked[split.parents])
@@ -112,7 +114,7 @@ def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequenc
 
 
 def _canvas(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, room: int
 ) -> Split | None:
     """The scene with a fresh canvas on the object, if that is possible."""
     split = fresh_canvas(
@@ -121,7 +123,7 @@ def _canvas(
         boxes,
         studio.every_camera,
         length=length,
-        room=int((growth - 1) * int(job.picked.sum())),
+        room=room,
         seed=job.config.seed,
     )
     if split is None:

@@ -4,10 +4,9 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -23,8 +22,8 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
-from stylesplat.stylization.style_config import DEFAULT_NETWORK, StyleConfig
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_config import DEFAULT_NETWORK, Precision, StyleConfig
+from stylesplat.stylization.style_images import Picture, read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.styled_scene import Piece, Styled, assembled, piece_of
 
@@ -37,7 +36,7 @@ def paint(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
-    style: Path | str | Float[Tensor, "H W 3"],
+    style: Picture,
     *,
     config: StyleConfig | None = None,
     network: FeatureNetwork | None = None,
@@ -51,7 +50,7 @@ def paint(
         splats: The scene.
         capture: Views from which to look at the object; their photos are not used.
         picked: The object's Gaussians.
-        style: A picture's file, or its colours in 0..1.
+        style: A picture's file, or its colours: floats in 0..1, or bytes.
         config: Settings; see `StyleConfig` and `PRESETS`.
         network: Whose features are matched; the package's own by default.
 
@@ -66,7 +65,7 @@ def paint_live(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
-    style: Path | str | Float[Tensor, "H W 3"],
+    style: Picture,
     *,
     config: StyleConfig | None = None,
     network: FeatureNetwork | None = None,
@@ -158,6 +157,7 @@ def open_studio(
     *,
     held_out: Cameras | None = None,
     max_memory: float = MAX_MEMORY,
+    precision: Precision | None = None,
 ) -> Studio:
     """What repainting needs besides a job.
 
@@ -167,6 +167,7 @@ def open_studio(
         network: Whose features are matched.
         held_out: More views in which nothing but the object may change.
         max_memory: GiB that linear views may take; see `cut_views`.
+        precision: In which features are computed; by default what is fastest on this machine.
 
     Raises:
         StyleSplatError: If `max_memory` is negative.
@@ -179,7 +180,7 @@ def open_studio(
         cameras=cameras,
         every_camera=cameras if held_out is None else cameras + held_out,
         network=network.to(device),
-        precision=fastest_dtype(device.type),
+        precision=getattr(torch, precision) if precision else fastest_dtype(device.type),
         max_memory=max_memory * GIB,
     )
 
@@ -188,7 +189,7 @@ def _one_object(
     splats: Splats,
     capture: Capture | Cameras,
     picked: Bool[Tensor, " N"],
-    style: Path | str | Float[Tensor, "H W 3"],
+    style: Picture,
     config: StyleConfig | None,
     network: FeatureNetwork | None,
 ) -> tuple[Studio, StyleJob]:
@@ -196,10 +197,7 @@ def _one_object(
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
     network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
-    if isinstance(style, Tensor):
-        image = style
-    else:
-        image = read_style(style, rotate=config.rotate, region=config.region)
+    image = read_style(style, rotate=config.rotate, region=config.region)
     job = StyleJob("object", picked, (image,), config)
     check_jobs([job])
     return open_studio(splats, cameras, network), moved(job, splats)

@@ -1,7 +1,7 @@
 """The schema of recipes: which objects are repainted, with what settings."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
-from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
+from stylesplat.stylization.style_config import PRESETS, Network, Precision, StyleConfig
 
 Preset = Literal["default", "paper"]
 VARIED = SETTINGS | {"preset": Preset}  # what a sheet may vary
@@ -37,10 +37,27 @@ OWN = {  # and of one
     "weights": str | None,
     "weights_sha256": str | None,
     "upon": dict[str, Intensity],
+    "precision": Precision | None,
 }
 
 
-def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Recipe:
+@dataclass(frozen=True)
+class Base:
+    """What the objects of a recipe have in common."""
+
+    config: StyleConfig
+    """Settings, which those of an object precede."""
+    preset: Preset
+    """What these started from."""
+    shared: Mapping[str, Any]
+    """What else it says of all objects."""
+    folder: Path
+    """Where it lies."""
+
+
+def read_recipe(
+    path: Path | str, *, preset: Preset = "default", defaults: StyleConfig | None = None
+) -> Recipe:
     """Read a recipe, or the `recipe.json` of a styled scene.
 
     Settings of an object precede those of the recipe, which precede the preset it names. Paths
@@ -48,7 +65,8 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Rec
 
     Args:
         path: A YAML or JSON file.
-        defaults: Settings to start from if the recipe names no preset.
+        preset: What to start from if the recipe names none.
+        defaults: Settings to start from then; by default those of the preset.
 
     Raises:
         StyleSplatError: If the file is no valid recipe, or a picture is missing or is not the one
@@ -62,18 +80,20 @@ def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Rec
         if not isinstance(content, dict):
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")
         settings, others = _sorted_out(content, SHARED)
-        base = PRESETS[others["preset"]] if "preset" in others else defaults or StyleConfig()
-        base = with_settings(base, settings)
+        if "preset" in others:
+            preset, defaults = others["preset"], None
+        config = with_settings(defaults or PRESETS[preset], settings)
+        base = Base(config, preset, others, path.parent)
         objects = []
         for name, entry in _named_entries(others.get("objects")):
             with within(name):
-                objects.append(_styled_object(name, entry, base, others, path.parent))
+                objects.append(_styled_object(name, entry, base))
         for entry in reversed(others.get("gone") or []):
             name, entry = _named_entry(entry)
             check_name_or_id(name)
             with within(name):
                 place = fitted({"place": entry.pop("place", 0)}, PLACE)["place"]
-                gone = _styled_object(name, entry, base, others, path.parent)
+                gone = _styled_object(name, entry, base)
                 objects.insert(max(0, place), replace(gone, gone=True))
     return Recipe(tuple(objects))
 
@@ -132,13 +152,7 @@ def _named_entry(entry: Any) -> tuple[str, dict[str, Any]]:
     return str(entry["name"]), {key: value for key, value in entry.items() if key != "name"}
 
 
-def _styled_object(
-    name: str,
-    entry: dict[str, Any],
-    base: StyleConfig,
-    shared: Mapping[str, Any],
-    folder: Path,
-) -> StyledObject:
+def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject:
     told = fitted({"intensity": entry["intensity"]}, SETTINGS) if "intensity" in entry else {}
     if None in (listed(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
@@ -148,15 +162,17 @@ def _styled_object(
         settings.pop("intensity", None)
         settings |= {k: v for k, v in own.get("settings", {}).items() if k == "intensity"}
     files, digests = listed(own.get("style")), listed(own.get("sha256"))
-    style = Style(*_pictures(files, digests, folder), config=with_settings(base, settings))
-    network = own if "features" in own else shared
+    config = with_settings(base.config, settings)
+    style = Style(*_pictures(files, digests, base.folder), config=config, preset=base.preset)
+    network = own if "features" in own else base.shared
     return StyledObject(
         name=name,
         style=style,
         features=network.get("features"),
-        weights=_weights(network, folder),
+        weights=_weights(network, base.folder),
         intensity=told.get("intensity"),
         upon=own.get("upon", {} if recorded else None),
+        precision=own.get("precision"),
     )
 
 

@@ -11,7 +11,7 @@ from stylesplat.selection.choose import find_objects
 from stylesplat.stylization.bookkeeping import refuse_painted, strengths
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Recipe, StyledObject
-from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_config import Network, Precision
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 
@@ -26,6 +26,8 @@ class Run:
     """Whose features are matched."""
     weights: Source | None
     """The network's file; None for its own."""
+    precision: Precision | None
+    """In which features are computed; None takes what is fastest."""
     upon: Mapping[str, float]
     """What was painted before, and how strong it is to be meanwhile."""
     unneeded: Set[str] = frozenset()
@@ -104,7 +106,7 @@ def _groups(
 ) -> Iterator[Run]:
     upon = strengths(scene)
     run: Run | None = None
-    networks = {features or each.features or DEFAULT_NETWORK for each in recipe.objects}
+    networks = {features or _network(each) for each in recipe.objects}
     if weights and len(networks) > 1:
         raise StyleSplatError(
             f"{weights} is the file of one network, but the recipe has "
@@ -112,11 +114,11 @@ def _groups(
             "recipe's objects."
         )
     for each in recipe.objects:
-        network = features or each.features or DEFAULT_NETWORK
+        network = features or _network(each)
         file = Source(Path(weights)) if weights else each.weights
-        if features and features != (each.features or DEFAULT_NETWORK) and not weights:
+        if features and features != _network(each) and not weights:
             file = None  # the recipe's is of its own network
-        own = Run((each,), network, file, _upon(each, upon))
+        own = Run((each,), network, file, each.precision, _upon(each, upon))
         if run is not None and replace(own, objects=()) == replace(run, objects=()):
             run = replace(run, objects=(*run.objects, each))
             continue
@@ -125,6 +127,11 @@ def _groups(
         run = own
     assert run is not None  # there is at least one object
     yield run
+
+
+def _network(each: StyledObject) -> Network:
+    """The network that an object asks for."""
+    return each.features or each.style.network
 
 
 def _upon(each: StyledObject, there: Mapping[str, float]) -> Mapping[str, float]:

@@ -15,11 +15,8 @@ from stylesplat.io.files import read_bytes
 from stylesplat.scene.one_line import one_line
 from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
-from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
-from stylesplat.stylization.style_images import read_style
-
-Picture = Path | str | Float[Tensor, "_ _ 3"]
-"""A file, or colours in 0..1."""
+from stylesplat.stylization.style_config import NETWORKS, PRESETS, Network, Precision, StyleConfig
+from stylesplat.stylization.style_images import Picture, read_style
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -37,6 +34,8 @@ class Style:
     """Each place of the object takes the best match of all."""
     config: StyleConfig
     """Settings."""
+    preset: str
+    """What they start from, which also tells the network."""
 
     def __init__(
         self,
@@ -48,9 +47,9 @@ class Style:
         """Take a style.
 
         Args:
-            pictures: Files, or colours in 0..1.
+            pictures: Files, or colours: floats in 0..1, or bytes.
             config: All settings; by default those of the preset.
-            preset: `default`, or `paper` for the method as published.
+            preset: `default`, or `paper` for the method as published, VGG16 included.
             settings: Fields of `StyleConfig` to change, such as `scale=2`.
 
         Raises:
@@ -62,6 +61,7 @@ class Style:
         if preset not in PRESETS:
             raise StyleSplatError(f"There is no preset {preset!r}. Use {' or '.join(PRESETS)}.")
         object.__setattr__(self, "pictures", pictures)
+        object.__setattr__(self, "preset", preset)
         object.__setattr__(self, "config", with_settings(config or PRESETS[preset], settings))
 
     def __repr__(self) -> str:
@@ -73,15 +73,15 @@ class Style:
         """The pictures as they are to be used: cropped and turned.
 
         Raises:
-            StyleSplatError: If one is missing, unreadable or too small.
+            StyleSplatError: If one is missing, unreadable, too small, or of colours out of range.
         """
-        config = self.config
-        return tuple(
-            picture
-            if isinstance(picture, Tensor)
-            else read_style(picture, rotate=config.rotate, region=config.region)
-            for picture in self.pictures
-        )
+        turned = {"rotate": self.config.rotate, "region": self.config.region}
+        return tuple(read_style(picture, **turned) for picture in self.pictures)
+
+    @property
+    def network(self) -> Network:
+        """The network whose features are matched, unless another one is asked for."""
+        return NETWORKS[self.preset]
 
     def sources(self) -> tuple[Source, ...]:
         """Where the pictures come from, with the digests of their content."""
@@ -97,7 +97,8 @@ class StyledObject:
     style: Style
     """What it is to look like."""
     features: Network | None = None
-    """The network whose features are matched; None leaves it to whoever uses the recipe."""
+    """The network whose features are matched; None leaves it to whoever uses the recipe, or to
+    the style's preset."""
     weights: Source | None = None
     """The network's file; None for its own."""
     intensity: float | None = None
@@ -105,6 +106,8 @@ class StyledObject:
     upon: Mapping[str, float] | None = None
     """The objects that were painted before it, and how strong they were then; None leaves that
     to whoever uses the recipe."""
+    precision: Precision | None = None
+    """In which features are computed; None takes what is fastest on the machine."""
     gone: bool = False
     """Whether it is there only as long as others are painted upon it."""
 

@@ -27,6 +27,7 @@ ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
 Texture = Literal["keep", "soften", "replace"]
 Canvas = Literal["fresh", "own"]
+Precision = Literal["float32", "bfloat16"]
 
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
@@ -77,7 +78,8 @@ class StyleConfig:
     smoothness: float = 0.0
     """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
-    """What becomes of highlights and reflections: painted over, kept, or trained too."""
+    """What becomes of highlights and reflections: painted over, kept, or trained too, which leaves
+    colours out of range where they end up there."""
     max_growth: float | None = None
     """How many times as many Gaussians the object may get, be it on a fresh canvas or by splits.
 
@@ -95,7 +97,8 @@ class StyleConfig:
     Both need room to grow, and a draft has none.
     """
     hard: bool = False
-    """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
+    """Paint all picked Gaussians alike; else each by how much of it belongs to the object, and
+    more slowly where it hardly shows."""
     view_share: float = 1.0
     """Share of the views that see the object to optimise on, evenly chosen."""
     object_size: int | None = None
@@ -208,3 +211,5 @@ PRESETS = {
     ),
 }
 """`paper` keeps to StyleSplat's section 4: NNFM alone on all bands, at the rates of its code."""
+NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
+"""The network of each preset, unless another one is asked for."""

@@ -1,4 +1,4 @@
-"""Style pictures from files: upright, of a sensible size, cropped and turned."""
+"""Style pictures, from files or tensors: upright, of a sensible size, cropped and turned."""
 
 import math
 from pathlib import Path
@@ -18,15 +18,21 @@ MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 see
 MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
 
 
+Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
+"""A file, or colours: floats in 0..1, or bytes."""
+Pixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
+
+
 def read_style(
-    path: Path | str, *, rotate: float = 0.0, region: tuple[int, int, int, int] | None = None
-) -> Float[Tensor, "H W 3"]:
+    picture: Picture, *, rotate: float = 0.0, region: tuple[int, int, int, int] | None = None
+) -> Float[Tensor, "_ _ 3"]:
     """Read a picture to take a style from.
 
     Longer sides than 4096 pixels are scaled down, which the user is told.
 
     Args:
-        path: A picture with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA.
+        picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA; or
+            colours.
         rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
             without empty corners is kept. Multiples of 90 keep every pixel as it is.
         region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
@@ -35,19 +41,25 @@ def read_style(
         Colours in 0..1.
 
     Raises:
-        StyleSplatError: If the file is no picture or animated, the region does not lie in it, or
-            less than 32 pixels remain of a side.
+        StyleSplatError: If the file is no picture or animated, colours are out of range, the
+            region does not lie in it, or less than 32 pixels remain of a side.
     """
-    path = Path(path)
+    name = "the tensor" if isinstance(picture, Tensor) else str(picture)
     if not math.isfinite(rotate):
-        raise StyleSplatError(f"Cannot turn {path} by {rotate} degrees. Pass a number of degrees.")
-    _refuse_unfit(path)
-    pixels = read_image(path).numpy()
+        raise StyleSplatError(f"Cannot turn {name} by {rotate} degrees. Pass a number of degrees.")
+    if isinstance(picture, Tensor):
+        pixels = _colors_of(picture)
+    else:
+        _refuse_unfit(Path(picture))
+        pixels = read_image(Path(picture)).numpy()
     if region is not None:
-        pixels = _crop(pixels, region, path)
-    pixels = _shrink(pixels, path)
-    pixels = _turn(pixels, rotate, path)
-    return torch.from_numpy(np.ascontiguousarray(pixels)).float() / 255
+        height, width = pixels.shape[:2]
+        if not isinstance(picture, Tensor):
+            width, height = photo_sizes(Path(picture), reduced=False)[1]
+        pixels = _crop(pixels, region, (width, height), name)
+    pixels = _shrink(pixels, name)
+    colors = torch.from_numpy(np.ascontiguousarray(_turn(pixels, rotate, name)))
+    return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
 
 
 def inscribed_rectangle(width: int, height: int, degrees: float) -> tuple[float, float]:
@@ -77,6 +89,31 @@ def _refuse_unfit(path: Path) -> None:
     _refuse_small(*size, f"The picture {path}")
 
 
+def _colors_of(tensor: Tensor) -> Pixels:
+    """The colours of a tensor, checked: bytes, or floats in 0..1."""
+    if tensor.ndim != 3 or tensor.shape[2] != 3:
+        raise StyleSplatError(
+            f"A style tensor has the shape [H, W, 3], this one has {[*tensor.shape]}. Move its "
+            "colour channels to the end."
+        )
+    _refuse_small(tensor.shape[1], tensor.shape[0], "The style tensor")
+    if tensor.dtype == torch.uint8:
+        return tensor.cpu().numpy()
+    colors = tensor.detach().to("cpu", torch.float32)
+    if not (tensor.is_floating_point() and colors.isfinite().all()):
+        raise StyleSplatError(
+            f"A style tensor holds finite floats in 0..1 or bytes, this one has {tensor.dtype} "
+            "and may hold NaN or infinity. Pass its colours in 0..1."
+        )
+    low, high = float(colors.min()), float(colors.max())
+    if low < 0 or high > 1:
+        raise StyleSplatError(
+            f"A style tensor holds floats in 0..1, this one reaches from {low:g} to {high:g}. "
+            "Divide it by 255, clamp it, or pass bytes."
+        )
+    return colors.numpy()
+
+
 def _refuse_small(width: int, height: int, what: str) -> None:
     if min(width, height) < MIN_SIDE:
         raise StyleSplatError(
@@ -86,11 +123,11 @@ def _refuse_small(width: int, height: int, what: str) -> None:
 
 
 def _crop(
-    pixels: UInt8[np.ndarray, "H W 3"], region: tuple[int, int, int, int], path: Path
-) -> UInt8[np.ndarray, "_ _ 3"]:
+    pixels: Pixels, region: tuple[int, int, int, int], size: tuple[int, int], name: str
+) -> Pixels:
     x0, y0, x1, y1 = region
-    width, height = photo_sizes(path, reduced=False)[1]
-    name = f"The region {x0},{y0},{x1},{y1} of {path}"
+    width, height = size
+    name = f"The region {x0},{y0},{x1},{y1} of {name}"
     if x0 >= x1 or y0 >= y1:
         raise StyleSplatError(f"{name} is empty. Pass x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
     if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
@@ -100,25 +137,23 @@ def _crop(
     return pixels[y0 // shrunk : -(-y1 // shrunk), x0 // shrunk : -(-x1 // shrunk)]
 
 
-def _shrink(pixels: UInt8[np.ndarray, "H W 3"], path: Path) -> UInt8[np.ndarray, "_ _ 3"]:
+def _shrink(pixels: Pixels, name: str) -> Pixels:
     height, width = pixels.shape[:2]
     factor = MAX_SIDE / max(width, height)
     if factor >= 1:
         return pixels
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    _refuse_small(*size, f"Scaled down to {MAX_SIDE} pixels of length, {path}")
-    say(f"{path}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
+    _refuse_small(*size, f"Scaled down to {MAX_SIDE} pixels of length, {name}")
+    say(f"{name}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
     return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
 
 
-def _turn(
-    pixels: UInt8[np.ndarray, "H W 3"], degrees: float, path: Path
-) -> UInt8[np.ndarray, "_ _ 3"]:
+def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
     if degrees % 90 == 0:
         return np.rot90(pixels, int(degrees // 90) % 4)
     height, width = pixels.shape[:2]
     inner_width, inner_height = (int(s) for s in inscribed_rectangle(width, height, degrees))
-    _refuse_small(inner_width, inner_height, f"Turned by {degrees}, what is left of {path}")
+    _refuse_small(inner_width, inner_height, f"Turned by {degrees}, what is left of {name}")
     cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     back = np.array([[cos, -sin], [sin, cos]])  # y points down
     # Centres of pixels lie at +0.5

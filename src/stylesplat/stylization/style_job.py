@@ -9,7 +9,7 @@ from torch import Tensor
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_config import Precision, StyleConfig
 
 
 @dataclass(frozen=True)
@@ -42,3 +42,8 @@ class Studio:
     """Of the features while optimising."""
     max_memory: float
     """Bytes that linear views may take."""
+
+    @property
+    def precision_name(self) -> Precision:
+        """As recipes have it."""
+        return "bfloat16" if self.precision == torch.bfloat16 else "float32"

@@ -24,7 +24,7 @@ from stylesplat.selection.choose import find_object
 from stylesplat.stylization.bookkeeping import at_intensities, strengths
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Picture, Style
-from stylesplat.stylization.style_config import DEFAULT_NETWORK, Network
+from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.stylization.undo import unpainted
 from stylesplat.verbs.stylize import stylize_unmeasured
@@ -57,7 +57,7 @@ def sheet(
     *,
     vary: Mapping[str, Sequence[Any]] | None = None,
     view: str | None = None,
-    features: Network = DEFAULT_NETWORK,
+    features: Network | None = None,
     weights: Path | str | None = None,
     device: str = "auto",
     **settings: Any,
@@ -72,7 +72,7 @@ def sheet(
         styles: Pictures, or several that make one style; alternatives are rows.
         vary: Settings, or `preset`, and the values to try: the first makes columns, a second rows.
         view: The photo to look from; by default the one that shows most of the object.
-        features: Network whose features are matched.
+        features: Network whose features are matched; by default that of the preset.
         weights: File of its weights.
         device: Where to compute.
         settings: Of all cells, such as `steps=150`, and their `preset`.

@@ -83,8 +83,8 @@ def stylize(
     Args:
         scene: What to paint on.
         styles: Pictures or a `Style` by object, which is a name or a label id; or a recipe.
-        features: The network whose features are matched; by default what the recipe says, or
-            `compact`, which ships with the package.
+        features: The network whose features are matched; by default what the recipe says, or that
+            of the preset: `compact`, which ships with the package, or VGG16 for the paper's.
         weights: The network's file; VGG's are else downloaded, once.
         max_memory: GiB for prepared views; what does not fit takes longer.
         device: Where to compute.
@@ -201,10 +201,10 @@ def _painted(
     jobs = run.jobs(ground)
     network = load_network(styles, run.features, run.weights)
     training, held_out = ground.working_views()
-    opened = partial(
-        open_studio, cameras=training, network=network, held_out=held_out, max_memory=max_memory
-    )
+    rest = {"held_out": held_out, "max_memory": max_memory, "precision": run.precision}
+    opened = partial(open_studio, cameras=training, network=network, **rest)
     studio = opened(ground.splats.to(pick_device(device)))
+    run = replace(run, precision=studio.precision_name)
     styled, seconds = paint_objects(studio, jobs)
     scene = with_paintings(ground, styled, records(run, jobs, strengths(ground)))
     staying = [job for job in jobs if job.name not in run.passing]
@@ -212,7 +212,7 @@ def _painted(
         return scene, {}, dict
     facts = {
         "steps": sum(job.config.all_steps for job in staying),
-        "precision": str(studio.precision).removeprefix("torch."),
+        "precision": studio.precision_name,
         "seconds_by_object": {job.name: seconds[job.name] for job in staying},
     }
     shown = unpainted(scene, run.passing)
@@ -255,6 +255,7 @@ def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> li
             features=run.features,
             weights=weights,
             upon=dict(upon),
+            precision=run.precision,
         )
         for each, job in zip(run.objects, jobs, strict=True)
     ]

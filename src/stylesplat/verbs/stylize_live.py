@@ -1,7 +1,7 @@
 """`stylize_live`: repaint one object step by step, to watch it, to stop early or to go on."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stylesplat.rendering.device import pick_device
@@ -67,7 +67,7 @@ def stylize_live(
         scene: What to paint on.
         name: The object: a name, or a label id.
         style: What it is to look like.
-        features: The network whose features are matched; by default `compact`.
+        features: The network whose features are matched; by default that of the preset.
         weights: The network's file.
         max_memory: GiB for prepared views.
         device: Where to compute.
@@ -97,7 +97,9 @@ def stylize_live(
         load_network([style], run.features, run.weights),
         held_out=held_out,
         max_memory=max_memory,
+        precision=run.precision,
     )
+    run = replace(run, precision=studio.precision_name)
     job = moved(job, studio.splats)
     for state in repaint(studio, job):
         yield Live(state, scene, ground, run, job)

@@ -18,6 +18,7 @@ A2, B2, C2 = SH_C2
 A3, B3, C3 = SH_C3
 ZONAL, TESSERAL = SH_C3_ZONAL
 ZERO, HALF = np.float32(0), np.float32(0.5)
+UNCLAMPED = np.float32(-np.inf)  # the lowest colour where none is clamped
 
 
 class Harmonics(NamedTuple):
@@ -84,8 +85,8 @@ def unit(direction):
 
 @no_type_check
 @kernel
-def colors(bases, harmonics, out):
-    """Fill `out` [N,3] with the colours, clamped at 0; `bases` is 1, 4, 9 or 16."""
+def colors(bases, harmonics, lowest, out):
+    """Fill `out` [N,3] with the colours, clamped at `lowest`; `bases` is 1, 4, 9 or 16."""
     dirs, sh0, shN = harmonics
     for i in numba.prange(dirs.shape[0]):
         x, y, z, _ = unit(dirs[i])
@@ -98,15 +99,15 @@ def colors(bases, harmonics, out):
             g += value * shN[i, k - 1, 1]
             b += value * shN[i, k - 1, 2]
         out[i, 0], out[i, 1], out[i, 2] = (
-            max(r + HALF, ZERO),
-            max(g + HALF, ZERO),
-            max(b + HALF, ZERO),
+            max(r + HALF, lowest),
+            max(g + HALF, lowest),
+            max(b + HALF, lowest),
         )
 
 
 @no_type_check
 @kernel
-def colors_backward(bases, harmonics, out, v_out, v_harmonics, threads):
+def colors_backward(bases, harmonics, lowest, out, v_out, v_harmonics, threads):
     """Fill the gradients of directions and coefficients; `out` are the colours."""
     dirs, _, shN = harmonics
     v_dirs, v_sh0, v_shN = v_harmonics
@@ -119,9 +120,9 @@ def colors_backward(bases, harmonics, out, v_out, v_harmonics, threads):
                 continue
             x, y, z, inverse = unit(dirs[i])
             values = basis(x, y, z)
-            r = v_out[i, 0] if out[i, 0] > 0 else ZERO
-            g = v_out[i, 1] if out[i, 1] > 0 else ZERO
-            b = v_out[i, 2] if out[i, 2] > 0 else ZERO
+            r = v_out[i, 0] if out[i, 0] > lowest else ZERO
+            g = v_out[i, 1] if out[i, 1] > lowest else ZERO
+            b = v_out[i, 2] if out[i, 2] > lowest else ZERO
             value = np.float32(values[0])
             v_sh0[i, 0, 0], v_sh0[i, 0, 1], v_sh0[i, 0, 2] = value * r, value * g, value * b
             for k in range(1, shN.shape[1] + 1):
