@@ -82,7 +82,7 @@ def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, said):
     at = lines.index(f"{out}: painted.")
     assert lines[at + 1] == f"Picture: {out / 'before_after.png'}"
     assert lines[at + 2].startswith("Next: stylesplat adjust ")
-    assert lines[-1].startswith("3: ") and lines[-1].endswith(", nothing else changed.")
+    assert lines[-1].startswith("3: ") and lines[-1].endswith(", no other Gaussian changed.")
     assert not any("nnfm" in line for line in lines)
     assert any(line.startswith("nnfm_after") for line in said("evaluate", out, "--verbose"))
 

@@ -16,6 +16,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
 if TYPE_CHECKING:
+    from stylesplat.scene.capture import Capture
+    from stylesplat.scene.scene import Scene
     from stylesplat.stylization.style import Recipe, StyledObject
 
 SETTINGS = (
@@ -145,7 +147,7 @@ class Stylize:
         tidy_heap()
         picture = write_before_after(painted.scene, self.output, device=self.device)
         tidy_heap()
-        styled = painted.measured()
+        styled = painted.measured(_capture(painted.scene))
         revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
         return {"scene": self.output, "before_after": picture, **numbers}
@@ -180,6 +182,22 @@ class Stylize:
             )
         recipe = read_recipe(self.recipe, defaults=PRESETS[self.preset])
         return Recipe(tuple(_overridden(each, settings) for each in recipe.objects))
+
+
+def _capture(scene: "Scene") -> "Capture | None":
+    """The photos of a scene, if they are there; their label maps say where its objects are."""
+    from stylesplat.io.captures.capture_folder import exact_masks
+    from stylesplat.progress import say
+    from stylesplat.verbs.load import load
+
+    if scene.capture is None or not scene.capture.is_dir():
+        return None
+    try:
+        masks = exact_masks(scene.capture)
+        return load(scene.capture, downscale=scene.downscale, masks=masks)
+    except StyleSplatError as error:  # the painting is done all the same
+        say(f"Stains beside the objects are not looked for: {error}")
+        return None
 
 
 def _overridden(each: "StyledObject", settings: dict[str, Any]) -> "StyledObject":
