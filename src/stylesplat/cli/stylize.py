@@ -11,7 +11,7 @@ from stylesplat.cli.next_steps import next_lines, painted_commands
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
 from stylesplat.cli.parse import number_or_word, parse_style
 from stylesplat.cli.results import save_or_rescue
-from stylesplat.cli.scene_pictures import write_before_after
+from stylesplat.cli.scene_pictures import before_after_line, write_before_after
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
@@ -121,8 +121,7 @@ class Stylize:
         from stylesplat.evaluation.in_words import style_lines
 
         yield f"{self.output}: painted."
-        if result["before_after"]:
-            yield f"Picture: {result['before_after']}"
+        yield from before_after_line(result)
         yield from next_lines(*painted_commands(self.output))
         yield from style_lines(result, result["seconds_by_object"])
 
@@ -150,7 +149,7 @@ class Stylize:
         styled = painted.measured(_capture(painted.scene))
         revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
-        return {"scene": self.output, "before_after": picture, **numbers}
+        return {"scene": self.output, **picture, **numbers}
 
     def _recipe(self) -> "Recipe":
         """The recipe of a file, or of objects and pictures that all have the same settings."""
