@@ -104,7 +104,8 @@ def _corrected(results: Results) -> Finding | None:
 
 
 def _threshold(results: Results) -> Finding | None:
-    found = _numbers(results, figure3.NAME, "as trained")
+    trained = _numbers(results, figure3.NAME, "as trained")
+    found = trained or _numbers(results, figure3.NAME, "lifted")
     if found is None:
         return None
     choices = {name: n["miou"] for name, n in found[0].items() if "removed" in name}
@@ -112,7 +113,10 @@ def _threshold(results: Results) -> Finding | None:
     strict = choices[f"{0.95:g}, outliers removed"]
     said = f"mIoU {digits(strict)} at 0.95, {digits(choices[best])} at {best.split(',')[0]}"
     speed = _numbers(results, figure7.NAME, "speed")
-    said += f", after {speed[0]['train_steps']:,} steps of training" if speed else ""
+    if not trained:
+        said += ", identities lifted"
+    elif speed:
+        said += f", after {speed[0]['train_steps']:,} steps of training"
     return Finding(strict > choices[best] - NEAR, said)
 
 

@@ -60,12 +60,16 @@ CLAIM = (
 
 
 def cells(subject: Subject) -> list[Cell]:
-    """Both ways at each level of error; without exact masks with those that were given."""
+    """Both ways at each level of error; without exact masks with those that were given.
+
+    Training is one of them where identities were learned: others were lifted in the first place.
+    """
     levels = LEVELS if subject.exact else (1.0,)
+    anew = subject.effort.trained and subject.name == "demo"
     found = [Cell(NAME, "initial", partial(_initial, subject))]
     for way in WAYS:
         for level in levels:
-            if way != TRAINED or level == 1 or (subject.effort.trained and subject.name == "demo"):
+            if way != TRAINED or (subject.joint and (level == 1 or anew)):
                 styled = partial(_styled, subject, way, level)
                 found.append(Cell(NAME, f"{way} at {level:g}", styled))
     return found

@@ -32,10 +32,11 @@ CLAIM = (
 
 def cells(subject: Subject) -> list[Cell]:
     """The row of pictures; the label maps that went in; each way to identities."""
+    trained = Cell(NAME, "as trained", partial(_selected, subject, lifted=False))
     return [
         Cell(NAME, "pictures", partial(_pictures, subject)),
         Cell(NAME, "label maps", partial(_given, subject)),
-        Cell(NAME, "as trained", partial(_selected, subject, lifted=False)),
+        *([trained] if subject.joint else []),
         Cell(NAME, "lifted", partial(_selected, subject, lifted=True)),
     ]
 
@@ -134,7 +135,7 @@ def told(results: Results) -> list[Block]:
         blocks.append(Table(heads, rows))
         blocks += [Text(_best(way, found[way].numbers)) for way in ways]
         speed = results.get("figure7", {}).get("speed")
-        if speed is not None:
+        if speed is not None and "as trained" in found:
             steps = speed.numbers["train_steps"]
             blocks.append(
                 Text(

@@ -81,14 +81,13 @@ def foreword(runs: Sequence[Run]) -> list[Block]:
 def _trained(run: Run) -> list[str]:
     """What the scene's own files say of its training."""
     scene, (width, height) = run.subject.scene, run.subject.training[0].size
-    how = {"lift": "lifted", "joint": "learned with the colours"}
     return [
         run.subject.name,
         f"{width}x{height}"
         + (f", 1/{scene.downscale:g} of their size" if scene.downscale > 1 else ""),
         f"{len(scene.splats):,}",
         f"{scene.metrics['steps']:,}",
-        how[scene.info["settings"].get("segment") or "joint"],
+        "learned with the colours" if run.subject.joint else "lifted",
     ]
 
 

@@ -89,6 +89,11 @@ class Subject:
         return self.scene.splats
 
     @property
+    def joint(self) -> bool:
+        """Whether identities were learned with the colours, rather than lifted afterwards."""
+        return (self.scene.info["settings"].get("segment") or "joint") == "joint"
+
+    @property
     def pattern(self) -> Tensor:
         """The picture that repeats itself: the last."""
         return [*self.styles.values()][-1]

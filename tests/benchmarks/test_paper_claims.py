@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from paper_figures import figure2, figure6, official, segmenting
+from paper_figures import figure2, figure3, figure6, official, segmenting
 from paper_figures.book import Result
 from paper_figures.claims import verdicts
 from paper_figures.story import Points, Table, Text
@@ -69,6 +69,19 @@ def test_strokes_follow_scale_or_not(strokes: tuple[float, ...], holds: bool):
     }  # fmt: skip
     rows, _ = said(results(figure6=cells))
     assert [row[1].startswith("holds") for row in rows] == [holds], "one value tells nothing"
+
+
+@pytest.mark.parametrize(
+    ("way", "how"),
+    [("as trained", "after 1,250 steps of training"), ("lifted", "identities lifted")],
+)
+def test_the_threshold_is_judged_by_the_way_to_identities_that_was_run(way: str, how: str):
+    numbers = {f"{figure3.THRESHOLD:g}, outliers kept": {"miou": 0.8}}
+    numbers |= {f"{each:g}, outliers removed": {"miou": 1 - each} for each in figure3.THRESHOLDS}
+    speed = {"speed": {"train_steps": 1250}}
+    rows, _ = said(results(figure3={way: numbers}, figure7=speed))
+    (line,) = (row[1] for row in rows if row[0].startswith("Gaussians are chosen"))
+    assert line == f"does not: mIoU 0.050 at 0.95, 0.700 at 0.3, {how}"
 
 
 def test_the_printed_formula_and_lifting():

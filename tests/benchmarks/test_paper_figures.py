@@ -99,6 +99,13 @@ def test_selection_in_3d_changes_its_gaussians_alone(subject: Subject, tmp_path:
     assert len(said) == 2
 
 
+def test_only_what_was_learned_is_called_trained(subject: Subject):
+    lifted = replace(subject.scene, info={"settings": {"segment": "lift"}})
+    for each, count in ((subject, 1), (replace(subject, scene=lifted), 0)):
+        for figure in (figure2, figure3):
+            assert sum("trained" in cell.key for cell in figure.cells(each)) == count
+
+
 def test_exact_identities_select_what_is_there(subject: Subject):
     """At a threshold between no and yes; the balls' own label maps are the truth."""
     found = figure3.by_selection(subject, SPLATS, 0.5, remove=False)

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import termios
-import time
 import tomllib
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,6 +19,7 @@ import stylesplat
 from command_line import QUICK, run
 from stylesplat.cli.options import CONTINUES
 from stylesplat.signals import WHOLE
+from waits import wait_until
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -41,7 +41,7 @@ class Begun:
         with self.out.open("wb") as out:
             self.process = subprocess.Popen(command, env=ENVIRONMENT, stdout=out, stderr=end)
         os.close(end)
-        self.listener = Thread(target=self._listen, args=(terminal,))
+        self.listener = Thread(target=self._listen, args=(terminal,), daemon=True)
         self.listener.start()
 
     def _listen(self, terminal: int) -> None:
@@ -51,9 +51,7 @@ class Begun:
         os.close(terminal)
 
     def wait_for(self, reached: Callable[["Begun"], bool]) -> None:
-        while not reached(self):
-            assert self.process.poll() is None, self.said.read_text()
-            time.sleep(0.01)
+        wait_until(lambda: reached(self), self.process, self.said.read_text)
 
     def says(self, words: str) -> bool:
         return words in self.said.read_text()
@@ -65,7 +63,8 @@ class Begun:
         """How to go on, as the one line says with which it ends; bars end with carriage returns."""
         self.process.send_signal(number)
         status = self.process.wait(timeout=60)
-        self.listener.join()
+        self.listener.join(timeout=60)
+        assert not self.listener.is_alive()
         said = self.said.read_text()
         assert status == 128 + number, said
         assert self.out.read_text() == ""

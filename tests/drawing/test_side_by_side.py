@@ -27,8 +27,10 @@ def styled(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def test_before_and_after_at_the_photos_size(styled: Scene):
-    picture = before_after(styled, device="cpu")
-    assert picture is not None and picture.shape == (72, 2 * 96 + GAP, 3)
+    found = before_after(styled, device="cpu")
+    assert found is not None and found[0] in styled.cameras.names
+    picture = found[1]
+    assert picture.shape == (72, 2 * 96 + GAP, 3)
     before, after = picture[:, :96].float(), picture[:, 96 + GAP :].float()
     assert bool((picture[:, 96 : 96 + GAP] == 255).all())
     changed = (before - after).abs().amax(dim=-1) > 0

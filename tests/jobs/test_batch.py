@@ -16,6 +16,7 @@ from command_line import complaint, result
 from stylesplat.cli.options import CONTINUES
 from stylesplat.jobs.job_journal import JOURNAL, read_journal
 from stylesplat.jobs.job_page import picture_of
+from waits import wait_until
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux's /proc")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(ss.__file__).parents[1])}
@@ -78,15 +79,13 @@ def begun(tmp_path: Path) -> Iterator[Callable[[Path], tuple[subprocess.Popen[st
         batch = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
         batches.append(batch)
         children = Path(f"/proc/{batch.pid}/task/{batch.pid}/children")
-        while not [*tmp_path.glob("out/logs/*.log")] or not children.read_text():
-            assert batch.poll() is None
-            time.sleep(0.02)
+        wait_until(lambda: [*tmp_path.glob("out/logs/*.log")] and children.read_text(), batch)
         return batch, int(children.read_text().split()[-1])
 
     yield begin
     for batch in batches:
         batch.kill()
-        batch.communicate()
+        batch.communicate(timeout=60)
 
 
 @LINUX

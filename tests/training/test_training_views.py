@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import pytest
@@ -114,17 +115,22 @@ def test_what_fits_is_decoded_once_in_all_sizes():
     assert reads.rows == [*range(8)]
 
 
-def test_on_the_cpu_a_quarter_gib_is_kept_and_on_a_gpu_more(monkeypatch: pytest.MonkeyPatch):
-    assert (module.KEPT["cpu"], module.KEPT["cuda"]) == (0.25, 1.0)
-    reads = Reads(items=8)
-    load = training_views(reads.capture, range(8), ids=IDS, device=CPU)
-    monkeypatch.setitem(module.KEPT, "cpu", 0.0)
-    bare = training_views(reads.capture, range(8), ids=IDS, device=CPU)
-    for view, expected in ((load, [0]), (bare, [0, 0, 0])):
-        reads.rows.clear()
-        for _ in range(3):
-            view(0, 1)
-        assert reads.rows == expected
+@pytest.mark.parametrize(("factor", "reads"), [(62, 1), (80, 2)], ids=["0.15 GiB", "0.25 GiB"])
+def test_by_default_a_quarter_gib_holds_the_photos_and_smaller_ones(factor: int, reads: int):
+    """Of photos that do not fit with smaller ones, each size is made of a photo read again."""
+    cameras, rows = enlarged(CAMERAS, factor), list[int]()
+    photo = torch.zeros(36 * factor, 48 * factor, 3, dtype=torch.uint8)
+
+    def read(row: int) -> torch.Tensor:
+        rows.append(row)
+        return photo
+
+    capture = Capture(cameras, Lazy([partial(read, row) for row in range(8)]))
+    load = training_views(capture, range(8), ids=(), device=CPU)
+    rows.clear()  # types are checked by looking at some
+    for smaller in (8, 8, 4, 4):
+        load(3, smaller)
+    assert rows == [3] * reads
 
 
 def test_what_does_not_fit_is_read_again():

@@ -10,7 +10,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.cli.rewriting import rewritten
-from stylesplat.cli.scene_pictures import write_before_after
+from stylesplat.cli.scene_pictures import before_after_line, write_before_after
 from stylesplat.errors import StyleSplatError
 
 
@@ -54,10 +54,11 @@ class Adjust:
                 lambda scene: adjust(scene, self.intensity, objects=self.object, undo=self.undo),
                 overwrite=self.overwrite,
             )
-            picture = write_before_after(after, folder) if after.painted else None
+            nothing = {"before_after": None}
+            picture = write_before_after(after, folder) if after.painted else nothing
         painted = after.painted.paintings if after.painted else ()
         shown = {"intensity": {each.name: each.intensity for each in painted}} if painted else {}
-        return {"scene": folder, **shown, "before_after": picture}
+        return {"scene": folder, **shown, **picture}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
@@ -69,7 +70,6 @@ class Adjust:
         else:
             shown = (f"{name} at {100 * share:.0f} %" for name, share in painted.items())
             yield f"{result['scene']}: {', '.join(shown)} of the style."
-        if result["before_after"]:
-            yield f"Picture: {result['before_after']}"
+        yield from before_after_line(result)
         scene = Path(result["scene"])
         yield from next_lines(pasted("export", scene, unused(scene, ".ply")))

@@ -1,6 +1,6 @@
 """Pictures that commands leave in the scenes that they make."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +18,27 @@ PHOTO_AND_RENDER = "photo_and_render.png"
 VIEW = "view.png"
 
 
-def write_before_after(scene: "Scene", folder: Path, *, device: str = "auto") -> Path | None:
-    """Draw what was painted on a scene, in the view that shows most of it; see `before_after`."""
+def write_before_after(scene: "Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:
+    """Draw what was painted on a scene; where, and in which view, see `before_after`."""
     from stylesplat.drawing.side_by_side import before_after
 
-    return _written(lambda: before_after(scene, device=device), folder / BEFORE_AFTER)
+    views = list[str]()
+
+    def draw() -> "UInt8[Tensor, 'H W 3'] | None":
+        found = before_after(scene, device=device)
+        if found is None:
+            return None
+        views.append(found[0])
+        return found[1]
+
+    path = _written(draw, folder / BEFORE_AFTER)
+    return {"before_after": path} | ({"before_after_view": views[0]} if path else {})
+
+
+def before_after_line(result: Mapping[str, Any]) -> Iterator[str]:
+    """Where that picture is and which view it shows, if there is one."""
+    if result["before_after"]:
+        yield f"Picture: {result['before_after']} (view {result['before_after_view']})"
 
 
 def look(

@@ -11,11 +11,13 @@ from stylesplat.cli.next_steps import next_lines, painted_commands
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
 from stylesplat.cli.parse import number_or_word, parse_style
 from stylesplat.cli.results import save_or_rescue
-from stylesplat.cli.scene_pictures import write_before_after
+from stylesplat.cli.scene_pictures import before_after_line, write_before_after
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
 if TYPE_CHECKING:
+    from stylesplat.scene.capture import Capture
+    from stylesplat.scene.scene import Scene
     from stylesplat.stylization.style import Recipe, StyledObject
 
 SETTINGS = (
@@ -120,8 +122,7 @@ class Stylize:
         from stylesplat.evaluation.in_words import style_lines
 
         yield f"{self.output}: painted."
-        if result["before_after"]:
-            yield f"Picture: {result['before_after']}"
+        yield from before_after_line(result)
         yield from next_lines(*painted_commands(self.output))
         yield from style_lines(result, result["seconds_by_object"])
 
@@ -146,10 +147,10 @@ class Stylize:
         tidy_heap()
         picture = write_before_after(painted.scene, self.output, device=self.device)
         tidy_heap()
-        styled = painted.measured()
+        styled = painted.measured(_capture(painted.scene))
         revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
-        return {"scene": self.output, "before_after": picture, **numbers}
+        return {"scene": self.output, **picture, **numbers}
 
     def _recipe(self) -> "Recipe":
         """The recipe of a file, or of objects and pictures that all have the same settings."""
@@ -180,6 +181,22 @@ class Stylize:
             )
         recipe = read_recipe(self.recipe, preset=self.preset)
         return Recipe(tuple(_overridden(each, settings) for each in recipe.objects))
+
+
+def _capture(scene: "Scene") -> "Capture | None":
+    """The photos of a scene, if they are there; their label maps say where its objects are."""
+    from stylesplat.io.captures.capture_folder import exact_masks
+    from stylesplat.progress import say
+    from stylesplat.verbs.load import load
+
+    if scene.capture is None or not scene.capture.is_dir():
+        return None
+    try:
+        masks = exact_masks(scene.capture)
+        return load(scene.capture, downscale=scene.downscale, masks=masks)
+    except StyleSplatError as error:  # the painting is done all the same
+        say(f"Stains beside the objects are not looked for: {error}")
+        return None
 
 
 def _overridden(each: "StyledObject", settings: dict[str, Any]) -> "StyledObject":

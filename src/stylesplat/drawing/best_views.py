@@ -1,7 +1,7 @@
 """Which views show an object best, and from sides that differ."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
@@ -19,6 +21,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.in_images import in_images
 from stylesplat.stylization.object_views import SURVEY_SIZE
+from stylesplat.stylization.objective import total_variation
 
 VIEWS = 3  # of an object
 SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
@@ -61,6 +64,25 @@ def find_views(
     masks = dict(zip(rows, found, strict=True))
     scores = {row: visibility(mask) for row, mask in masks.items()}
     return [Shown(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
+
+
+@torch.no_grad()
+def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[Shown]) -> Shown:
+    """The view that shows most of an object and of its own detail: a face rather than a back.
+
+    Args:
+        splats: The scene.
+        cameras: Those that the views are rows of.
+        found: At least one view of the object.
+    """
+    return max(found, key=lambda each: _detail(splats, small(cameras[each.row]), each.mask))
+
+
+def _detail(splats: Splats, camera: Cameras, mask: Bool[Tensor, "h w"]) -> float:
+    """How much of an object shows, times its mean difference of luminance between neighbours."""
+    luminance = lab_from_rgb(render(splats, camera)[0])[..., 0]
+    variation = total_variation(luminance[..., None].expand(-1, -1, 3), mask)
+    return visibility(mask) * float(variation.nan_to_num())
 
 
 def best_rows(

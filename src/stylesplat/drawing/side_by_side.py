@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 from PIL import Image
 from torch import Tensor
 
-from stylesplat.drawing.best_views import find_views
+from stylesplat.drawing.best_views import SEARCHED_VIEWS, find_views, most_detailed
 from stylesplat.drawing.grid import write_line
 from stylesplat.drawing.object_sheet import TITLE_SIZE
 from stylesplat.drawing.pictures import render_pictures
@@ -31,8 +31,10 @@ LINE = 40  # letters' heights that a picture is wide
 
 
 @torch.no_grad()
-def before_after(scene: Scene, *, device: str = "auto") -> UInt8[Tensor, "H W 3"] | None:
-    """The view that shows most of what was painted on a scene, before and after.
+def before_after(
+    scene: Scene, *, device: str = "auto"
+) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
+    """The view that shows most of what was painted on a scene and of its detail, before and after.
 
     It is as large as its photo, up to 2048 pixels a side.
 
@@ -41,18 +43,19 @@ def before_after(scene: Scene, *, device: str = "auto") -> UInt8[Tensor, "H W 3"
         device: Where to render.
 
     Returns:
-        The pictures side by side; None if no view shows what was painted.
+        The view's name and the pictures side by side; None if no view shows what was painted.
 
     Raises:
         StyleSplatError: If the scene is not styled.
     """
     base = unpainted(scene).splats.to(pick_device(device))
     picked = require_painted(scene).everything[: len(base)].to(base.device)
-    found = find_views(base, scene.cameras, picked, count=1)
+    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:
         return None
-    camera = scene.cameras[found[0].row].at_most(LONGEST)
-    return side_by_side([_render(each.to(base.device), camera) for each in (base, scene.splats)])
+    camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(LONGEST)
+    pair = [_render(each.to(base.device), camera) for each in (base, scene.splats)]
+    return camera.names[0], side_by_side(pair)
 
 
 @torch.no_grad()

@@ -43,10 +43,13 @@ def around(metrics: Mapping[str, Any]) -> str:
     changed, largest = metrics["changed_outside"], metrics["outside_max_difference"]
     if changed:
         return f"{changed:,} Gaussians outside changed as well"
+    if metrics.get("stain_pixels"):
+        stain = f"a stain of {metrics['stain_pixels']:,} pixels beside the object"
+        return f"{stain} in view {metrics['stain_view']}"
     if largest >= VISIBLE:
         levels = max(1, round(255 * largest))
         return f"no other Gaussian changed, pixels beside by {levels} of 255 levels at most"
-    return "nothing else changed"
+    return "nothing else changed" if "stain_pixels" in metrics else "no other Gaussian changed"
 
 
 def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:

@@ -191,6 +191,14 @@ def names_of(scene: Scene, id: int) -> list[str]:
     ]
 
 
+def whole_ids(scene: Scene, name: str) -> tuple[int, ...]:
+    """The label ids of which a name or an id means the whole objects; none if it means others."""
+    if name not in scene.objects:
+        return (int(name),) if is_id(name) else ()
+    how = scene.objects[name].how
+    return () if SHAPING & how.keys() else tuple(how.get("ids", ()))
+
+
 def _taken_away(
     scene: Scene, choice: Choice, without: Sequence[int], threshold: float
 ) -> Iterator[Bool[Tensor, " N"]]:

@@ -10,6 +10,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.half_fits import fits_of
 from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
+from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import (
     measure_changes,
     measure_look,
@@ -48,7 +49,8 @@ def evaluate(
 
     Returns:
         `schema`; with photos what `evaluate_views` measures in the held-out views, and of a styled
-        scene what `stylize` did, as far as its styles and networks are at hand.
+        scene what `stylize` did, as far as its styles and networks are at hand, with label maps
+        the `largest_stain` too.
 
     Raises:
         StyleSplatError: If there is nothing to measure, or the photos are of another scene.
@@ -56,7 +58,11 @@ def evaluate(
     splats = scene.splats.to(pick_device(device))
     metrics = {} if capture is None else _photo_metrics(scene, splats, capture)
     if scene.painted is not None:
-        return {"schema": SCHEMA} | metrics | _styled_metrics(scene, splats)
+        metrics |= _styled_metrics(scene, splats)
+        if capture is not None:
+            names = scene.painted.names
+            metrics |= largest_stain(unpainted(scene), scene, names, capture, splats.device)
+        return {"schema": SCHEMA} | metrics
     if capture is None:
         raise StyleSplatError("Nothing to compare the scene with. Give the capture of its photos.")
     if not metrics:

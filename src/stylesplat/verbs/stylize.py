@@ -10,10 +10,12 @@ from typing import Any, cast, get_args
 import torch
 
 from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
 from stylesplat.scene.paintings import Painting, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -53,13 +55,22 @@ class Unmeasured:
     """What was painted."""
     measures: Sequence[Callable[[], dict[str, Any]]]
     """Of each run, what measures it."""
+    device: torch.device
+    """Where to render."""
 
-    def measured(self) -> Scene:
-        """The scene with all of its metrics."""
+    def measured(self, capture: Capture | None = None) -> Scene:
+        """The scene with all of its metrics; see `stylize`."""
         figures = {}
         for measure in self.measures:
             figures = _joined(figures, measure())
         _forget_ways(figures, self.recipe)
+        names = sorted({each.name for each in self.recipe.objects if not each.gone})
+        if capture is not None and names:
+            try:
+                before = unpainted(self.scene, names)
+                figures |= largest_stain(before, self.scene, names, capture, self.device)
+            except StyleSplatError as error:  # the painting is done all the same
+                say(f"Stains beside the objects are not looked for: {error}")
         return replace(self.scene, metrics={**self.scene.metrics, **figures})
 
 
@@ -71,6 +82,7 @@ def stylize(
     weights: Path | str | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
+    capture: Capture | None = None,
 ) -> Scene:
     """Repaint objects of a scene, each in the style of one or more pictures.
 
@@ -88,6 +100,8 @@ def stylize(
         weights: The network's file; VGG's are else downloaded, once.
         max_memory: GiB for prepared views; what does not fit takes longer.
         device: Where to compute.
+        capture: The photos of the scene. If they have label maps, the metrics say how large a
+            stain there is beside the objects.
 
     Returns:
         The scene, with what was painted. Its metrics are `seconds`, `steps`, `precision`, what
@@ -103,7 +117,7 @@ def stylize(
         ... # doctest: +SKIP
     """
     rest = {"features": features, "weights": weights, "max_memory": max_memory, "device": device}
-    return stylize_unmeasured(scene, styles, **rest).measured()
+    return stylize_unmeasured(scene, styles, **rest).measured(capture)
 
 
 def stylize_unmeasured(
@@ -137,7 +151,7 @@ def stylize_unmeasured(
     metrics = {"seconds": time.perf_counter() - start, **facts}
     metrics["train"] = before.metrics.get("train", before.metrics)
     scene = replace(with_origin(at_intensities(scene, wanted), before), metrics=metrics)
-    return Unmeasured(scene, recipe, measures)
+    return Unmeasured(scene, recipe, measures, pick_device(device))
 
 
 stylise = stylize
