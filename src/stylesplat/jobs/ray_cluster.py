@@ -1,11 +1,10 @@
 """A Ray cluster: reached, with this package on every node, and large enough."""
 
 import os
-import signal
 import socket
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -49,7 +48,6 @@ def connect(address: str) -> tuple[ModuleType, bool]:
     if address == LOCAL:
         os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: `--workers` has 0
         options |= {"include_dashboard": False, "object_store_memory": STORE}
-    before = signal.getsignal(signal.SIGTERM)
     try:
         with kept_signals(), _muted():
             ray.init(log_to_driver=False, logging_level="ERROR", **options)
@@ -59,9 +57,6 @@ def connect(address: str) -> tuple[ModuleType, bool]:
         raise StyleSplatError(
             f"Cannot reach a Ray cluster at {address}: {said}. {remedy}"
         ) from error
-    finally:
-        with suppress(ValueError, TypeError):  # in a thread, where Ray has not changed it either
-            signal.signal(signal.SIGTERM, before)
     return ray, True
 
 
