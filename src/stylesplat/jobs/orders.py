@@ -91,7 +91,7 @@ class Running:
             _copy_capture(*order.copied)
         with self._stdout.open("wb") as out, order.log.open("wb") as errors:
             self.process = subprocess.Popen(
-                _command(order),
+                [*_ended_with_parent(), *_command(order)],
                 env=_environment(order.threads),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -167,10 +167,14 @@ def _command(order: Order) -> list[str]:
     if order.processes > 1:
         launcher = ["-m", "torch.distributed.run", "--standalone"]
         launcher += ["--nproc-per-node", str(order.processes)]
-    command = [sys.executable, *launcher, "-m", SAID, *order.words]
+    return [sys.executable, *launcher, "-m", SAID, *order.words]
+
+
+def _ended_with_parent() -> list[str]:
+    """What goes before a command, for it to get SIGTERM when this process dies."""
     if not sys.platform.startswith("linux"):
-        return command
-    return [sys.executable, "-IS", end_with_parent.__file__, str(os.getpid()), *command]
+        return []
+    return [sys.executable, "-IS", end_with_parent.__file__, str(os.getpid())]
 
 
 def _environment(threads: int) -> dict[str, str]:
