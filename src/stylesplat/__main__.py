@@ -5,7 +5,7 @@ They are taken before anything is loaded that takes long.
 
 import sys
 
-from stylesplat.signals import ignore_signals, interruption, take_signals, told
+from stylesplat.signals import ignore_signals, take_signals, told
 
 
 def main() -> int:
@@ -18,11 +18,8 @@ def main() -> int:
             return run()
         finally:
             ignore_signals()
-    except (Exception, KeyboardInterrupt) as error:
-        number = interruption(error)
-        if number is None:
-            raise
-        return told(number)
+    except KeyboardInterrupt as error:
+        return told(error)
 
 
 if __name__ == "__main__":

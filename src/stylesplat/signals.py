@@ -1,25 +1,20 @@
-"""Ctrl-C and SIGTERM: what they raise in the command line, and who else may take them."""
+"""Ctrl-C and SIGTERM raise exceptions in the command line, but never while a module is loaded."""
 
 import _thread
-import ctypes
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 from stylesplat.stderr import write_lines
 
 TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others only repeat it: clean-up goes on
-LOADING = 10.0  # seconds for which a signal waits for a module: some crash if they are interrupted
+AGAIN = 0.05  # seconds until a signal is tried again
 FIRST = "stylesplat.io.locks"  # what is loaded before a verb takes a lock or writes anything
-AGAIN = 0.05  # seconds until it is tried again
-CRASHES = ("SIGSEGV", "SIGILL", "SIGFPE", "SIGABRT", "SIGBUS", "SIGTERM")  # that glog takes
-ACTION_BYTES = 256  # room for a `struct sigaction`: 152 bytes on Linux, 16 on macOS
 WHOLE = "Every file is as it was, or done."
 
 
@@ -28,12 +23,9 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Last:
-    """The last signal of this process."""
+    """The last signal that was raised."""
 
-    number: int | None = None
-    moment = -PATIENCE  # when it came, or was raised
-    waits = False  # to be raised
-    others = 0  # libraries that may take signals now
+    moment = -PATIENCE
 
 
 def take_signals() -> None:
@@ -56,102 +48,59 @@ def ignore_signals() -> None:
     eval("None")  # else Python kills itself if Ctrl-C came while it ran a text, as dataclasses do
 
 
-def interruption(error: BaseException) -> signal.Signals | None:
-    """The signal that an error comes from, if it does.
-
-    Modules that are interrupted while they are loaded raise any error.
-    """
-    if isinstance(error, Terminated):
-        return signal.SIGTERM
-    if isinstance(error, KeyboardInterrupt):
-        return signal.SIGINT
-    return None if _Last.number is None else signal.Signals(_Last.number)
-
-
-def told(number: signal.Signals, advice: str = WHOLE) -> int:
+def told(error: KeyboardInterrupt, advice: str = WHOLE) -> int:
     """Say in one line that a command was interrupted; the exit status, as shells report it."""
-    what = "terminated" if number == signal.SIGTERM else "interrupted"
-    write_lines(f"stylesplat: {what}. {advice}")
-    return 128 + number
+    terminated = isinstance(error, Terminated)
+    write_lines(f"stylesplat: {'terminated' if terminated else 'interrupted'}. {advice}")
+    return 128 + (signal.SIGTERM if terminated else signal.SIGINT)
 
 
 @contextmanager
 def kept_signals() -> Iterator[None]:
-    """Within the block a library may take signals; then they do what they did before.
-
-    Handlers are kept as the system has them, for Python does not know those of C.
-    """
+    """Within the block a library may take signals; then Python's handlers are installed again."""
+    handlers = {number: signal.getsignal(number) for number in TAKEN}
     try:
-        sigaction = ctypes.CDLL(None).sigaction
-    except (AttributeError, OSError, TypeError):  # Windows
-        yield
-        return
-    numbers = [getattr(signal, name) for name in CRASHES]
-    actions = {number: ctypes.create_string_buffer(ACTION_BYTES) for number in numbers}
-    for number, action in actions.items():
-        sigaction(number, None, action)
-    try:
-        _Last.others += 1
         yield
     finally:
-        for number, action in actions.items():
-            sigaction(number, action, None)
-        _Last.others -= 1
+        for number, handler in handlers.items():
+            with suppress(ValueError, TypeError):  # in a thread; or the handler is none of Python's
+                signal.signal(number, handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    now = time.monotonic()
-    if not _Last.waits:
-        if now - _Last.moment < PATIENCE:
-            return
-        _Last.number, _Last.moment = number, now
-    if _loads(frame):
-        if not _is_loaded(FIRST):
-            os._exit(told(signal.Signals(number)))  # there is nothing to clean up
-        if now - _Last.moment < LOADING:
-            _try_again()
-            return
-    _Last.moment, _Last.waits = now, False
-    raise Terminated if _Last.number == signal.SIGTERM else KeyboardInterrupt
+    if time.monotonic() - _Last.moment < PATIENCE:
+        return
+    error = Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
+    if _loads(frame):  # some modules crash if they are interrupted, or raise another error
+        if FIRST not in sys.modules:
+            os._exit(told(error))  # there is nothing to clean up
+        _try_again(number)
+        return
+    _Last.moment = time.monotonic()
+    raise error
 
 
 def _loads(frame: FrameType | None) -> bool:
     """Whether a module is being loaded."""
-    while frame is not None:
-        if frame.f_globals.get("__name__") == "importlib._bootstrap":
-            return True
+    while frame and frame.f_globals.get("__name__") != "importlib._bootstrap":
         frame = frame.f_back
-    return False
+    return frame is not None
 
 
-def _is_loaded(name: str) -> bool:
-    """Whether a module is there, and as a whole."""
-    module = sys.modules.get(name)
-    return module is not None and not getattr(module.__spec__, "_initializing", False)
-
-
-def _try_again() -> None:
-    """Let the last signal come once more, a moment later."""
-    main = threading.main_thread().ident
-    assert main, "it has begun"
-
-    def come() -> None:
-        time.sleep(AGAIN)
-        while _Last.others > 0:  # one of them would end the process
-            time.sleep(AGAIN)
-        number = signal.Signals(_Last.number or signal.SIGINT)
-        if sys.platform == "win32":
-            _thread.interrupt_main(number)
-        else:
-            signal.pthread_kill(main, number)  # wakes it, should it wait
-
-    _Last.waits = True
-    _thread.start_new_thread(come, ())  # takes no lock that what is interrupted may hold
+def _try_again(number: int) -> None:
+    """Let a signal come once more, a moment later: the alarm also wakes who sleeps."""
+    if sys.platform == "win32":
+        _thread.interrupt_main(signal.Signals(number))
+    else:
+        signal.signal(signal.SIGALRM, lambda *_: _thread.interrupt_main(signal.Signals(number)))
+        signal.setitimer(signal.ITIMER_REAL, AGAIN)
 
 
 def _raise_again(unraisable: "sys.UnraisableHookArgs") -> None:
     """Python cannot raise in a `__del__`, or in what C has called."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        _try_again()
+        _Last.moment = -PATIENCE
+        terminated = isinstance(unraisable.exc_value, Terminated)
+        _try_again(signal.SIGTERM if terminated else signal.SIGINT)
     else:
         sys.__unraisablehook__(unraisable)

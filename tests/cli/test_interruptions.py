@@ -173,6 +173,23 @@ sys.modules["stylesplat.cli"].main = interrupted
 print(command_line.main())
 """
 
+A_BUG_IN_CLEAN_UP = """
+import signal, sys
+import stylesplat.__main__ as command_line
+from stylesplat.cli.ending import status_after
+def interrupted():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    finally:
+        1 / 0
+sys.modules["stylesplat.cli"] = type(sys)("cli")
+sys.modules["stylesplat.cli"].main = interrupted
+try:
+    print(command_line.main())
+except ZeroDivisionError as error:
+    print(status_after(error))
+"""
+
 IGNORED = """
 import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -213,6 +230,7 @@ TAKEN_BY_OTHERS = LOADING.replace("SIGINT", "SIGTERM").replace(
         pytest.param(IN_A_DEL, 0, "raised\n", id="where Python cannot raise"),
         pytest.param(TWICE, 0, "cleaned up\nraised\n", id="twice"),
         pytest.param(IN_A_TEXT, 0, "130\n", id="in a text that is run"),
+        pytest.param(A_BUG_IN_CLEAN_UP, 0, "None\n", id="before another error"),
         pytest.param(IGNORED, 0, "goes on\n", id="ignored"),
         pytest.param(LOADING, 0, "loaded\nraised\n", id="while a module is loaded"),
         pytest.param(LOADING.replace("{later}", "False"), 130, "", id="before there is work"),

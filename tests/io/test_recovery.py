@@ -1,5 +1,6 @@
 """What killed processes leave, and who finds it."""
 
+import errno
 import os
 import threading
 from collections.abc import Callable
@@ -7,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from full_scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
@@ -77,6 +79,23 @@ def test_leftovers_go_and_nothing_else(tmp_path: Path, said: list[str]):
         assert (tmp_path / ".scene.lock").exists()
     assert {*contents(tmp_path)} == {"scene/scene.json", "scene/splats.ply", *others}
     assert len(said) == 1 and said[0].startswith("Removed 5 ")
+
+
+def test_without_a_lock_nothing_is_known_to_be_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Another process may be writing it."""
+
+    def acquire(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(FileLock, "acquire", acquire)
+    fill(tmp_path / "scene", scene_json="it")
+    fill(tmp_path / f".scene.{HEX}.new", scene_json="draft")
+    before = texts(tmp_path)
+    with changing(tmp_path / "scene"):
+        pass
+    assert texts(tmp_path) == before
 
 
 def test_a_lone_folder_of_an_earlier_version_stays(tmp_path: Path):

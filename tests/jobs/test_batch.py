@@ -104,6 +104,12 @@ def test_an_end_takes_the_children_along(number: signal.Signals, begun, scene: P
         assert said.splitlines()[-1] == f"stylesplat: interrupted. {CONTINUES}"
 
 
+def test_nothing_is_run_between_fork_and_exec():
+    """It may wait for ever for a lock that a thread of the parent held."""
+    root = Path(ss.__file__).parent
+    assert not [p.name for p in root.rglob("*.py") if "preexec_fn" in p.read_text()]
+
+
 @LINUX
 def test_a_killed_job_costs_one_job(begun, scene: Path):
     batch, child = begun(write(scene, "  - render: {views: test, downscale: [0.5, 4]}\n"))

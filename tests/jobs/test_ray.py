@@ -86,22 +86,50 @@ def test_nodes_that_are_unfit(answer, fault: str | None, tmp_path: Path, monkeyp
         check_nodes(ray, tmp_path / JOURNAL)
 
 
-@pytest.mark.parametrize("kind", [ConnectionError, RayError])
-def test_something_else_answers(kind: type[Exception], monkeypatch, capfd):
-    def init(**_: object) -> None:
-        os.write(2, b"gcs_client.cc:210: Failed to get cluster ID")
-        raise kind("Failed to connect to 10.0.0.1. See the manual.\nIt may help.")
+STAND_IN = """
+import os
+from types import SimpleNamespace
+class RayError(Exception):
+    pass
+exceptions = SimpleNamespace(RayError=RayError)
+def is_initialized():
+    return False
+def init(**_):
+    os.write(2, b"here" if os.getpid() == {pid} else b"gcs_client.cc:210: Failed at this try")
+    if {fails}:
+        raise {kind}("Failed to connect to 10.0.0.1. See the manual.\\nIt may help.")
+"""
 
-    ray = ModuleType("ray")
-    errors = SimpleNamespace(RayError=RayError)
-    vars(ray).update(init=init, exceptions=errors, is_initialized=lambda: False)
-    monkeypatch.setattr(ray_cluster, "_ray", lambda: ray)
+
+@pytest.fixture
+def answering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Puts a stand-in in place of Ray, and gives an address where something answers."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.delitem(sys.modules, "ray", raising=False)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(StyleSplatError, match=r": Failed to connect to 10\.0\.0\.1\. Somet"):
-            connect(address)
-    os.write(2, b"heard")
-    assert capfd.readouterr().err == "heard", "what Ray prints at every try is not shown"
+
+        def stand_in(*, fails: bool, kind: str = "OSError") -> str:
+            text = STAND_IN.format(pid=os.getpid(), fails=fails, kind=kind)
+            (tmp_path / "ray.py").write_text(text)
+            return f"127.0.0.1:{server.getsockname()[1]}"
+
+        yield stand_in
+    sys.modules.pop("ray", None)
+
+
+@pytest.mark.parametrize("kind", ["ConnectionError", "RayError"])
+def test_something_else_answers(kind: str, answering, capfd):
+    address = answering(fails=True, kind=kind)
+    with pytest.raises(StyleSplatError, match=r": Failed to connect to 10\.0\.0\.1\. Somet"):
+        connect(address)
+    assert capfd.readouterr().err == "", "what Ray prints at every try is not shown"
+
+
+def test_what_others_write_meanwhile_is_not_lost(answering, capfd):
+    """Standard error is one for all threads of the process."""
+    connect(answering(fails=False))
+    assert capfd.readouterr().err == "here"
 
 
 @pytest.mark.parametrize(

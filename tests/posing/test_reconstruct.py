@@ -1,9 +1,8 @@
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -81,11 +80,6 @@ def result(photos: Path, work: Path, prepared) -> Reconstruction:
         result = reconstruct(photos, prepared, work, config=FAST)
     assert again.tasks == ["matching photos", "finding poses"]  # the features were kept
     return result
-
-
-def rows(work: Path, table: str) -> int:
-    with closing(sqlite3.connect(work / "database.db")) as database:
-        return database.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
 
 
 def poses(model, names) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import DISK_FULL, reason
-from stylesplat.signals import WHOLE, interruption, told
+from stylesplat.signals import WHOLE, told
 from stylesplat.stderr import write_lines
 
 AT_FAULT = 1  # the user's input, or a machine that is too small for it
@@ -32,9 +32,8 @@ def status_after(error: BaseException, advice: Callable[[], str] = lambda: WHOLE
     Returns:
         The exit status; None if nobody knows what to do, for then it is a bug.
     """
-    number = interruption(error)
-    if number is not None:
-        return told(number, advice())
+    if isinstance(error, KeyboardInterrupt):
+        return told(error, advice())
     if isinstance(error, BrokenPipeError):
         _listen_no_more()
         return PIPE_CLOSED

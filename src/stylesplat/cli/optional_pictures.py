@@ -7,7 +7,6 @@ from stylesplat.cli.ending import line_of
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason
 from stylesplat.progress import say
-from stylesplat.signals import interruption
 
 FAULTS = (StyleSplatError, MemoryError, RuntimeError, OSError)  # CUDA's are RuntimeErrors
 
@@ -22,7 +21,5 @@ def told_if_missing(of: str = "") -> Iterator[None]:
     try:
         yield
     except FAULTS as error:
-        if interruption(error) is not None:  # modules that are interrupted raise any error
-            raise
         what = f"There is no picture of {of}" if of else "There is no picture"
         say(f"{what}: {line_of(error) or reason(error)}")

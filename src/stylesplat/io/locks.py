@@ -21,7 +21,7 @@ ANYBODY = 0o666  # another user may have to take over what a killed process left
 
 
 @contextmanager
-def locked(path: Path | str) -> Iterator[None]:
+def locked(path: Path | str) -> Iterator[bool]:
     """Let no other process change a folder or a file meanwhile; within one, locks may be nested.
 
     The lock is the kernel's, so that of a killed process is none. It is kept on a file beside the
@@ -29,6 +29,9 @@ def locked(path: Path | str) -> Iterator[None]:
 
     Args:
         path: What will be changed; it need not exist.
+
+    Yields:
+        Whether it is locked: not every file system has locks.
 
     Raises:
         StyleSplatError: If another process has it locked, and for longer than we wait.
@@ -40,10 +43,10 @@ def locked(path: Path | str) -> Iterator[None]:
     lock = FileLock(_lock_file(path), is_singleton=True, fallback_to_soft=False, mode=ANYBODY)
     try:
         if not _acquired(lock, path):
-            yield
+            yield False
             return
         try:
-            yield
+            yield True
         finally:
             _release(lock)
     finally:

@@ -40,8 +40,10 @@ def changing(path: Path | str) -> Iterator[None]:
         path.exists()
     except OSError as error:  # of a name that is too long, or a folder that may not be entered
         raise cannot_write(path, error) from error
-    with locked(path):
+    with locked(path) as alone:
         _recover(path)
+        if alone:  # else another process may be at work on a draft
+            _remove_leftovers(path)
         yield
 
 
@@ -111,6 +113,9 @@ def _recover(path: Path) -> None:
             say(f"Finished the change of {path} that a process which was ended had begun.")
     except OSError as error:
         raise cannot_write(path, error) from error
+
+
+def _remove_leftovers(path: Path) -> None:
     removed = sum(map(_removed, _leftovers(path)))
     if removed:
         say(f"Removed {removed} unfinished files or folders of ended processes at {path}.")

@@ -1,6 +1,5 @@
 """One job as a process of the command line, so that its end, however sudden, costs one job."""
 
-import ctypes
 import json
 import os
 import re
@@ -16,11 +15,11 @@ from typing import Any
 
 from stylesplat.errors import printable
 from stylesplat.io.folders import PARTIAL, link_file
+from stylesplat.jobs import end_with_parent
 from stylesplat.jobs.batch_plan import Job
 
 LOGS = "logs"  # in the batch's folder: what each job has printed
 PACKAGE = Path(__file__).parents[2]  # where this stylesplat is imported from
-PR_SET_PDEATHSIG = 1  # of Linux's <sys/prctl.h>: what a process gets when its parent dies
 PATIENCE = 60.0  # seconds for a job to keep what it has, after SIGTERM
 THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 SAID = "stylesplat"
@@ -92,12 +91,11 @@ class Running:
             _copy_capture(*order.copied)
         with self._stdout.open("wb") as out, order.log.open("wb") as errors:
             self.process = subprocess.Popen(
-                _command(order),
+                [*_ended_with_parent(), *_command(order)],
                 env=_environment(order.threads),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=errors,
-                preexec_fn=_end_with_parent(),
             )
 
     def poll(self) -> Outcome | None:
@@ -172,20 +170,19 @@ def _command(order: Order) -> list[str]:
     return [sys.executable, *launcher, "-m", SAID, *order.words]
 
 
+def _ended_with_parent() -> list[str]:
+    """What goes before a command, for it to get SIGTERM when this process dies."""
+    if not sys.platform.startswith("linux"):
+        return []
+    return [sys.executable, "-IS", end_with_parent.__file__, str(os.getpid())]
+
+
 def _environment(threads: int) -> dict[str, str]:
     """That of a job: this package, and so many threads."""
     known = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     paths = os.pathsep.join([str(PACKAGE), *filter(None, known)])
     own = dict.fromkeys(THREADS, str(threads)) | {"PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"}
     return {**os.environ, **own}
-
-
-def _end_with_parent() -> Any:
-    """What a child calls first: it gets SIGTERM when this process dies; None where that is not."""
-    if not sys.platform.startswith("linux"):
-        return None
-    call, number = ctypes.CDLL(None).prctl, int(signal.SIGTERM)
-    return lambda: call(PR_SET_PDEATHSIG, number)
 
 
 def _copy_capture(source: Path, target: Path) -> None:

@@ -1,11 +1,10 @@
 """A Ray cluster: reached, with this package on every node, and large enough."""
 
 import os
-import signal
 import socket
+import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -23,6 +22,14 @@ ANSWER = 5.0  # seconds in which a machine must answer at all
 SURVEY = 120.0  # seconds in which all nodes must: the first task there starts Python
 STORE = 100 * 2**20  # bytes of the object store of a local cluster: results are small
 START = "Start one with `ray start --head`, or use --ray local."
+TRY = """
+import sys, ray
+try:
+    ray.init(address=sys.argv[1], log_to_driver=False, logging_level="ERROR")
+except Exception as error:
+    print(error)
+    sys.exit(1)
+"""
 TOKEN = (
     "Something answers there: if it is a cluster that asks for a token, set RAY_AUTH_MODE=token "
     "and RAY_AUTH_TOKEN."
@@ -49,9 +56,10 @@ def connect(address: str) -> tuple[ModuleType, bool]:
     if address == LOCAL:
         os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: `--workers` has 0
         options |= {"include_dashboard": False, "object_store_memory": STORE}
-    before = signal.getsignal(signal.SIGTERM)
     try:
-        with kept_signals(), _muted():
+        if address != LOCAL:
+            _try(address)
+        with kept_signals():
             ray.init(log_to_driver=False, logging_level="ERROR", **options)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
         said = " ".join(str(error).split()).partition(". ")[0].rstrip(".")
@@ -59,24 +67,18 @@ def connect(address: str) -> tuple[ModuleType, bool]:
         raise StyleSplatError(
             f"Cannot reach a Ray cluster at {address}: {said}. {remedy}"
         ) from error
-    finally:
-        with suppress(ValueError, TypeError):  # in a thread, where Ray has not changed it either
-            signal.signal(signal.SIGTERM, before)
     return ray, True
 
 
-@contextmanager
-def _muted() -> Iterator[None]:
-    """Keep what Ray's native part prints at each of its tries off the terminal."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with Path(os.devnull).open("wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+def _try(address: str) -> None:
+    """Raise a ConnectionError if no cluster answers.
+
+    In a process of its own, for Ray's native part prints at each try, and may end the process.
+    """
+    command = [sys.executable, "-P", "-c", TRY, address]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    if done.returncode:
+        raise ConnectionError(done.stdout or f"Ray ended with status {done.returncode}")
 
 
 def rooms(ray: ModuleType) -> list[Room]:

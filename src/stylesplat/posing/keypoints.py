@@ -4,8 +4,6 @@ from stylesplat.posing.workplace import Workplace
 from stylesplat.scene.sampling import evenly
 
 SAMPLE = 3  # photos of a camera that tell how closely its photos have to be looked at
-WITH_FEATURES = "SELECT name FROM images JOIN descriptors USING (image_id)"
-COUNTS = "SELECT name, rows FROM images JOIN keypoints USING (image_id)"
 
 
 def find_keypoints(place: Workplace) -> None:
@@ -14,17 +12,22 @@ def find_keypoints(place: Workplace) -> None:
     Raises:
         StyleSplatError: If the disk is full.
     """
-    found = {file for (file,) in place.ask(WITH_FEATURES)}
-    groups = [[place.files[row] for row in group.rows] for group in place.groups]
-    missing = [files for files in groups if not found.issuperset(files)]
-    if missing:
+    with place.opened() as database:
+        images = database.read_all_images()
+        found = {i.name for i in images if database.exists_descriptors(i.image_id)}
+    groups = []
+    for group in place.groups:
+        files = [place.files[row] for row in group.rows]
+        if missing := [file for file in files if file not in found]:
+            groups.append({"names": missing, "sample": evenly(files, SAMPLE)})
+    if groups:
         place.run(
             "find_features",
             "finding features",
             len(place.files),
             "photo",
             done=len(found),
-            groups=[{"names": files, "sample": evenly(files, SAMPLE)} for files in missing],
+            groups=groups,
             max_size=place.config.max_size,
             max_features=place.config.max_features,
         )
@@ -33,4 +36,9 @@ def find_keypoints(place: Workplace) -> None:
 def keypoint_counts(place: Workplace) -> dict[str, int]:
     """By name how many features a photo has; those that COLMAP could not read are missing."""
     names = dict(zip(place.files, place.names, strict=True))
-    return {names[file]: count for file, count in place.ask(COUNTS)}
+    with place.opened() as database:
+        return {
+            names[image.name]: database.num_keypoints_for_image(image.image_id)
+            for image in database.read_all_images()
+            if database.exists_keypoints(image.image_id)
+        }

@@ -14,10 +14,6 @@ from stylesplat.progress import track
 LARGEST = 128
 MAX_RATIO = 0.8  # of the angles to the best and the second-best match, as COLMAP has it
 DESCRIPTOR = 128  # numbers
-QUERY = """
-    SELECT k.cols, k.data, d.data FROM images JOIN keypoints k USING (image_id)
-    JOIN descriptors d USING (image_id) WHERE name = ?
-"""
 
 
 def alike(place: Workplace) -> Int[Tensor, "P P"]:
@@ -37,15 +33,15 @@ def alike(place: Workplace) -> Int[Tensor, "P P"]:
 
 def _largest(place: Workplace, file: str) -> Float[Tensor, "L 128"]:
     """The descriptors of a photo's largest features, of length 1; zeros follow if it has fewer."""
-    answer = place.ask(QUERY.replace("?", f"'{file}'"))  # the file names are our own
-    if not answer:
-        return torch.zeros(LARGEST, DESCRIPTOR)
-    columns, keypoints, descriptors = answer[0]
-    shapes = np.frombuffer(keypoints or b"", np.float32).reshape(-1, columns)
+    with place.opened() as database:
+        image = database.read_image_with_name(file)
+        if image is None:  # COLMAP could not read it
+            return torch.zeros(LARGEST, DESCRIPTOR)
+        shapes = database.read_keypoints(image.image_id)
+        descriptors = database.read_descriptors(image.image_id).data
     areas = np.abs(shapes[:, 2] * shapes[:, 5] - shapes[:, 3] * shapes[:, 4])
     order = np.argsort(-areas, kind="stable")[:LARGEST]
-    values = np.frombuffer(descriptors or b"", np.uint8).reshape(-1, DESCRIPTOR)[order]
-    feats = normalize(torch.from_numpy(values.astype(np.float32)), dim=1)
+    feats = normalize(torch.from_numpy(descriptors[order].astype(np.float32)), dim=1)
     return pad(feats, (0, 0, 0, LARGEST - len(feats)))
 
 

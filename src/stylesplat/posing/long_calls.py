@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import cannot_write
 from stylesplat.progress import Task, task
 
+FATAL = 3  # the level of what COLMAP logs before the process ends
 LINES_KEPT = 50  # of what a process says: its last words
 FULL = re.compile("disk is full|disk I/O error|No space left|File too large|quota exceeded", re.I)
 NOISE = re.compile(r"^(\s*@|\*\*\*|PC:|terminate called)")  # around what glog has to say

@@ -3,13 +3,12 @@
 from collections import Counter
 from dataclasses import dataclass
 
-from stylesplat.posing.pairs import PAIR_ID
+from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.workplace import Workplace
 
 # COLMAP's kinds of pairs that one homography explains: of something flat, or of a camera that
 # only turned
 FLAT = (4, 5, 6)
-QUERY = "SELECT pair_id, rows, config FROM two_view_geometries"
 
 
 @dataclass(frozen=True)
@@ -36,12 +35,13 @@ class MatchTable:
 def match_table(place: Workplace) -> MatchTable:
     """Read what is in the database."""
     names = dict(zip(place.files, place.names, strict=True))
-    named = {key: names[file] for key, file in place.ask("SELECT image_id, name FROM images")}
-    rows = place.ask(QUERY)
+    with place.opened() as database:
+        named = {image.image_id: names[image.name] for image in database.read_all_images()}
+        compared = database.num_verified_image_pairs()
+        keys, geometries = database.read_two_view_geometries()  # of those that match
     matches: dict[tuple[str, str], int] = {}
-    for key, count, _ in rows:
-        one, other = named[key // PAIR_ID], named[key % PAIR_ID]
-        if count:
-            matches[one, other] = matches[other, one] = count
-    flat = sum(kind in FLAT for _, count, kind in rows if count)
-    return MatchTable(len(rows), matches, flat)
+    for key, geometry in zip(keys, geometries, strict=True):
+        one, other = (named[image] for image in pycolmap.pair_id_to_image_pair(key))
+        matches[one, other] = matches[other, one] = len(geometry.inlier_matches)
+    flat = sum(geometry.config in FLAT for geometry in geometries)
+    return MatchTable(compared, matches, flat)

@@ -5,7 +5,6 @@ from itertools import combinations
 from jaxtyping import Int
 from torch import Tensor
 
-from stylesplat.io.files import atomic_path
 from stylesplat.posing.likeness import alike
 from stylesplat.posing.workplace import Workplace
 
@@ -13,14 +12,12 @@ from stylesplat.posing.workplace import Workplace
 EXHAUSTIVE = 60
 SIMILAR = 20  # photos that each is compared to if they are more: 9 of 10 matches of fox
 IN_A_ROW = 10  # photos that each is compared to of those after it in time; then 16, 32 and so on
-BLOCK = 100  # pairs after which the database is written to
-PAIR_ID = 2147483647  # COLMAP's ids of pairs count up to this many photos
 
 Pairs = set[tuple[int, int]]
 
 
-def match_photos(place: Workplace, *, ordered: bool) -> int:
-    """Compare the pairs of photos that have not been compared yet; return how many there are.
+def match_photos(place: Workplace, *, ordered: bool) -> None:
+    """Compare the pairs of photos that have not been compared yet.
 
     Args:
         place: With the features of all photos.
@@ -30,15 +27,16 @@ def match_photos(place: Workplace, *, ordered: bool) -> int:
         StyleSplatError: If the disk is full.
     """
     pairs = sorted(choose_pairs(place, ordered=ordered))
-    if _missing(place, pairs):
-        listed = place.folder / "pairs.txt"
-        with atomic_path(listed) as temporary:
-            lines = (f"{place.files[one]} {place.files[other]}\n" for one, other in pairs)
-            temporary.write_text("".join(lines), encoding="utf-8")
+    if missing := _missing(place, pairs):
         place.run(
-            "match_pairs", "matching photos", len(pairs), "pair", pairs=str(listed), block=BLOCK
+            "match_pairs",
+            "matching photos",
+            len(pairs),
+            "pair",
+            done=len(pairs) - len(missing),
+            pairs=[(place.files[one], place.files[other]) for one, other in missing],
+            list=str(place.folder / "pairs.txt"),
         )
-    return len(pairs)
 
 
 def choose_pairs(place: Workplace, *, ordered: bool) -> Pairs:
@@ -80,12 +78,15 @@ def most_alike(likeness: Int[Tensor, "P P"], neighbours: int) -> Pairs:
     return {pair for pair in chosen if pair[0] != pair[1]}
 
 
-def _missing(place: Workplace, pairs: list[tuple[int, int]]) -> bool:
-    """Whether a pair has not been compared."""
-    rows = {file: row for row, file in enumerate(place.files)}
-    row_of = {key: rows[name] for key, name in place.ask("SELECT image_id, name FROM images")}
-    done: Pairs = set()
-    for (key,) in place.ask("SELECT pair_id FROM two_view_geometries"):
-        one, other = sorted((row_of[key // PAIR_ID], row_of[key % PAIR_ID]))
-        done.add((one, other))
-    return not done.issuperset(pairs)
+def _missing(place: Workplace, pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The pairs that have not been compared."""
+    with place.opened() as database:
+        ids = {image.name: image.image_id for image in database.read_all_images()}
+        keys = [ids.get(file) for file in place.files]  # None: COLMAP could not read it
+
+        def is_compared(one: int | None, other: int | None) -> bool:
+            if one is None or other is None:
+                return False
+            return database.exists_two_view_geometry(one, other)
+
+        return [(one, other) for one, other in pairs if not is_compared(keys[one], keys[other])]

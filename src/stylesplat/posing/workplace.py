@@ -1,9 +1,8 @@
 """The folder in which structure from motion works: its database and what that was made from."""
 
 import shutil
-import sqlite3
-from collections.abc import Sequence
-from contextlib import closing, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from errno import ENOSPC
 from pathlib import Path
@@ -13,15 +12,13 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import cannot_write, inside, reason
+from stylesplat.io.files import cannot_write, inside
 from stylesplat.io.folders import link_file
 from stylesplat.io.json_files import read_json, write_json
-from stylesplat.posing.long_calls import is_full, run_stage
+from stylesplat.posing.long_calls import FATAL, is_full, run_stage
 from stylesplat.posing.photo_groups import PhotoGroup, group_photos
 from stylesplat.posing.sfm_config import SfmConfig
 from stylesplat.progress import say
-
-NAMES = "SELECT name FROM images"
 
 
 @dataclass(frozen=True)
@@ -60,24 +57,32 @@ class Workplace:
         """Run a stage of COLMAP on this database; see `run_stage`."""
         known = {"database": str(self.database), "photos": str(self.photos)}
         threads = torch.get_num_threads()
-        also = {"threads": threads, "seed": self.config.seed}
+        also = {"threads": threads, "seed": self.config.seed, "done": done}
         run_stage(stage, known | also | settings, what, total, unit, done)
 
-    def ask(self, query: str) -> list[tuple[Any, ...]]:
-        """What the database answers.
+    @contextmanager
+    def opened(self) -> Iterator[pycolmap.Database]:
+        """The database, to read from.
+
+        COLMAP brings its own SQLite. Python's would be a second one in this process, and two of
+        them undo each other's locks (sqlite.org/howtocorrupt.html, 2.2.1).
 
         Raises:
             StyleSplatError: If it is damaged, or the disk is full.
         """
+        level = pycolmap.logging.minloglevel
+        pycolmap.logging.minloglevel = FATAL  # what fails is raised
         try:
-            with closing(sqlite3.connect(self.database)) as database:
-                return database.execute(query).fetchall()
-        except sqlite3.Error as error:
+            with pycolmap.Database.open(self.database) as database:
+                yield database
+        except RuntimeError as error:
             if is_full(str(error)):
                 raise cannot_write(self.database, OSError(ENOSPC, "")) from error
             raise StyleSplatError(
-                f"Cannot read {self.database}: {reason(error)}. Run the same command again."
+                f"Cannot read {self.database}: it is damaged. Run the same command again."
             ) from error
+        finally:
+            pycolmap.logging.minloglevel = level
 
 
 def open_workplace(
@@ -117,12 +122,23 @@ def _goes_on(place: Workplace, basis: dict[str, Any]) -> bool:
     try:
         return (
             read_json(_basis_file(place)) == basis
-            and place.ask("PRAGMA quick_check") == [("ok",)]
-            and {file for (file,) in place.ask(NAMES)} <= {*place.files}
+            and _names_in_whole(place) <= {*place.files}
             and all((place.photos / file).is_file() for file in place.files)
         )
     except StyleSplatError:
         return False
+
+
+def _names_in_whole(place: Workplace) -> set[str]:
+    """The photos in a database of which all can be read."""
+    with place.opened() as database:
+        images = database.read_all_images()
+        for image in images:
+            database.read_keypoints(image.image_id)
+            database.read_descriptors(image.image_id)
+        database.read_all_matches()
+        database.read_two_view_geometries()
+        return {image.name for image in images}
 
 
 def _basis_file(place: Workplace) -> Path:
