@@ -248,7 +248,7 @@ def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> li
     return [
         Painting(
             name=each.name,
-            picked=job.picked,
+            picked=job.picked.cpu(),  # a job's may lie on a GPU; all of a scene is on the CPU
             styles=each.style.sources(),
             settings=plain(each.style.config),
             intensity=each.style.config.intensity,
