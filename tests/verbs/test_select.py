@@ -118,9 +118,9 @@ def test_several_shapes_are_united():
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ({"point": (1.0, 2.0)}, r"Cannot select by point=\(1.0, 2.0\)\. Give the name of a view"),
+        ({"point": (1.0, 2.0)}, r"Cannot use point=\(1.0, 2.0\)\. Give the name of a view"),
         ({"point": [(VIEW, 1.0)]}, "a view and 2 numbers"),
-        ({"not_point": (VIEW, 1, 2, 3)}, "Cannot select by not_point="),
+        ({"not_point": (VIEW, 1, 2, 3)}, "Cannot use not_point="),
         ({"box": (VIEW, 1, 2, 3)}, "a view and 4 numbers"),
         ({"sphere": (1.0, 2.0, 3.0)}, "Cannot select by sphere="),
         ({"sphere": [(1.0, 2.0, 3.0, 4.0), (1.0,)]}, r"Cannot select by sphere=\(1.0,\)"),

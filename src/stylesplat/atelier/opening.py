@@ -5,6 +5,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.atelier.easel import Easel
 from stylesplat.atelier.gallery import MOST_BYTES, Gallery, too_large
 from stylesplat.atelier.keeping import Place
@@ -88,6 +89,7 @@ class Studio:
             return False
 
 
+@check_arguments
 def studio(
     scene: Scene | Path | str,
     *,

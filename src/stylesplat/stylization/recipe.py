@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
@@ -40,6 +41,7 @@ OWN = {  # and of one
 }
 
 
+@check_arguments
 def read_recipe(path: Path | str, *, defaults: StyleConfig | None = None) -> Recipe:
     """Read a recipe, or the `recipe.json` of a styled scene.
 

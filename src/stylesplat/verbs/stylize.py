@@ -9,6 +9,7 @@ from typing import Any, cast, get_args
 
 import torch
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
@@ -63,6 +64,7 @@ class Unmeasured:
         return replace(self.scene, metrics={**self.scene.metrics, **figures})
 
 
+@check_arguments
 def stylize(
     scene: Scene,
     styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe,

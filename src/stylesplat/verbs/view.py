@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.browser import serve
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     import viser
 
 
+@check_arguments
 def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "viser.ViserServer":
     """Show a scene in a browser: in mean colours, and as it is as soon as the camera rests.
 
