@@ -275,3 +275,18 @@ def test_names_that_can_be_kept_come_back(name: str, tmp_path: Path):
     scene_folder.save(select(SCENE, name, id=3), tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")
     assert torch.equal(picked(found, name), pick(SPLATS, object_id=3))
+
+
+@pytest.mark.parametrize(
+    ("place", "fact"),
+    [
+        ({"point": ("lost.jpg", 1, 2)}, "lost.jpg"),
+        ({"not_point": ("lost.jpg", 1, 2)}, "lost.jpg"),
+        ({"box": (VIEW, 0, 0, 9999, 9)}, "9999"),
+    ],
+)
+def test_places_are_checked_before_a_model_is_loaded(
+    place: dict[str, Any], fact: str, tmp_path: Path
+):
+    with pytest.raises(StyleSplatError, match=fact):
+        select(SCENE, "it", text="owl", model=str(tmp_path / "no model"), **place)

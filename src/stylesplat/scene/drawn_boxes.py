@@ -31,6 +31,23 @@ def cut_to_picture(
     return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
 
+def check_box(
+    box: Sequence[float | int], size: tuple[int, int], name: str
+) -> tuple[float, float, float, float]:
+    """The part of a box inside its photo.
+
+    Raises:
+        StyleSplatError: If it reaches far outside, or is empty.
+    """
+    inside = cut_to_picture(box, size)
+    if inside is None:
+        raise StyleSplatError(
+            f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
+            f"which is {size[0]}x{size[1]} pixels. Give x0,y0,x1,y1 in pixels of the photo."
+        )
+    return inside
+
+
 def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any], ...]:
     """The views' names and their numbers apart.
 

@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.row_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.drawn_boxes import Places, parse_places
+from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, Rules, choose
 from stylesplat.selection.detector import load_detector
@@ -99,8 +99,12 @@ def select(
         grow=grow,
         shrink=shrink,
     )
+    for view, _ in (*choice.points, *choice.not_points):
+        scene.cameras.index(view)
+    for view, edges in choice.boxes:
+        check_box(edges, scene.cameras[scene.cameras.index(view)].size, view)
     detector = None
-    if texts:
+    if texts:  # places are checked before a model is downloaded
         object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
         detector = load_detector(model, pick_device(device))
     rules = Rules(threshold, remove_outliers)

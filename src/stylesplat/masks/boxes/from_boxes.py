@@ -12,7 +12,7 @@ from stylesplat.masks.foreign import overlaid
 from stylesplat.masks.quick_splat import with_maps, with_splat
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.drawn_boxes import Places, cut_to_picture, parse_places
+from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene, check_name
 
@@ -132,14 +132,8 @@ def _scaled_stroke(stroke: Stroke, camera: Cameras, small: Cameras) -> Stroke:
 
 def _scaled(box: Box, camera: Cameras, small: Cameras) -> Box:
     """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
-    (width, height), (name,) = camera.size, camera.names
-    inside = cut_to_picture(box, camera.size)
-    if inside is None:
-        raise StyleSplatError(
-            f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
-            f"which is {width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo."
-        )
-    x0, y0, x1, y1 = inside
+    (name,) = camera.names
+    x0, y0, x1, y1 = check_box(box, camera.size, name)
     across, down = _shrinkage(camera, small)
     scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
     refuse_box(scaled, small.size, name)
