@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.intensity import check_intensity
 from stylesplat.scene.scene import Scene
@@ -10,6 +11,7 @@ from stylesplat.stylization.bookkeeping import at_intensities
 from stylesplat.stylization.undo import require_painted_objects, unpainted
 
 
+@check_arguments
 def adjust(
     scene: Scene,
     intensity: float | None = None,

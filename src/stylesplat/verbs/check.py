@@ -2,6 +2,7 @@
 
 import torch
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.io.captures.model_figures import ModelFigures, read_figures
 from stylesplat.io.captures.unposed import unposed_photos
 from stylesplat.posing import findings
@@ -14,6 +15,7 @@ from stylesplat.posing.photo_looks import photo_looks
 from stylesplat.scene.capture import Capture
 
 
+@check_arguments
 def check(capture: Capture) -> CaptureReport:
     """Look at a capture: its photos, each once, its poses, points and reconstruction.
 

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.naming import require_named
 
 
+@check_arguments
 def rename(scene: Scene, old: str, new: str) -> Scene:
     """Call an object of a scene something else.
 

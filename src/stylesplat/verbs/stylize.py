@@ -9,6 +9,7 @@ from typing import Any, cast, get_args
 
 import torch
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import measure_painted
@@ -74,6 +75,7 @@ class Unmeasured:
         return replace(self.scene, metrics={**self.scene.metrics, **figures})
 
 
+@check_arguments
 def stylize(
     scene: Scene,
     styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe,
@@ -262,7 +264,7 @@ def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> li
     return [
         Painting(
             name=each.name,
-            picked=job.picked,
+            picked=job.picked.cpu(),  # a job's may lie on a GPU; all of a scene is on the CPU
             styles=each.style.sources(),
             settings=plain(each.style.config),
             intensity=each.style.config.intensity,

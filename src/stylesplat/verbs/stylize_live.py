@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -51,6 +52,7 @@ class Live:
         return with_origin(with_paintings(self.ground, styled, painting), self.before)
 
 
+@check_arguments
 def stylize_live(
     scene: Scene,
     name: str,
