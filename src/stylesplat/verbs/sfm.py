@@ -98,7 +98,7 @@ def sfm(
             _keep_label_maps(output, new)
         _forget(work)
     _say_result(record)
-    for line in advices(report):
+    for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
 
