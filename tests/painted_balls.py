@@ -18,7 +18,9 @@ from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.stylize import stylize_unmeasured
 
-FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0)
+FAST = StyleConfig(
+    steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0, canvas="own"
+)
 ROWS = torch.arange(len(SPLATS))
 RED, GREEN, BLUE = ((ROWS >= start) & (ROWS < start + 80) for start in (200, 280, 360))
 PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
@@ -74,9 +76,9 @@ def write_painted(
     wave, night = write_pictures(folder)
     scene_folder.save(TRAINED, folder / "trained")
     rest = {"measured": False}
-    once = painted(opened(folder / "trained"), "red", wave, **rest)
+    once = painted(opened(folder / "trained"), "red", wave, canvas="fresh", **rest)
     scene_folder.save(once, folder / "once")
-    twice = painted(opened(folder / "once"), second, pictures(wave, night), canvas="own", **rest)
+    twice = painted(opened(folder / "once"), second, pictures(wave, night), **rest)
     scene_folder.save(twice, folder / "twice")
     return folder
 

@@ -15,10 +15,9 @@ from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint_objects import open_studio, paint_objects
+from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects
 from stylesplat.stylization.style_config import Precision
 from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.styled_scene import Styled
 
 
 def measured(
