@@ -64,7 +64,7 @@ def test_only_colors_of_the_picked_change(job: StyleJob, network: FeatureNetwork
     assert torch.equal(splats.sh0[~job.picked], SCENE.sh0[~job.picked])
     assert torch.equal(splats.shN[~job.picked], SCENE.shN[~job.picked])
     assert splats.shN[job.picked].any() == (mode != "drop")
-    assert styled.base.means is SCENE.means
+    assert same(styled.base, SCENE)
     assert not any(t.requires_grad for t in splats.tensors().values())
 
 

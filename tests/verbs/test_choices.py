@@ -181,7 +181,7 @@ def test_what_differs_from_a_folder_is_not_called_by_it(tmp_path: Path):
         ("scene.json", {"test_views": None}),
         ("scene.json", {"test_views": 5}),
         ("scene.json", {"capture": 5}),
-        ("recipe.json", {"scene": 5}),
+        ("layers.json", {"layers": 5}),
     ],
 )
 def test_damaged_scenes(file: str, changes: dict, tmp_path: Path):

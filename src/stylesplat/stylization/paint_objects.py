@@ -16,7 +16,7 @@ from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import compose, family_of
-from stylesplat.scene.layer import Layer, on_device, without_identities
+from stylesplat.scene.layer import Layer, without_identities
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -162,7 +162,7 @@ def paint_layer(
         family: The row of the base that each of the Gaussians beneath belongs to.
 
     Returns:
-        The layer on the CPU, and of a large scene the part that it was painted in.
+        The layer, and of a large scene the part that it was painted in.
     """
     cut = cut_scene(studio, job.picked)
     part, own = _within(cut, studio, job)
@@ -172,7 +172,7 @@ def paint_layer(
 
 
 def layer_of(state: Repainted, job: StyleJob, family: Int[Tensor, " M"]) -> Layer:
-    """An object that is painted as a layer, on the CPU.
+    """An object that is painted as a layer.
 
     A row of the base stands for the Gaussians of layers beneath that belong to it, too: its paint
     is their mean.
@@ -191,22 +191,21 @@ def layer_of(state: Repainted, job: StyleJob, family: Int[Tensor, " M"]) -> Laye
     mean = partial(_means, members=members, weights=visible.clamp(min=LEAST_WEIGHT))
     canvas = without_identities(after[count:])
     config = plain(job.config)
-    layer = Layer(
+    return Layer(
         object=job.name,
         rows=rows,
-        shares=torch.ones(len(rows)),
+        shares=torch.ones_like(rows, dtype=after.means.dtype),
         sh0=mean(after.sh0[own]),
         shN=mean(after.shN[own]),
         opacity_factors=mean(torch.where(fading, factors, torch.ones_like(factors))),
         canvas=canvas,
         canvas_sh0=before.sh0[count:],
         parents=family[state.parents[count:]],
-        relief=torch.zeros(len(rows) + len(canvas)),
+        relief=after.means.new_zeros(len(rows) + len(canvas)),
         strength=job.config.intensity,
         form=float(config.get("form", 0.0)),
         settings=config,
     )
-    return on_device(layer, "cpu")
 
 
 def _means(
@@ -306,7 +305,7 @@ def _blended(state: Repainted, splats: Splats, job: StyleJob) -> Splats:
     if job.config.intensity == 1:
         return state.splats
     rows = torch.arange(len(splats), device=splats.device)
-    return compose(splats, [on_device(layer_of(state, job, rows), splats.device)])
+    return compose(splats, [layer_of(state, job, rows)])
 
 
 def check_jobs(jobs: Sequence[StyleJob]) -> None:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.scene.layer import Layer, Source
+from stylesplat.scene.layer import Layer, Source, on_device
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_objects
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -44,13 +44,13 @@ class PaintTask:
         return StyleJob(self.name, self.picked[family], self.styles, self.style.config)
 
     def recorded(self, layer: Layer, precision: Precision) -> Layer:
-        """The layer with all that it takes to paint it again."""
+        """The layer on the CPU, with all that it takes to paint it again."""
         weights = self.weights
         if weights is not None and weights.path is not None:
             path = weights.path.resolve()
             weights = Source(path, weights.sha256 or digest(path))
         return replace(
-            layer,
+            on_device(layer, "cpu"),
             styles=self.style.sources(),
             features=self.features,
             weights=weights,
