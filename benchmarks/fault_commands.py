@@ -27,7 +27,7 @@ PROGRAM = (sys.executable, "-m", "stylesplat")
 QUICK = ("--features", "compact", "--pattern", "large", "--max-growth", "2", "--device", "cpu")
 STEPS = 60  # of training
 # Of a scene, what follows from a command alone; other files hold times
-TOLD = ("splats.ply", "picks.safetensors", "objects.json", "recipe.json", "base_colors.safetensors")
+TOLD = ("splats.ply", "picks.safetensors", "objects.json", "recipe.json", "layers.json", "base.ply")
 
 
 @dataclass(frozen=True)

@@ -207,5 +207,5 @@ def _forgotten(command: Command, here: Path) -> str | None:
     if command.verb == "select":
         name = command.arguments[2]
         return None if name in scene.objects else f"{name} was selected, and is gone"
-    strengths = {each.intensity for each in scene.painted.paintings} if scene.painted else {}
+    strengths = {each.strength for each in scene.layers}
     return None if strengths == {0.3} else f"0.3 was set, and it is {strengths}"

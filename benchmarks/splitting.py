@@ -28,12 +28,13 @@ from stylesplat.selection.choose import find_object
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
 from stylesplat.stylization.overflow import without_overflow
-from stylesplat.stylization.paint_ground import SPLIT_VIEWS
 from stylesplat.stylization.refit import refit
 from stylesplat.stylization.split import Split, split_large
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, SIZES, StyleConfig
 
 BAND = 6  # pixels
+
+SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import torch
 
+from plain_layers import SETTINGS, plain_layer
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.paintings import Gone, Looks, Painted, Painting, Source
+from stylesplat.scene.compose import with_layers
+from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -47,7 +49,7 @@ def full_scene() -> Scene:
     scene = plain_scene()
     classifier = Classifier(random(3, 16), random(3), ids=(0, 7, 70000))
     nothing = torch.zeros(COUNT, dtype=torch.bool)
-    return replace(
+    bare = replace(
         scene,
         splats=replace(
             scene.splats,
@@ -63,30 +65,25 @@ def full_scene() -> Scene:
         capture=Path("garden"),
         info={"settings": {"steps": 500}},
         metrics={"psnr": 30.5},
-        painted=painted(),
     )
+    return with_layers(bare, layers(bare.splats))
 
 
-def painted() -> Painted:
-    picture = Source(Path("/pictures/wave.jpg"), "12ab")
-    settings = {"steps": 5, "scale": 2.0, "layers": [3], "intensity": 1.0}
-    fox = Painting("fox", torch.arange(COUNT) < 2, (picture,), settings, 0.7, "compact")
-    other = Painting(
-        name="7",
-        picked=torch.arange(COUNT) == 4,
-        styles=(picture, Source(None, "34cd")),
-        settings={**settings, "steps": 9},
-        intensity=1.0,
+def layers(base: Splats) -> tuple[Layer, ...]:
+    fox = plain_layer(base, torch.arange(2), "fox", canvas=3, seed=4, strength=0.7, form=0.4)
+    other = plain_layer(
+        base,
+        torch.tensor([4]),
+        "7",
+        seed=5,
+        styles=(*fox.styles, Source(None, "34cd")),
+        settings={**SETTINGS, "steps": 9},
         features="vgg19",
         weights=Source(Path("/nets/vgg19.pth"), "56ef"),
-        upon={"fox": 0.5},
+        precision="float32",
     )
-    opacities = plain_scene().splats.opacities
-    laid = torch.where(torch.arange(COUNT) == 1, -16.0, opacities)
-    before = Looks(random(COUNT, 1, 3), random(COUNT, 15, 3), laid)
-    full = Looks(random(COUNT, 1, 3) + 1, random(COUNT, 15, 3) + 1, opacities)
-    gone = (Gone(replace(other, name="fox", picked=other.picked[:0], upon={}), 0),)
-    return Painted((fox, other), before, full, origin=Path("/scenes/trained"), gone=gone)
+    hidden = plain_layer(base, torch.arange(3, 6), "Brücke", canvas=2, seed=6)
+    return fox, other, replace(hidden, visible=False, shN=0 * hidden.shN)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

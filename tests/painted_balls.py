@@ -10,7 +10,8 @@ from PIL import Image
 
 from balls import CAMERAS, SPLATS
 from stylesplat.io import scene_folder
-from stylesplat.scene.paintings import Painted
+from stylesplat.scene.compose import mask_of
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.style import Style
@@ -65,7 +66,7 @@ def painted(
 def write_painted(
     folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
 ) -> Path:
-    """The balls; red painted, split; a second one upon that, on a canvas; and two pictures.
+    """The balls; red painted on a canvas, a second one on its own Gaussians; and two pictures.
 
     Args:
         folder: Gets `trained`, `once`, `twice` and the pictures.
@@ -75,25 +76,46 @@ def write_painted(
     wave, night = write_pictures(folder)
     scene_folder.save(TRAINED, folder / "trained")
     rest = {"measured": False}
-    once = painted(opened(folder / "trained"), "red", wave, **rest)
+    once = painted(opened(folder / "trained"), "red", wave, canvas="fresh", **rest)
     scene_folder.save(once, folder / "once")
-    twice = painted(opened(folder / "once"), second, pictures(wave, night), canvas="fresh", **rest)
+    twice = painted(opened(folder / "once"), second, pictures(wave, night), **rest)
     scene_folder.save(twice, folder / "twice")
     return folder
 
 
 def contents(folder: Path, *but: str) -> dict[str, bytes]:
     """The files of a scene, without some."""
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in but}
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in but)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def opened(path: Path) -> Scene:
     return scene_folder.open(path)
 
 
-def paint_of(scene: Scene) -> Painted:
-    assert scene.painted is not None
-    return scene.painted
+def layer_of(scene: Scene, name: str) -> Layer:
+    """The layer of an object."""
+    (found,) = (layer for layer in scene.layers if layer.object == name)
+    return found
+
+
+def own_rows(scene: Scene, name: str) -> torch.Tensor:
+    """The Gaussians of a scene that belong to what a layer covers."""
+    return mask_of(layer_of(scene, name), scene)
+
+
+def assert_same_layers(one: Scene, other: Scene) -> None:
+    """To the bit."""
+    assert len(one.layers) == len(other.layers)
+    for mine, its in zip(one.layers, other.layers, strict=True):
+        for name, value in vars(mine).items():
+            found = getattr(its, name)
+            if isinstance(value, torch.Tensor):
+                assert torch.equal(value, found), name
+            elif isinstance(value, Splats):
+                assert_same_splats(value, found)
+            else:
+                assert value == found, name
 
 
 def assert_same_splats(one: Splats, other: Splats) -> None:

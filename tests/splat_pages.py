@@ -12,8 +12,9 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from painted_balls import PICKS
+from plain_layers import layer_towards
 from stylesplat.rendering.sh import sh0_from_rgb
-from stylesplat.scene.paintings import Looks, Painted, Painting
+from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 
@@ -44,18 +45,19 @@ def scene() -> Scene:
     sh0 = torch.where(painted[:, None, None], sh0_from_rgb(before.sh0.abs() % 1), before.sh0)
     shN = torch.where(painted[:, None, None], 0 * before.shN, before.shN)
     faded = torch.where(painted & (torch.arange(count) % 7 == 0), -16.0, before.opacities)
-    laid = painted & (torch.arange(count) % 7 == 1)  # a canvas, which does not show before
     after = replace(before, sh0=sh0, shN=shN, opacities=faded)
-    before = replace(before, opacities=torch.where(laid, -16.0, before.opacities))
-    paintings = [
-        Painting(name, PICKED[name], (), {}, 1.0, "compact", upon={}) for name in ("red", "blue")
-    ]
-    return Scene(
-        splats=after,
+    scene = Scene(
+        splats=before,
         cameras=CAMERAS,
         objects={name: SceneObject(picked) for name, picked in PICKED.items()},
-        painted=Painted(tuple(paintings), Looks.of(before), Looks.of(after)),
     )
+    layers = [layer_towards(before, after, PICKED[name], name) for name in ("red", "blue")]
+    rows = PICKED["red"].nonzero()[::7, 0]
+    canvas = replace(after[rows], identities=None, classifier=None, means=after.means[rows] + 0.01)
+    colors = {"canvas": canvas, "canvas_sh0": before.sh0[rows], "parents": rows}
+    relief = torch.zeros(len(layers[0].rows) + len(rows))
+    layers[0] = replace(layers[0], **colors, relief=relief)
+    return with_layers(scene, layers)
 
 
 @dataclass(frozen=True)
@@ -111,12 +113,13 @@ def read(page: str) -> Read:
         shN=_tensor(sum(palettes[level][:, entries[level]] for level in (0, 1))).transpose(0, 1),
     )
     shN = _tensor(sum(palettes[level][:, earlier[level]] for level in (0, 1))).transpose(0, 1)
-    earlier_looks = Looks(
+    earlier_splats = replace(
+        splats,
         sh0=sh0_from_rgb(_tensor(before.T))[:, None],
         shN=shN,
         opacities=_tensor(earlier_opacities).logit(),
     )
-    return Read(about, splats, earlier_looks.on(splats))
+    return Read(about, splats, earlier_splats)
 
 
 class _Columns:

@@ -51,8 +51,7 @@ def test_after_save_as_the_commands_start_from_what_is_saved(session: Session, t
     (line,) = lines
     words = ["stylesplat", "stylize", str(place.folder), "--style", f"7={picture}"]
     assert shlex.split(line)[:5] == words and str(out) in line
-    saved = open(place.folder).painted
-    assert saved is not None and saved.names == ("red",), "on this the line goes on"
+    assert open(place.folder).painted_objects == ("red",), "on this the line goes on"
 
 
 def test_what_is_recovered_has_the_commands_of_the_run_before(session: Session):

@@ -233,7 +233,7 @@ def saved_and_exported(opened: Studio, tab: Tab, file: Path) -> None:
     tab.press_button("Save")
     until(lambda: not opened.session.unsaved, "saving")
     saved = open(opened.session.folder)
-    assert saved.painted is not None and saved.painted.names == ("3",)
+    assert saved.painted_objects == ("3",)
     assert "--region" in tab.text() and "stripes.png" in tab.text()
     tab.press_button("Download")
     until(file.exists, "a download")

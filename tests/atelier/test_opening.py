@@ -58,7 +58,7 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
     assert strokes.wait(60)
     opened.close()
     kept = open(folder / AUTOSAVE)
-    assert kept.painted is not None and kept.painted.names == ("3",)
+    assert kept.painted_objects == ("3",)
     assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
 
 
@@ -77,8 +77,7 @@ def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(fo
         opened.page.paint.easel.paint(("red",), Style(stripes(), config=QUICK), "stripes")
         assert opened.session.worker.settle()
         assert kept and not any(kept)
-        painted = open(folder / AUTOSAVE).painted
-        assert painted is not None and painted.names == ("red",)
+        assert open(folder / AUTOSAVE).painted_objects == ("red",)
     finally:
         opened.close()
 

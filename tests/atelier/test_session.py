@@ -19,10 +19,10 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
 from stylesplat.rendering.sh import rgb_from_sh0
+from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.bookkeeping import strengths
 from stylesplat.stylization.paint_objects import paint
 from stylesplat.stylization.plain_settings import plain
 
@@ -63,8 +63,7 @@ def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
     painted(session, "3")
     found = session.state.scene
     assert torch.equal(found.splats.sh0, wanted.sh0)
-    assert found.painted is not None
-    (painting,) = found.painted.paintings
+    (painting,) = found.layers
     assert painting.settings == plain(QUICK) and painting.styles == quick_style().sources()
     assert not torch.equal(seen[0], before.splats.sh0), "the colours are there at once"
     assert len(seen) > 2 and session.preview is None and session.progress is None
@@ -72,15 +71,15 @@ def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
 
 def test_several_are_queued_and_undo_takes_one_after_the_other_back(session: Session):
     painted(session, "3", "7")
-    assert [*strengths(session.state.scene)] == ["3", "7"]
+    assert [*strengths_of(session.state.scene)] == ["3", "7"]
     session.step(-1)
     assert session.worker.settle()
-    assert [*strengths(session.state.scene)] == ["3"]
+    assert [*strengths_of(session.state.scene)] == ["3"]
     session.step(-1)
     session.step(1)
     session.step(1)
     assert session.worker.settle()
-    assert [*strengths(session.state.scene)] == ["3", "7"]
+    assert [*strengths_of(session.state.scene)] == ["3", "7"]
 
 
 def test_stop_keeps_what_there_is_and_continue_finishes_it(
@@ -99,7 +98,7 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     assert session.worker.settle()
     assert session.state.note.startswith("Stopped at step"), said
     early = session.state.scene
-    assert early.painted is not None and easel.can_continue
+    assert early.layers and easel.can_continue
     easel.go_on()
     assert session.worker.settle()
     assert torch.equal(session.state.scene.splats.sh0, wanted.sh0)
@@ -123,7 +122,7 @@ def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
     assert session.state is before and not session.painting and not easel.can_continue
     assert session.preview is None and not easel.waiting
     painted(session, "3")
-    assert strengths(session.state.scene) == {"3": 1.0}, "it can be painted afterwards"
+    assert strengths_of(session.state.scene) == {"3": 1.0}, "it can be painted afterwards"
 
 
 def test_stop_between_the_order_and_its_first_step_ends_nothing_else(
@@ -192,12 +191,11 @@ def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(sess
             kind=f"slider {value}",
         )
     assert session.worker.settle()
-    assert strengths(session.state.scene) == {"3": 0.0}
-    assert full.scene.painted is not None
-    assert torch.equal(session.state.scene.splats.sh0, full.scene.painted.before.sh0)
+    assert strengths_of(session.state.scene) == {"3": 0.0}
+    assert torch.equal(session.state.scene.splats.sh0, full.scene.unpainted.sh0)
     session.step(-1)
     assert session.worker.settle()
-    assert strengths(session.state.scene) == {"3": 1.0}
+    assert strengths_of(session.state.scene) == {"3": 1.0}
     session.do(lambda state: taken_back(state, "3"))
     session.do(lambda _: session.history.at(variant.bookmark))
     assert session.worker.settle()
@@ -247,11 +245,11 @@ def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, s
     assert [*open(session.folder).objects] == ["red"]
     painted(session, "red")
     place.save(session)
-    assert strengths(open(session.folder)) == {"red": 1.0}
+    assert strengths_of(open(session.folder)) == {"red": 1.0}
     session.step(-1)
     assert session.worker.settle()
     place.save(session)
-    assert open(session.folder).painted is None, "saving after undo takes the paint back"
+    assert not open(session.folder).layers, "saving after undo takes the paint back"
 
 
 def versions(folder: Path) -> dict[str, tuple[int, int]]:

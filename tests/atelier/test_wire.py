@@ -17,9 +17,9 @@ from stylesplat.atelier.warming import warm_up
 from stylesplat.atelier.wire import MARK, Said, read
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.io.scene_folder import save
+from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.stylization.bookkeeping import strengths
 
 CAMERA = enlarged(CAMERAS, 4)[0]
 
@@ -43,7 +43,7 @@ def test_only_what_the_script_tells_is_understood():
 def test_what_was_before_is_seen_for_as_long_as_anybody_holds_the_key(opened: Studio):
     session, stage = opened.session, opened.page.stage
     Easel(session, device="cpu").paint(("3",), quick_style(), "stripes")
-    assert session.worker.settle() and strengths(session.state.scene)
+    assert session.worker.settle() and strengths_of(session.state.scene)
     painted = stage.look(CAMERA)
     for client, before in ((1, True), (2, True), (2, True), (1, False)):
         stage.hold(client, before)

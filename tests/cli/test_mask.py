@@ -55,8 +55,7 @@ def test_from_a_box_to_a_painted_object(
     assert [*scene_folder.open(imported).objects] == ["vase"]
     paint = ("stylize", imported, "--style", f"vase={style}", "-o", styled, "--device", "cpu")
     assert run(*paint, *QUICK) == 0
-    painted = scene_folder.open(styled).painted
-    assert painted is not None and painted.names == ("vase",)
+    assert scene_folder.open(styled).painted_objects == ("vase",)
 
 
 def test_masks_with_names_that_cannot_be(

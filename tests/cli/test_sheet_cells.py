@@ -71,7 +71,7 @@ def test_cells_are_kept_and_show_what_a_sheet_shows(
     # threads add in another order, and two steps make little of that
     assert first.shape == second.shape and (first - second).abs().mean() < 0.2
     (made,) = cells.glob(f"*/{SCENE}")
-    assert made.parent.name == f"{scene.name}-3-{style.stem}" and open(made.parent).painted
+    assert made.parent.name == f"{scene.name}-3-{style.stem}" and open(made.parent).layers
 
     before = made.stat().st_mtime_ns
     assert run(*say, "-o", other, "--cells", cells, "--overwrite", "--workers", 2) == 0

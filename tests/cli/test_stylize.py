@@ -11,7 +11,7 @@ import stylesplat as ss
 from command_line import QUICK, result, run
 from stylesplat.io.scene_folder import save
 
-SPLIT = ("sh0", "shN", "scales", "opacities")  # what a Gaussian that is split and painted changes
+PAINT = ("sh0", "shN", "opacities")  # what changes of a Gaussian that is painted
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
@@ -27,7 +27,7 @@ def test_the_scene_is_there_before_it_is_measured(
     arguments = ("--style", f"3={style}", "--steps", 1, "--hard", *QUICK, "--max-growth", 1)
     assert run("stylize", scene, "-o", out, *arguments, "--texture", 0.3) != 0
     styled = ss.open(out)
-    assert styled.painted is not None
+    assert styled.painted_objects == ("3",)
     recipe = json.loads((out / "recipe.json").read_text())
     assert recipe["settings"]["texture"] == 0.3, "a number"
     assert styled.metrics["steps"] == 1 and "nnfm_after" not in styled.metrics
@@ -69,7 +69,7 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
     assert before.identities is not None
     painted = (before.identities[:, 1] + before.identities[:, 2]) > 0
     for name, tensor in before.tensors().items():
-        kept = ~painted if name in SPLIT else torch.ones_like(painted)
+        kept = ~painted if name in PAINT else torch.ones_like(painted)
         assert torch.equal(tensor[kept], after.tensors()[name][kept]), name
     assert (before.sh0[painted] != after.sh0[painted]).any(dim=(1, 2)).all()
     assert metrics["changed_gaussians"] == 160 + new
@@ -77,8 +77,8 @@ def test_stylize_changes_only_the_colours_of_the_objects(scene: Path, style: Pat
     assert set(metrics["nnfm_before"]) == set(metrics["nnfm_after"]) == {"red", "green"}
     assert metrics["steps"] == 6 and metrics["precision"].startswith(("float", "bfloat"))
     assert set(metrics["seconds_by_object"]) == {"red", "green"}
-    assert styled.painted is not None
-    assert torch.equal(styled.painted.before.sh0[: len(before)], before.sh0)
+    assert styled.painted_objects == ("red", "green")
+    assert torch.equal(styled.unpainted.sh0, before.sh0)
     recipe = json.loads((out / "recipe.json").read_text())
     assert len(recipe["objects"][0]["sha256"]) == 64
     assert recipe["settings"]["hard"] is True

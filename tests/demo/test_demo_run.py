@@ -59,7 +59,7 @@ def test_all_of_it_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         assert picture.size == (240, 180), "twice the photos' size"
     scene, styled = ss.open(out / "scene"), ss.open(out / "styled")
     assert {*scene.objects} >= {"vase", "teapot"}
-    assert styled.painted is not None and styled.painted.names == ("vase", "teapot")
+    assert styled.painted_objects == ("vase", "teapot")
     assert len(ss.load(out / "capture" / "small")) == 9
     with pytest.raises(StyleSplatError, match="--overwrite"):
         run_demo(out)

@@ -20,6 +20,7 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import rows_unpainted
 from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
@@ -32,7 +33,7 @@ VIEWS = enlarged(CAMERAS, 10)
 def test_a_page_holds_the_numbers_within_their_rounding():
     found = read(page_of(SCENE, title="balls"))
     rows = morton_order(SCENE.splats.means)
-    splats, before = SCENE.splats[rows], SCENE.unpainted[rows]
+    splats, before = SCENE.splats[rows], rows_unpainted(SCENE)[rows]
     assert found.about["count"] == len(splats)
     assert found.about["painted"] == int((splats.sh0 != before.sh0).flatten(1).any(dim=1).sum())
     low, high = (torch.tensor(each) for each in zip(*found.about["means"], strict=True))

@@ -55,10 +55,10 @@ def use_scene(folder: Path, out: Path) -> None:
     look_at(scene)
     views, _ = scene.working_views()
     assert len(views)
-    if scene.painted is not None:
+    if scene.layers:
         look_at(ss.adjust(scene, 0.5))
         look_at(ss.adjust(scene, undo=True))
-        for name in scene.painted.names:
+        for name in scene.painted_objects:
             look_at(ss.adjust(scene, objects=name, undo=True))
     ss.save(scene, out / "scene")
     ss.open(out / "scene")
@@ -194,7 +194,7 @@ def use_weights(folder: Path, out: Path) -> None:
 
 
 READERS = {
-    "scene": Reader(seeds.scene, ("scene/*",), use_scene),
+    "scene": Reader(seeds.scene, ("scene/*.*", "scene/layers/*"), use_scene),
     "splats": Reader(seeds.splats, ("*",), use_splats),
     "sog": Reader(seeds.sog, ("*",), use_sog),
     "labels": Reader(seeds.row_labels, ("*",), use_row_labels),

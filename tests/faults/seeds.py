@@ -16,6 +16,7 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS, CLASSIFIER
 from glb_files import as_gltf, glb_parts
 from pictures_of_walks import walk
+from plain_layers import plain_layer
 from scenes import random_splats, two_cameras
 from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
 from stylesplat.io.label_maps import write_label_map
@@ -24,8 +25,8 @@ from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State
 from stylesplat.posing.prepare import prepare
+from stylesplat.scene.compose import with_layers
 from stylesplat.scene.listed import Listed, ListedObjects
-from stylesplat.scene.paintings import Gone, Looks, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.features.weights import PACKAGED
 from stylesplat.training.loop import fit
@@ -43,31 +44,19 @@ def scene(folder: Path) -> None:
     """A styled scene that has everything, of six Gaussians that two cameras see."""
     splats = random_splats(COUNT)
     picked = torch.arange(COUNT) < 3
-    ss.save(
-        Scene(
-            splats=replace(splats, classifier=CLASSIFIER, confidence=torch.rand(COUNT)),
-            cameras=two_cameras(),
-            held_out=("first.png",),
-            objects={"fox": SceneObject(picked, {"ids": [3]}), "pot": SceneObject(~picked, {})},
-            capture=folder / "capture",
-            info={"settings": {"steps": 5}, "libraries": {"torch": "2"}},
-            metrics={"psnr": 30.5},
-            painted=_painted(picked),
-        ),
-        folder / "scene",
+    bare = Scene(
+        splats=replace(splats, classifier=CLASSIFIER, confidence=torch.rand(COUNT)),
+        cameras=two_cameras(),
+        held_out=("first.png",),
+        objects={"fox": SceneObject(picked, {"ids": [3]}), "pot": SceneObject(~picked, {})},
+        capture=folder / "capture",
+        info={"settings": {"steps": 5}, "libraries": {"torch": "2"}},
+        metrics={"psnr": 30.5},
     )
-
-
-def _painted(picked: torch.Tensor) -> Painted:
-    settings = {"steps": 5, "scale": 2.0, "layers": [3], "intensity": 1.0}
-    wave = Source(Path("wave.png"), "12ab")
-    fox = Painting("fox", picked & (torch.arange(COUNT) < 2), (wave,), settings, 0.7, "compact")
-    pot = Painting("pot", ~picked, (wave, Source(None)), settings, 1.0, "vgg19", upon={"fox": 0.5})
-    before, full = random_splats(COUNT, seed=1), random_splats(COUNT, seed=2)
-    unsplit = Unsplit(COUNT - 1, torch.tensor([1]), torch.full((1, 3), -2.0), torch.tensor([0.5]))
-    gone = (Gone(replace(fox, name="cup", picked=picked[:0]), 1),)
-    colors = Looks.of(before), Looks.of(full)
-    return Painted((fox, pot), *colors, unsplit, Path("trained"), gone)
+    rows = torch.arange(COUNT)
+    fox = plain_layer(splats, rows[:2], "fox", canvas=3, strength=0.7)
+    pot = plain_layer(splats, rows[3:], "pot", seed=1, features="vgg19")
+    ss.save(with_layers(bare, (fox, pot)), folder / "scene")
 
 
 def splats(folder: Path) -> None:
@@ -225,7 +214,7 @@ def recipe(folder: Path) -> None:
     shutil.copy(folder / "scene/recipe.json", folder / "recipe.json")
     shutil.rmtree(folder / "scene")
     content = json.loads((folder / "recipe.json").read_text())
-    for entry in (*content["objects"], *content["gone"]):
+    for entry in content["objects"]:
         entry |= {"style": "wave.png", "sha256": None}
     (folder / "recipe.json").write_text(json.dumps(content))
     (folder / "recipe.yaml").write_text(

@@ -11,22 +11,20 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from full_scenes import COUNT, full_scene, painted, random
+from full_scenes import COUNT, full_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.scene.paintings import Unsplit
 from stylesplat.scene.scene import SceneObject
 
 BAD_NAMES = ["__metadata__", "a/b", "../a", "a\nb", "a\x00b", "x" * 101, " ", "42", "a=b"]
 ONES = torch.ones
+FOX = "layers/01-fox"
 Change = Callable[[Any], Any]
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    split = Unsplit(4, torch.tensor([0, 3]), random(2, 3), random(2))
-    scene = replace(full_scene(), painted=replace(painted(), unsplit=split))
-    scene_folder.save(scene, tmp_path / "scene")
+    scene_folder.save(full_scene(), tmp_path / "scene")
     return tmp_path / "scene"
 
 
@@ -54,8 +52,8 @@ def camera(*keys: str | int, value: object) -> Change:
     return put("cameras", 0, *keys, value=value)
 
 
-def painting(key: str, value: object) -> Change:
-    return put("objects", 0, key, value=value)
+def layer(key: str, value: object) -> Change:
+    return put("layers", 0, key, value=value)
 
 
 JSON_MUTANTS: list[tuple[str, Change]] = [
@@ -91,21 +89,27 @@ JSON_MUTANTS: list[tuple[str, Change]] = [
         for value in (3, None, [-1], [2**24], ["7"], [[7]], [10**30], {"a": 1})
     ),
     ("metrics.json", put("train", value=3)),
-    *(("recipe.json", put("objects", value=value)) for value in ([], {}, None, [3], [{}])),
-    *(("recipe.json", put("settings", value=value)) for value in ([], None, 3)),
-    *(("recipe.json", put("scene", value=value)) for value in ([], 3, "a\0b")),
-    *(("recipe.json", painting("name", name)) for name in (*BAD_NAMES[:-3], 3, None, "9" * 5000)),
-    *(("recipe.json", painting("style", value)) for value in (3, [3], {}, [], ["a", "b"], "a\0")),
-    *(("recipe.json", painting("sha256", value)) for value in (3, [3], {}, "x" * 200, "a\nb")),
-    *(("recipe.json", painting("settings", value)) for value in (None, 3, [["a", 1]])),
-    *(("recipe.json", painting("intensity", value)) for value in ("x", -1, 9, float("nan"), [])),
-    *(("recipe.json", painting("features", value)) for value in (3, [], "a\nb")),
-    *(("recipe.json", painting("weights", value)) for value in (3, [], "\0")),
-    *(("recipe.json", painting("upon", value)) for value in (None, [], {"a": "x"}, {"a": -1})),
-    *(("recipe.json", put("gone", value=value)) for value in (None, 3, {}, [3], [{}])),
-    *(("recipe.json", put("gone", 0, "name", value=name)) for name in ("a/b", 3, "")),
-    *(("recipe.json", put("gone", 0, "place", value=value)) for value in (-1, 0.5, 2**40, "x")),
-    *(("recipe.json", put("gone", 0, "style", value=value)) for value in (3, {}, ["a"])),
+    *(("layers.json", put("layers", value=value)) for value in ([], {}, None, [3], [{}])),
+    *(("layers.json", layer("object", name)) for name in (*BAD_NAMES[:-3], 3, None, "9" * 5000)),
+    ("layers.json", layer("object", "7")),
+    *(
+        ("layers.json", layer("file", value))
+        for value in (
+            *("../picks.safetensors", "/etc/passwd", "01-a/b.safetensors", "..", "", 3, None),
+            *("01-fox.safetensors\n", "01-..safetensors", "1-fox.safetensors", "01-fox.ply"),
+        )
+    ),
+    *(("layers.json", layer("kind", value)) for value in ("photo", 3, None)),
+    *(("layers.json", layer("styles", value)) for value in (3, [3], {}, ["a"], [{"path": 3}])),
+    *(("layers.json", layer("styles", [{"path": value}])) for value in ([3], "a\0", {})),
+    *(("layers.json", layer("styles", [{"sha256": value}])) for value in (3, "x" * 200, "a\nb")),
+    *(("layers.json", layer("settings", value)) for value in (None, 3, [["a", 1]])),
+    *(("layers.json", layer("settings", {"form": value})) for value in ("x", -1, 9, None)),
+    *(("layers.json", layer("strength", value)) for value in ("x", -1, 9, float("nan"), [])),
+    *(("layers.json", layer("form", value)) for value in ("x", -1, 9, float("nan"), [])),
+    *(("layers.json", layer("visible", value)) for value in ("x", 1, None)),
+    *(("layers.json", layer("features", value)) for value in (3, [], "a\nb")),
+    *(("layers.json", layer("weights", value)) for value in (3, [], "a")),
 ]
 
 
@@ -116,7 +120,7 @@ def test_json_that_does_not_fit(folder: Path, name: str, change: Change):
     refused(folder, name)
 
 
-@pytest.mark.parametrize("name", ["scene", "cameras", "objects", "metrics", "recipe"])
+@pytest.mark.parametrize("name", ["scene", "cameras", "objects", "metrics", "layers"])
 @pytest.mark.parametrize(
     "content",
     [
@@ -159,10 +163,8 @@ TENSOR_MUTANTS: list[tuple[str, Change]] = [
             ("identities", "weight"),
             ("identities", "bias"),
             ("identities", "confidence"),
-            ("base_colors", "sh0"),
-            ("style_colors", "shN"),
-            ("unsplit", "scales"),
-            ("unsplit", "opacities"),
+            *((FOX, name) for name in ("shares", "sh0", "shN", "opacity_factors", "relief")),
+            *((FOX, f"canvas_{name}") for name in ("means", "scales", "opacities", "relief")),
         )
         for change in (
             torch.Tensor.half,
@@ -179,35 +181,28 @@ TENSOR_MUTANTS: list[tuple[str, Change]] = [
         (file, without(name))
         for file, name in (
             *(("identities", name) for name in ("identities", "weight", "bias", "ids")),
-            ("base_colors", "shN"),
-            ("style_colors", "sh0"),
-            *(("unsplit", name) for name in ("count", "rows", "scales", "opacities")),
+            *((FOX, name) for name in ("rows", "shares", "shN", "parents", "canvas_quats")),
             ("picks", "fox"),
-            ("paintings", "0"),
         )
     ),
-    *(
-        (file, with_tensor("extra", ONES(COUNT)))
-        for file in ("base_colors", "unsplit", "paintings")
-    ),
+    (FOX, with_tensor("extra", ONES(COUNT))),
+    (FOX, with_tensor("shN", ONES(2, 8, 3))),
+    (FOX, with_tensor("shN", ONES(2, 7, 3))),
+    *((FOX, with_tensor("rows", torch.tensor(rows))) for rows in ([0, 6], [0, -1], [0, 0], [0])),
+    *((FOX, with_tensor("parents", torch.tensor(rows))) for rows in ([0, 1, 6], [0, 1, -1], [0])),
+    *((FOX, with_tensor("shares", torch.tensor(shares))) for shares in ([0, 1.1], [-0.1, 1.0])),
+    (FOX, with_tensor("opacity_factors", torch.tensor([0, 1.1]))),
     ("identities", with_tensor("extra", ONES(COUNT))),
-    ("base_colors", with_tensor("shN", ONES(COUNT, 8, 3))),
     ("identities", with_tensor("ids", torch.tensor([0, 0, 7]))),
     ("identities", with_tensor("ids", torch.tensor([0, 7, -1]))),
     ("identities", with_tensor("ids", torch.tensor([0, 7, 2**24]))),
     ("identities", with_tensor("ids", torch.tensor([0, 7]))),
     ("identities", with_tensor("ids", torch.tensor([0.0, 7.0, 9.0]))),
     ("identities", lambda t: {**t, "ids": t["ids"][:0], "weight": ONES(0, 16), "bias": ONES(0)}),
-    ("identities", changed("identities", lambda tensor: tensor.reshape(16, COUNT).clone())),
-    ("unsplit", with_tensor("rows", torch.tensor([0, 4]))),
-    ("unsplit", with_tensor("rows", torch.tensor([0, -1]))),
-    ("unsplit", with_tensor("rows", torch.tensor([0, 0]))),
-    ("unsplit", with_tensor("count", torch.tensor(COUNT + 1))),
-    ("unsplit", with_tensor("count", torch.tensor([4]))),
-    ("unsplit", with_tensor("count", torch.tensor(-1))),
-    *((file, lambda t: dict.fromkeys(t, ONES(COUNT))) for file in ("picks", "paintings")),
-    *((file, lambda t: dict.fromkeys(t, ONES(COUNT, 1) > 0)) for file in ("picks", "paintings")),
-    *((file, lambda t: dict.fromkeys(t, ONES(3, 2) > 0)) for file in ("picks", "paintings")),
+    ("identities", changed("identities", lambda tensor: tensor.reshape(16, -1).clone())),
+    ("picks", lambda t: dict.fromkeys(t, ONES(COUNT))),
+    ("picks", lambda t: dict.fromkeys(t, ONES(COUNT, 1) > 0)),
+    ("picks", lambda t: dict.fromkeys(t, ONES(3, 2) > 0)),
 ]
 
 
@@ -255,29 +250,23 @@ def test_pipes_devices_and_folders_are_no_files(folder: Path, name: str):
         refused(folder, name)
 
 
-def test_a_painting_too_few_is_refused(folder: Path):
-    path = folder / "paintings.safetensors"
-    path.write_bytes(save(without("1")(load(path.read_bytes()))))
-    refused(folder, "recipe.json")
-
-
 def test_a_scene_without_gaussians_is_refused(folder: Path):
     path = folder / "splats.ply"
     head, _, _ = path.read_bytes().partition(b"end_header\n")
-    path.write_bytes(head.replace(b"vertex 6", b"vertex 0") + b"end_header\n")
+    path.write_bytes(head.replace(b"vertex 9", b"vertex 0") + b"end_header\n")
     refused(folder, "splats.ply")
 
 
 @pytest.mark.parametrize("name", BAD_NAMES)
 def test_names_that_files_cannot_have_are_not_written(name: str, tmp_path: Path):
     scene = full_scene()
-    named = replace(scene, objects={name: SceneObject(torch.zeros(COUNT, dtype=torch.bool))})
+    nothing = SceneObject(torch.zeros(len(scene.splats), dtype=torch.bool))
+    named = replace(scene, objects={name: nothing})
     with pytest.raises(StyleSplatError, match="Cannot call an object"):
         scene_folder.save(named, tmp_path / "scene")
-    assert scene.painted is not None
-    first, second = scene.painted.paintings
-    drawn = replace(scene.painted, paintings=(replace(first, name=name), second))
+    first, *others = scene.layers
+    drawn = (replace(first, object=name), *others)
     if name != "42":  # the id of a label
         with pytest.raises(StyleSplatError, match="Cannot call an object"):
-            scene_folder.save(replace(scene, painted=drawn), tmp_path / "scene")
+            scene_folder.save(replace(scene, layers=drawn), tmp_path / "scene")
     assert not (tmp_path / "scene").exists()

@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 import torch
 
-from full_scenes import COUNT, assert_same, contents, full_scene, painted, plain_scene
+from full_scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import folders, scene_folder
 from stylesplat.io.scene_folder import revise
+from stylesplat.scene.compose import with_layers, with_strengths, without_layers
 from stylesplat.scene.scene import Scene, SceneObject
 
 # All by which `folders` changes what lies in a folder, deletions aside, which are the last it does
@@ -58,7 +59,7 @@ def can_exchange(folder: Path) -> bool:
 def test_a_revision_changes_nothing_else(tmp_path: Path):
     scene_folder.save(full_scene(), tmp_path / "scene")
     scene, before = scene_folder.open(tmp_path / "scene"), contents(tmp_path / "scene")
-    objects = {"table": SceneObject(torch.ones(COUNT, dtype=torch.bool), {"count": COUNT})}
+    objects = {"table": SceneObject(torch.ones(len(scene.splats), dtype=torch.bool), {"count": 9})}
     after = replace(scene, objects=objects)
     revise(scene, after, tmp_path / "scene")
     found = contents(tmp_path / "scene")
@@ -70,15 +71,21 @@ def test_a_revision_changes_nothing_else(tmp_path: Path):
 
 
 EVERYTHING: list[Callable[[Scene], Scene]] = [
-    lambda scene: replace(scene, splats=plain_scene().splats),
-    lambda scene: replace(scene, splats=replace(scene.splats, confidence=None)),
+    lambda scene: replace(without_layers(scene), splats=plain_scene().splats),
     lambda scene: replace(scene, cameras=scene.cameras[[1]]),
     lambda scene: replace(scene, held_out=("sub/b.png",)),
     lambda scene: replace(scene, downscale=4.0),
     lambda scene: replace(scene, capture=None),
     lambda scene: replace(scene, objects={}),
-    lambda scene: replace(scene, painted=None),
-    lambda scene: replace(scene, painted=replace(painted(), origin=None)),
+    without_layers,
+    lambda scene: without_layers(scene, ["fox"]),
+    lambda scene: with_layers(scene, scene.layers[::-1]),
+    lambda scene: with_layers(scene, (*scene.layers[1:], scene.layers[0])),
+    lambda scene: with_layers(scene, scene.layers[:1]),
+    lambda scene: with_strengths(scene, {"fox": 0.2}, {"7": 1.0}),
+    lambda scene: replace(
+        scene, layers=(replace(scene.layers[0], object="vixen"), *scene.layers[1:])
+    ),
     lambda scene: replace(scene, info={"settings": {"steps": 1}}),
     lambda scene: replace(scene, metrics={}),
 ]
@@ -90,6 +97,44 @@ def test_whatever_changed_is_revised(change: Callable[[Scene], Scene], tmp_path:
     before = scene_folder.open(tmp_path / "scene")
     revise(before, change(before), tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), change(before))
+
+
+@pytest.mark.parametrize("change", EVERYTHING)
+def test_a_revised_folder_is_the_same_as_a_new_one(
+    change: Callable[[Scene], Scene], tmp_path: Path
+):
+    scene_folder.save(full_scene(), tmp_path / "scene")
+    before = scene_folder.open(tmp_path / "scene")
+    revise(before, change(before), tmp_path / "scene")
+    scene_folder.save(change(before), tmp_path / "new")
+    assert contents(tmp_path / "scene") == contents(tmp_path / "new")
+
+
+def test_layers_that_stay_are_not_written_again(tmp_path: Path):
+    folder = tmp_path / "scene"
+    scene_folder.save(full_scene(), folder)
+    scene, before = scene_folder.open(folder), inodes(folder)
+    revise(scene, without_layers(scene, ["fox"]), folder)
+    after = inodes(folder)
+    assert after["layers/01-7.safetensors"] == before["layers/02-7.safetensors"]
+    assert {name for name in after if name.startswith("layers/")} == {
+        *("layers/01-7.safetensors", "layers/02-Br_cke.safetensors")
+    }
+    scene = scene_folder.open(folder)
+    revise(scene, with_strengths(scene, {"7": 0.3}), folder)
+    assert inodes(folder)["layers/01-7.safetensors"] == before["layers/02-7.safetensors"]
+    assert inodes(folder)["base.ply"] == before["base.ply"]
+
+
+def test_a_folder_of_layers_that_leads_elsewhere_is_not_written_into(tmp_path: Path):
+    folder, elsewhere = tmp_path / "scene", tmp_path / "elsewhere"
+    scene_folder.save(full_scene(), folder)
+    (folder / "layers").rename(elsewhere)
+    (folder / "layers").symlink_to(elsewhere)
+    scene, before = scene_folder.open(folder), contents(elsewhere)
+    revise(scene, without_layers(scene, ["fox"]), folder)
+    assert contents(elsewhere) == before
+    assert scene_folder.open(folder).painted_objects == ("7", "Brücke")
 
 
 def test_a_revision_copies_nothing_and_keeps_what_is_not_ours(tmp_path: Path):
@@ -127,7 +172,7 @@ def test_a_revision_is_whole_or_not_at_all(
         monkeypatch.setattr(folders, "_has_room_beside", lambda path: False)
     (folder / "notes.txt").write_text("mine")
     scene = scene_folder.open(folder)
-    changed = replace(scene, splats=plain_scene().splats, painted=None, metrics={})
+    changed = replace(without_layers(scene), splats=plain_scene().splats, metrics={})
     whole = [contents(folder)]
     with failing(-1, error) as calls:
         revise(scene, changed, folder)
@@ -150,7 +195,7 @@ def test_a_revision_survives_its_process(tmp_path: Path):
     if not can_exchange(tmp_path):
         pytest.skip("this file system cannot swap two folders at once")
     scene = scene_folder.open(folder)
-    changed = replace(scene, splats=plain_scene().splats, painted=None)
+    changed = replace(without_layers(scene), splats=plain_scene().splats)
     whole = [contents(folder)]
     with failing(-1, Killed()) as calls:
         revise(scene, changed, folder)
@@ -170,7 +215,7 @@ def test_a_folder_that_one_stands_in_stays_the_same(
     scene_folder.save(full_scene(), folder)
     scene = scene_folder.open(folder)
     monkeypatch.chdir(folder)
-    revise(scene, replace(scene, painted=None), Path())
-    assert_same(scene_folder.open("."), replace(scene, painted=None))
+    revise(scene, without_layers(scene), Path())
+    assert_same(scene_folder.open("."), without_layers(scene))
     assert not Path("recipe.json").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]

@@ -9,11 +9,11 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from full_scenes import COUNT, assert_same, full_scene, painted, plain_scene, random
+from full_scenes import COUNT, assert_same, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
-from stylesplat.scene.paintings import Unsplit
+from stylesplat.scene.compose import compose, without_layers
 from stylesplat.scene.scene import Scene
 
 
@@ -27,17 +27,20 @@ def test_round_trip(tmp_path: Path, make: Callable[[], Scene]):
 def test_without_higher_bands_all_else_is_the_same(tmp_path: Path):
     scene = full_scene()
     scene_folder.save(scene, tmp_path / "scene")
-    bare = replace(scene, splats=replace(scene.splats, shN=scene.splats.shN[:, :0]))
+    few = [replace(each, shN=each.shN[:, :0]) for each in (scene.splats, scene.unpainted)]
+    bare = replace(scene, splats=few[0], base=few[1])
     assert_same(scene_folder.open_without_bands(tmp_path / "scene"), bare)
 
 
-def test_what_undoes_a_split_comes_back(tmp_path: Path):
-    shape = Unsplit(4, torch.tensor([0, 3]), random(2, 3), random(2))
-    split = replace(full_scene(), painted=replace(painted(), unsplit=shape))
-    scene_folder.save(split, tmp_path / "scene")
-    assert_same(scene_folder.open(tmp_path / "scene"), split)
-    scene_folder.save(full_scene(), tmp_path / "scene", overwrite=True)
-    assert_same(scene_folder.open(tmp_path / "scene"), full_scene())
+def test_what_is_read_composes_to_the_same(tmp_path: Path):
+    scene_folder.save(full_scene(), tmp_path / "scene")
+    found = scene_folder.open(tmp_path / "scene")
+    composed = compose(found.unpainted, found.layers)
+    for name, tensor in found.splats.tensors().items():
+        assert torch.equal(tensor, composed.tensors()[name]), name
+    bare = without_layers(found)
+    scene_folder.save(bare, tmp_path / "scene", overwrite=True)
+    assert_same(scene_folder.open(tmp_path / "scene"), bare)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -53,20 +56,13 @@ def test_the_files_of_a_scene(tmp_path: Path):
     plain = {"scene.json", "splats.ply", "cameras.json", "objects.json", "picks.safetensors"}
     plain.add("metrics.json")
     assert {p.name for p in (tmp_path / "plain").iterdir()} == plain
-    styled = {"base_colors.safetensors", "style_colors.safetensors", "paintings.safetensors"}
-    assert {p.name for p in (tmp_path / "full").iterdir()} == plain | styled | {
-        *("identities.safetensors", "opacities.safetensors", "recipe.json")
-    }
-
-
-def test_base_colors_have_the_bands_that_the_splats_get(tmp_path: Path):
-    scene, colors = full_scene(), painted().before
-    few = replace(painted(), before=replace(colors, shN=colors.shN[:, :3]))
-    scene_folder.save(replace(scene, painted=few), tmp_path / "scene")
-    found = scene_folder.open(tmp_path / "scene")
-    assert found.painted is not None
-    assert found.painted.before.shN.shape == found.splats.shN.shape
-    assert torch.equal(found.painted.before.shN[:, :3], colors.shN[:, :3])
+    styled = {"identities.safetensors", "base.ply", "layers", "layers.json", "recipe.json"}
+    assert {p.name for p in (tmp_path / "full").iterdir()} == plain | styled
+    files = {"01-fox.safetensors", "02-7.safetensors", "03-Br_cke.safetensors"}
+    assert {p.name for p in (tmp_path / "full/layers").iterdir()} == files
+    stack = json.loads((tmp_path / "full/layers.json").read_text())["layers"]
+    assert [each["object"] for each in stack] == ["fox", "7", "Brücke"]
+    assert [(each["strength"], each["visible"]) for each in stack[::2]] == [(0.7, True), (1, False)]
 
 
 def test_the_folder_that_it_was_opened_from(tmp_path: Path):
@@ -100,7 +96,7 @@ def test_no_scene(tmp_path: Path):
     [
         ("scene.json", b"{", "not valid JSON"),
         ("scene.json", b"{}", "not of version 1"),
-        ("scene.json", b'{"version": 2}', "not of version 1"),
+        ("scene.json", b'{"version": 3}', "not of version 1"),
         (
             "scene.json",
             b'{"version": 1, "settings": 3}',
@@ -125,15 +121,15 @@ def test_no_scene(tmp_path: Path):
         ("picks.safetensors", b"1234", "Make the scene again"),
         ("picks.safetensors", None, "No such file"),
         ("identities.safetensors", b"1234", "Make the scene again"),
-        ("base_colors.safetensors", b"1234", "Make the scene again"),
-        ("style_colors.safetensors", None, "No such file"),
-        ("paintings.safetensors", b"1234", "Make the scene again"),
+        ("base.ply", None, "No such file"),
+        ("base.ply", b"", "not a PLY file"),
+        ("layers/01-fox.safetensors", b"1234", "Make the scene again"),
+        ("layers/02-7.safetensors", None, "No such file"),
         ("metrics.json", b"", "not valid JSON"),
-        ("recipe.json", b"", "not valid JSON"),
-        ("recipe.json", None, "No such file"),
-        ("recipe.json", b"{}", "required field `objects`"),
-        ("recipe.json", b'{"objects": [], "settings": {}}', "Expected `array` of length >= 1"),
-        ("recipe.json", b'{"objects": [1, 2], "settings": {}}', "Expected `object`, got `int`"),
+        ("layers.json", b"", "not valid JSON"),
+        ("layers.json", b"{}", "required field `layers`"),
+        ("layers.json", b'{"layers": []}', "Expected `array` of length >= 1"),
+        ("layers.json", b'{"layers": [1]}', "Expected `object`, got `int`"),
     ],
 )
 def test_damaged_files(tmp_path: Path, name: str, content: bytes | None, match: str):
@@ -145,18 +141,27 @@ def test_damaged_files(tmp_path: Path, name: str, content: bytes | None, match: 
     assert name in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["picks", "base_colors", "style_colors", "paintings"])
+@pytest.mark.parametrize("name", ["picks"])
 def test_files_of_different_scenes(name: str, tmp_path: Path):
     scene_folder.save(full_scene(), tmp_path / "scene")
     path = tmp_path / "scene" / f"{name}.safetensors"
     tensors = {key: torch.cat([t, t[:1]]) for key, t in load(path.read_bytes()).items()}
     path.write_bytes(save(tensors))
-    with pytest.raises(StyleSplatError, match=r"has the shape \[7.*\], .* 6 Gaussians"):
+    with pytest.raises(StyleSplatError, match=r"has the shape \[10.*\], .* 9 Gaussians"):
+        scene_folder.open(tmp_path / "scene")
+
+
+def test_layers_of_another_scene(tmp_path: Path):
+    scene_folder.save(full_scene(), tmp_path / "scene")
+    scene_folder.save(without_layers(full_scene()), tmp_path / "bare")
+    for name in ("splats.ply", "picks.safetensors", "identities.safetensors"):
+        (tmp_path / "scene" / name).write_bytes((tmp_path / "bare" / name).read_bytes())
+    with pytest.raises(StyleSplatError, match=r"base\.ply: .* do not make up the 6 Gaussians"):
         scene_folder.open(tmp_path / "scene")
 
 
 def test_identities_that_were_not_lifted_have_no_confidence(tmp_path: Path):
-    scene = full_scene()
+    scene = without_layers(full_scene())
     scene = replace(scene, splats=replace(scene.splats, confidence=None))
     scene_folder.save(scene, tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), scene)

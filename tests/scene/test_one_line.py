@@ -6,13 +6,14 @@ import torch
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS, enlarged
+from plain_layers import plain_layer
 from sfm_records import sfm_record
 from stylesplat.posing.capture_report import CaptureReport
 from stylesplat.posing.coverage import Coverage
 from stylesplat.posing.findings import Finding
 from stylesplat.scene.frames import SAME
+from stylesplat.scene.layer import Source
 from stylesplat.scene.lazy import Lazy
-from stylesplat.scene.paintings import Looks, Painted, Painting, Source, Unsplit
 from stylesplat.scene.scene import SceneObject
 from stylesplat.stylization.style import Recipe, StyledObject
 from stylesplat.verbs.render import Views
@@ -51,20 +52,14 @@ def test_scenes_and_what_is_in_them():
     vase = SceneObject(VASE, {"ids": [3]})
     assert repr(vase) == f"SceneObject(20 of {count}, label ids 3)"
     sources = (Source(Path("styles/wave.jpg")), Source(None))
-    painting = Painting("vase", VASE, sources, {}, 0.7, "compact")
-    expected = "vase like wave.jpg, a picture, 20 Gaussians, intensity 0.7, compact"
-    assert repr(painting) == f"Painting({expected})"
-    painted = Painted((painting,), Looks.of(SPLATS), Looks.of(SPLATS))
-    assert repr(painted) == "Painted(vase)"
-    assert repr(painted.before) == f"Looks(of {count})"
+    layer = plain_layer(SPLATS, torch.arange(20), "vase", canvas=5, strength=0.7, styles=sources)
+    expected = "vase like wave.jpg, a picture, 20 Gaussians, 5 new, strength 0.7, compact"
+    assert repr(layer) == f"Layer({expected})"
     scene = ss.Scene(
-        SPLATS, CAMERAS, ("0000.jpg",), 1.0, {"vase": vase}, painted, Path("garden-wave")
+        SPLATS, CAMERAS, ("0000.jpg",), 1.0, {"vase": vase}, SPLATS, (layer,), Path("garden-wave")
     )
     expected = "8 views (1 held out), objects: vase, painted: vase, garden-wave"
     assert repr(scene) == f"Scene({count}, {expected})"
-    rows = torch.tensor([4])
-    unsplit = Unsplit(60_000, rows, torch.zeros(1, 3), torch.zeros(1))
-    assert repr(unsplit) == "Unsplit(1 of 60,000 Gaussians were split)"
 
 
 def test_styles_say_what_is_not_as_usual():

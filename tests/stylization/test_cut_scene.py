@@ -11,7 +11,6 @@ from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import open_studio, paint_objects
 from stylesplat.stylization.style_job import Studio, StyleJob
-from stylesplat.stylization.styled_scene import Styled, assembled, piece_of
 
 BALL = ball(0)
 ELSEWHERE = 100  # Gaussians that no camera sees, before all others
@@ -83,10 +82,9 @@ def test_painted_as_in_the_whole_scene(
     job = StyleJob("ball", behind(BALL), (stripes,), FAST)
     job = with_settings(job, hard=True)
     cut, _ = paint_objects(studio, [job])
-    assert cut.cuts.keys() == {"ball"}
     monkeypatch.setattr(cutting, "LARGE", len(studio.splats) + 1)
     whole, _ = paint_objects(studio, [job])
-    assert not whole.cuts and not torch.equal(cut.splats.sh0, studio.splats.sh0)
+    assert not torch.equal(cut.splats.sh0, studio.splats.sh0)
     assert torch.equal(cut.splats.sh0, whole.splats.sh0)
     assert torch.equal(cut.parents, whole.parents)
 
@@ -99,15 +97,16 @@ def test_nothing_else_changes_beside_a_canvas(studio: Studio, stripes: torch.Ten
     assert job.picked[styled.parents[count:]].all()
     for name, before in studio.splats.tensors().items():
         assert torch.equal(styled.splats.tensors()[name][:count][~job.picked], before[~job.picked])
-    cut = styled.cuts["ball"]
-    after = cut.styled(styled.splats, styled.parents)
+    cut = cut_scene(studio, job.picked)
+    assert cut is not None
+    of_base = cut.of_base(torch.arange(count))
+    after = styled.splats[of_base.among(styled.parents)]
     assert len(after) == len(cut.rows) + len(styled.splats) - count
 
 
-def test_what_stays_the_same_takes_no_memory():
-    painted = replace(SCENE, sh0=SCENE.sh0 + BALL[:, None, None].float())
-    alone = Styled(painted, painted, SCENE, torch.arange(len(SCENE)))
-    styled = assembled(SCENE, [piece_of(alone, BALL)])
-    assert torch.equal(styled.splats.sh0, painted.sh0)
-    assert styled.full.sh0 is styled.splats.sh0 and styled.base.sh0 is SCENE.sh0
-    assert styled.splats.means is SCENE.means
+def test_a_layer_that_is_painted_in_a_part_is_of_the_whole_base(
+    studio: Studio, stripes: torch.Tensor
+):
+    job = StyleJob("ball", behind(BALL), (stripes,), FAST)
+    styled, _ = paint_objects(studio, [job])
+    assert torch.equal(styled.layers[0].rows, job.picked.nonzero()[:, 0])

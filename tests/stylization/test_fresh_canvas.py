@@ -11,13 +11,17 @@ from striped_balls import same
 from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
+from stylesplat.scene.compose import UNSEEN as UNSEEN_LOGIT
+from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.crossfade import UNSEEN as UNSEEN_LOGIT
-from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.evenly_spread import flattened, thinned
 from stylesplat.stylization.fresh_canvas import fresh_canvas
 from stylesplat.stylization.object_views import Box, find_boxes
+from stylesplat.stylization.paint_objects import layer_of
+from stylesplat.stylization.repaint import Repainted
 from stylesplat.stylization.split import Split
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_job import StyleJob
 
 FINE = enlarged(CAMERAS, 4)
 LENGTH, ROOM = 60.0, 1500
@@ -76,18 +80,20 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Split):
     before = replace(laid.splats, opacities=laid_on)
     sh0 = laid.splats.sh0.clone()
     sh0[count:] = -sh0[count:]  # any other colours
-    after, picked = replace(laid.splats, sh0=sh0), PICKED[laid.parents]
+    after = replace(laid.splats, sh0=sh0)
+    state = Repainted(1, 1, 0.0, after, before, laid.parents)
+    layer = layer_of(state, StyleJob("ball", PICKED, (), StyleConfig()), ROWS)
     for index in (0, 3):
         first, last = (rasterize(s, FINE[index])[0][0] for s in (before, after))
         assert torch.equal(first, rasterize(SOLID, FINE[index])[0][0])
         whole = last - first
         for share in (0.1, 0.25, 0.5, 0.75, 0.9, 1.0):
-            mixed = crossfade(before, after, picked, share)
+            mixed = compose(SOLID, [replace(layer, strength=share)])
             change = rasterize(mixed, FINE[index])[0][0] - first
             assert (change * whole).sum() / whole.square().sum() == pytest.approx(share, abs=0.1)
-    assert same(crossfade(before, after, picked, 0.0), before)
-    beyond = crossfade(before, after, picked, 1.5)
-    assert torch.equal(beyond.opacities, after.opacities)
+    beyond = compose(SOLID, [replace(layer, strength=1.5)])
+    torch.testing.assert_close(beyond.opacities, after.opacities, atol=1e-3, rtol=1e-4)
+    assert torch.equal(beyond.opacities[count:], after.opacities[count:])
     torch.testing.assert_close(beyond.sh0[count:], -2 * laid.splats.sh0[count:])
 
 

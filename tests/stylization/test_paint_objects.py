@@ -16,10 +16,12 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.soft_picks import find_places, soft_shares
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import (
+    Styled,
     open_studio,
     paint,
     paint_live,
@@ -27,7 +29,6 @@ from stylesplat.stylization.paint_objects import (
 )
 from stylesplat.stylization.style_config import PRESETS, Precision
 from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.styled_scene import Styled
 
 
 def changed(styled: Splats) -> set[str]:
@@ -67,19 +68,15 @@ def test_only_colors_of_the_picked_change(job: StyleJob, network: FeatureNetwork
     assert not any(t.requires_grad for t in splats.tensors().values())
 
 
-def test_the_rest_is_the_same_to_the_bit_after_splitting(job: StyleJob, network: FeatureNetwork):
+def test_own_gaussians_keep_their_places_and_shapes(job: StyleJob, network: FeatureNetwork):
+    """However large they are: new ones are those of a canvas."""
     job = with_settings(job, max_growth=GROWN, canvas="own")
     styled = painted([job], network)
-    count = len(SCENE)
-    assert len(styled.splats) == len(styled.parents) > count
+    assert len(styled.splats) == len(SCENE)
     for name, before in SCENE.tensors().items():
-        after, base = (s.tensors()[name] for s in (styled.splats, styled.base))
-        assert torch.equal(after[:count][~job.picked], before[~job.picked]), name
-        if name in ("sh0", "shN"):
-            assert torch.equal(base, before[styled.parents]), name
-        else:
-            assert torch.equal(base, after), name
-    assert job.picked[styled.parents[count:]].all()
+        after = styled.splats.tensors()[name]
+        assert torch.equal(after[~job.picked], before[~job.picked]), name
+        assert torch.equal(after, before) == (name not in ("sh0", "shN")), name
 
 
 def test_the_rest_is_the_same_to_the_bit_beside_a_canvas(job: StyleJob, network: FeatureNetwork):
@@ -87,12 +84,12 @@ def test_the_rest_is_the_same_to_the_bit_beside_a_canvas(job: StyleJob, network:
     count = len(SCENE)
     assert count < len(styled.splats) <= count + (GROWN - 1) * job.picked.sum()
     for name, before in SCENE.tensors().items():
-        after, base = (s.tensors()[name][:count] for s in (styled.splats, styled.base))
+        after = styled.splats.tensors()[name][:count]
         assert torch.equal(after[~job.picked], before[~job.picked]), name
-        assert torch.equal(base, before), name
-    assert (styled.base.opacities[count:] < -10).all(), "a canvas does not show before"
+        if name not in ("sh0", "shN", "opacities"):
+            assert torch.equal(after, before), name
     assert job.picked[styled.parents[count:]].all()
-    assert not styled.base.shN[count:].any(), "a canvas is matte"
+    assert not styled.layers[0].canvas.shN.any(), "a canvas is matte"
 
 
 def test_colors_start_where_they_were(job: StyleJob, network: FeatureNetwork):
@@ -136,34 +133,46 @@ def test_seeds_reproduce(job: StyleJob, network: FeatureNetwork):
     assert not torch.equal(one.sh0, other.sh0)
 
 
-def test_each_object_is_styled_by_itself(job: StyleJob, network: FeatureNetwork):
-    """And each with its own settings, in whatever order."""
+def test_each_object_is_painted_on_those_before(job: StyleJob, network: FeatureNetwork):
+    """And each with its own settings. The first does not see the second."""
     job = with_settings(job, max_growth=GROWN)
-    own = replace(FAST, steps=7, color="free", view_dependence="keep", seed=5, max_growth=1.5)
-    own = replace(own, canvas="own")
+    own = replace(FAST, steps=7, color="free", view_dependence="keep", seed=5)
     second = StyleJob("second", ball(2), (job.styles[0].flip(-1),), own)
     both, seconds = paint_objects(open_studio(SCENE, CAMERAS, network), [job, second])
-    swapped = painted([second, job], network)
-    for each in (job, second):
-        alone = painted([each], network)
-        theirs = each.picked[alone.parents]
-        for styled in (both, swapped):
-            mine = each.picked[styled.parents]
-            for part in ("splats", "base"):
-                assert same(getattr(styled, part)[mine], getattr(alone, part)[theirs]), part
-            assert torch.equal(styled.parents[mine], alone.parents[theirs])
+    assert [layer.object for layer in both.layers] == ["ball", "second"]
+    first = painted([job], network)
+    assert same(compose(SCENE, both.layers[:1]), first.splats)
+    studio = open_studio(first.splats, CAMERAS, network)
+    upon, _ = paint_objects(studio, [replace(second, picked=second.picked[first.parents])])
+    assert same(upon.splats, both.splats)
     neither = ~(job.picked | second.picked)
-    assert same(both.splats[neither[both.parents]], SCENE[neither])
+    assert same(both.splats[torch.arange(len(SCENE))[neither]], SCENE[neither])
     assert list(seconds) == ["ball", "second"] and all(taken > 0 for taken in seconds.values())
+
+
+def test_an_object_may_lie_on_the_canvas_of_another(job: StyleJob, network: FeatureNetwork):
+    """What was painted is what is composed, as far as a row may stand for a piece of canvas."""
+    job = with_settings(job, max_growth=GROWN)
+    over = replace(with_settings(job, max_growth=GROWN, seed=3), name="over")
+    over = replace(over, styles=(1 - job.styles[0],), picked=ball(0) | ball(1))
+    both = painted([job, over], network)
+    low, high = both.layers
+    assert len(low.canvas) and len(high.canvas)
+    assert torch.equal(high.rows, over.picked.nonzero()[:, 0]), "rows of the base alone"
+    beneath = compose(SCENE, [low])
+    alone = compose(SCENE, [high])
+    shown = [rasterize(each, CAMERAS)[0] for each in (both.splats, alone, beneath)]
+    assert (shown[0] - shown[1]).abs().mean() < (shown[0] - shown[2]).abs().mean() / 2
+    assert same(compose(SCENE, [low, replace(high, strength=0.0)]), beneath)
 
 
 def test_intensity_blends_renders(job: StyleJob, network: FeatureNetwork):
     own = with_settings(job, max_growth=GROWN, canvas="own")
     half, full = (painted([with_settings(own, intensity=i)], network) for i in (0.5, 1.0))
     for name in ("sh0", "shN"):
-        pair = (getattr(s, name) for s in (full.base, full.splats))
+        pair = getattr(SCENE, name), getattr(full.splats, name)
         torch.testing.assert_close(getattr(half.splats, name), sum(pair) / 2)
-        assert torch.equal(getattr(half.full, name), getattr(full.splats, name))
+        assert torch.equal(getattr(half.layers[0], name), getattr(full.layers[0], name))
 
 
 def test_intensity_0_changes_nothing(job: StyleJob, network: FeatureNetwork):
@@ -323,9 +332,6 @@ def test_too_few_gaussians(job: StyleJob, network: FeatureNetwork):
 
 
 def test_jobs_that_clash(job: StyleJob, network: FeatureNetwork):
-    wide = replace(job, name="wide", picked=ball(0) | ball(1))
-    with pytest.raises(StyleSplatError, match="ball and wide at once: they share 80 Gaussians"):
-        painted([job, wide], network)
     with pytest.raises(StyleSplatError, match="ball was given twice"):
         painted([job, replace(job, picked=ball(1))], network)
     with pytest.raises(StyleSplatError, match="Nothing to stylise"):
@@ -365,7 +371,7 @@ def test_a_style_too_small_for_the_coarse_stage_is_painted_at_the_last_size(
 
 def test_soft_picks_leave_what_is_not_the_object(job: StyleJob, network: FeatureNetwork):
     """A picked Gaussian that hangs beside the ball, large and faint, keeps every bit; so with
-    splitting, and all others of the pick take on no more than the hard way gives them."""
+    a canvas, and all others of the pick take on no more than the hard way gives them."""
     means, scales, opacities = (t.clone() for t in (SCENE.means, SCENE.scales, SCENE.opacities))
     means[0] += torch.tensor([0.0, 0.0, 0.5])
     scales[0], opacities[0] = math.log(0.5), -2.0

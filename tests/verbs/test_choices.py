@@ -12,11 +12,12 @@ import torch
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
+from plain_layers import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.quick_splat import with_splat
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.paintings import Looks, Painted, Painting
+from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.training.train_config import PRESETS, TrainConfig
@@ -36,9 +37,7 @@ def photographed() -> Capture:
 def inverted() -> Scene:
     """The balls, painted in the opposite colours."""
     shown = replace(SPLATS, sh0=torch.where(PICKED[:, None, None], -3 * SPLATS.sh0, SPLATS.sh0))
-    painting = Painting("balls", PICKED, (), {}, 1.0, "compact")
-    painted = Painted((painting,), before=Looks.of(SPLATS), full=Looks.of(shown))
-    return Scene(shown, CAMERAS, painted=painted)
+    return with_layers(Scene(SPLATS, CAMERAS), [layer_towards(SPLATS, shown, PICKED, "balls")])
 
 
 @pytest.mark.parametrize(
@@ -182,7 +181,7 @@ def test_what_differs_from_a_folder_is_not_called_by_it(tmp_path: Path):
         ("scene.json", {"test_views": None}),
         ("scene.json", {"test_views": 5}),
         ("scene.json", {"capture": 5}),
-        ("recipe.json", {"scene": 5}),
+        ("layers.json", {"layers": 5}),
     ],
 )
 def test_damaged_scenes(file: str, changes: dict, tmp_path: Path):

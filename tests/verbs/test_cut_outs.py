@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from painted_balls import BLUE, PICKS, RED, TRAINED, paint_of, write_painted
+from painted_balls import BLUE, PICKS, RED, TRAINED, assert_same_splats, write_painted
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.io.splats.splat_ply import read_splat_ply
+from stylesplat.scene.compose import compose
 from stylesplat.scene.scene import SceneObject
 from stylesplat.stylization.scene_parts import cut_out, rows_of_part
 from stylesplat.verbs.export import export, export_each
@@ -49,10 +50,14 @@ def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
 def test_a_part_of_a_painted_scene_knows_what_was_before(tmp_path: Path):
     folder = write_painted(tmp_path, "blue", lambda wave, night: night)
     scene = open(folder / "twice")
-    part = cut_out(scene, rows_of_part(scene, ["blue"]))
-    picked = scene.objects["blue"].picked
-    assert torch.equal(part.unpainted.sh0, scene.unpainted.sh0[picked])
-    assert [int(each.picked.sum()) for each in paint_of(part).paintings] == [0, len(part.splats)]
+    part = cut_out(scene, rows_of_part(scene, ["red"]))
+    own = scene.objects["red"].picked[: len(scene.unpainted)]
+    assert_same_splats(part.unpainted, scene.unpainted[own])
+    assert_same_splats(part.splats, scene.splats[scene.objects["red"].picked])
+    assert part.painted_objects == ("red",), "of the other nothing is there"
+    assert_same_splats(compose(part.unpainted, part.layers), part.splats)
+    rest = cut_out(scene, rows_of_part(scene, without=["both", "blue"]))
+    assert rest.layers == () and rest.base is None
     export(scene, tmp_path / "blue.html", objects=["blue"])
     assert (tmp_path / "blue.html").stat().st_size > 10_000
 

@@ -13,7 +13,7 @@ from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.paintings import Source
+from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.evaluate import SCHEMA, evaluate
 from stylesplat.verbs.load import load
@@ -80,10 +80,9 @@ def test_a_styled_scene_without_held_out_views(picture: Path, capture: Capture):
 
 
 def test_a_style_that_is_gone_leaves_the_other_numbers(styled: Scene, said: list[str]):
-    assert styled.painted is not None
-    (painting,) = styled.painted.paintings
-    lost = replace(painting, styles=(Source(Path("/lost/wave.png"), "12ab"),))
-    scene = replace(styled, painted=replace(styled.painted, paintings=(lost,)))
+    (layer,) = styled.layers
+    lost = replace(layer, styles=(Source(Path("/lost/wave.png"), "12ab"),))
+    scene = replace(styled, layers=(lost,))
     found = evaluate(scene, device="cpu")
     assert not found.keys() & STYLE and found.keys() >= CHANGES | {"content_ssim"}
     (line,) = said

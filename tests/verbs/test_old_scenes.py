@@ -1,123 +1,101 @@
-"""Styled scenes that StyleSplat 1 wrote still open, and can be adjusted and undone."""
+"""Scenes of format 1 open as they look; what was painted in them cannot be undone."""
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import load, save
+from safetensors.torch import save_file
 
-from painted_balls import (
-    FAST,
-    TRAINED,
-    assert_same_splats,
-    painted,
-    write_pictures,
-)
+from balls import SPLATS
+from painted_balls import TRAINED, assert_same_splats, contents, opened, painted, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.io.json_files import read_json, write_json
-from stylesplat.scene.paintings import Painted
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.evaluate import evaluate
-from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.delete import delete
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
 
-@pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return write_pictures(tmp_path_factory.mktemp("pictures"))
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scenes") / "trained"
-    scene_folder.save(TRAINED, folder)
-    return folder
-
-
-def paint_of(scene: Scene) -> Painted:
-    assert scene.painted is not None
-    return scene.painted
-
-
 def as_of_old(folder: Path) -> None:
-    """Turn a styled scene on disk into what StyleSplat 1 wrote.
-
-    It had no `paintings.safetensors`: names of what was painted lay in `picks.safetensors`, label
-    ids among them; and one network for all in `recipe.json`, without digests and without what was
-    painted upon what.
-    """
-    scene, content = scene_folder.open(folder), read_json(folder / "recipe.json")
-    picks = load((folder / "picks.safetensors").read_bytes())
-    for each in paint_of(scene).paintings:
-        picks.setdefault(each.name, each.picked)
-    (folder / "picks.safetensors").write_bytes(save(picks))
-    (folder / "paintings.safetensors").unlink()
-    kept = ("name", "style", "sha256", "intensity", "settings")
-    content["objects"] = [{key: each[key] for key in kept} for each in content["objects"]]
-    write_json(content, folder / "recipe.json")
+    """Turn a painted scene on disk into what earlier versions wrote."""
+    scene = scene_folder.open(folder)
+    info = json.loads((folder / "scene.json").read_text())
+    (folder / "scene.json").write_text(json.dumps({**info, "version": 1}))
+    shutil.rmtree(folder / "layers", ignore_errors=True)
+    (folder / "base.ply").unlink(missing_ok=True)
+    if not scene.layers:
+        return
+    (folder / "layers.json").unlink()
+    looks = {"sh0": scene.splats.sh0, "shN": scene.splats.shN}
+    for name in ("base_colors", "style_colors"):
+        save_file(looks, folder / f"{name}.safetensors")
+    save_file({"0": scene.objects["red"].picked}, folder / "paintings.safetensors")
+    recipe = json.loads((folder / "recipe.json").read_text())
+    entry = {**recipe["objects"][0], "upon": {"green": 0.5}}
+    gone = [{**entry, "name": "green", "place": 0}]
+    content = {**recipe, "objects": [entry], "gone": gone, "scene": str(folder), "weights": None}
+    (folder / "recipe.json").write_text(json.dumps(content))
 
 
 @pytest.fixture
-def old(trained: Path, pictures: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Scene]:
-    """A scene of old on disk, and what it was made from; one object was painted by its id."""
-    scene = painted(scene_folder.open(trained), "3", pictures[0])
-    scene = painted(scene, "green", pictures)
+def old(tmp_path: Path) -> tuple[Path, Scene]:
+    """A painted scene of old on disk, and as it is."""
+    wave, _ = write_pictures(tmp_path)
+    scene = painted(TRAINED, "red", wave, canvas="fresh", measured=False)
     scene_folder.save(scene, tmp_path / "old")
     as_of_old(tmp_path / "old")
     return tmp_path / "old", scene
 
 
-def test_styled_scenes_of_old_are_adjusted_and_undone(
-    old: tuple[Path, Scene], trained: Path, tmp_path: Path
-):
+def test_a_painted_scene_of_old_opens_as_it_looks(old: tuple[Path, Scene], said: list[str]):
     folder, scene = old
     found = scene_folder.open(folder)
-    assert found.objects.keys() == TRAINED.objects.keys(), "an id is no name"
-    assert paint_of(found).names == ("3", "green")
-    for mine, its in zip(paint_of(found).paintings, paint_of(scene).paintings, strict=True):
-        assert torch.equal(mine.picked, its.picked)
-        assert (mine.styles, mine.settings) == (its.styles, its.settings)
-    adjusted = adjust(found, 1.1, objects="3")
-    assert_same_splats(adjusted.splats, adjust(scene, 1.1, objects="3").splats)
-    scene_folder.revise(found, adjusted, folder)
-    again = scene_folder.open(folder)
-    assert_same_splats(adjust(again, FAST.intensity).splats, scene.splats)
-    undone = adjust(again, undo=True)
-    scene_folder.revise(again, undone, folder)
-    for path in trained.iterdir():
-        assert (folder / path.name).read_bytes() == path.read_bytes(), path.name
-    assert {path.name for path in folder.iterdir()} == {path.name for path in trained.iterdir()}
+    assert sum("cannot be undone" in line for line in said) == 1
+    assert len(found.splats) > len(SPLATS)
+    assert_same_splats(found.splats, scene.splats)
+    assert found.base is None and found.layers == () and found.objects.keys() == PICKED
+    with pytest.raises(StyleSplatError, match="is not styled"):
+        adjust(found, undo=True)
 
 
-def test_styled_scenes_of_old_are_measured_and_undone_one_by_one(
-    old: tuple[Path, Scene], pictures: tuple[Path, Path]
-):
-    folder, scene = old
-    found = scene_folder.open(folder)
-    assert evaluate(found, device="cpu") == evaluate(scene, device="cpu")
-    with pytest.raises(StyleSplatError, match="red is styled in"):
-        painted(found, "red", pictures[0])
-    undone = adjust(found, objects="3", undo=True)
-    assert_same_splats(undone.splats, adjust(scene, objects="3", undo=True).splats)
-    assert paint_of(painted(found, "blue", pictures[0])).names == ("3", "green", "blue")
+PICKED = {"red", "green", "blue", "both"}
 
 
-def test_the_recipe_of_a_scene_of_old_is_one(old: tuple[Path, Scene], trained: Path):
-    found = read_recipe(old[0] / "recipe.json")
-    assert [each.name for each in found.objects] == ["3", "green"]
-    assert all(each.upon is None and each.features == "compact" for each in found.objects)
-    again = stylize(scene_folder.open(trained), found, device="cpu")
-    assert paint_of(again).names == ("3", "green")
-
-
-def test_a_scene_of_old_whose_picks_are_lost(old: tuple[Path, Scene]):
+def test_a_scene_of_old_is_painted_on_and_written_anew(old: tuple[Path, Scene]):
     folder, _ = old
-    picks = load((folder / "picks.safetensors").read_bytes())
-    del picks["3"]
-    (folder / "picks.safetensors").write_bytes(save(picks))
-    with pytest.raises(StyleSplatError, match=r"recipe\.json: it does not say what was painted"):
-        scene_folder.open(folder)
+    found = scene_folder.open(folder)
+    again = painted(found, "green", folder.parent / "night.png", measured=False)
+    scene_folder.revise(found, again, folder)
+    scene_folder.save(again, folder.parent / "new")
+    assert contents(folder) == contents(folder.parent / "new"), "nothing of old is left"
+    undone = adjust(opened(folder), undo=True)
+    assert_same_splats(undone.splats, found.splats)
+
+
+def test_any_change_of_a_scene_of_old_makes_it_a_new_one(tmp_path: Path, said: list[str]):
+    scene_folder.save(TRAINED, tmp_path / "old")
+    as_of_old(tmp_path / "old")
+    found = scene_folder.open(tmp_path / "old")
+    assert not said, "of one that was never painted there is nothing to tell"
+    scene_folder.revise(found, delete(found, "red"), tmp_path / "old")
+    assert json.loads((tmp_path / "old/scene.json").read_text())["version"] == 2
+    assert opened(tmp_path / "old").objects.keys() == PICKED - {"red"}
+
+
+def test_the_recipe_of_a_scene_of_old_is_one(old: tuple[Path, Scene], said: list[str]):
+    found = read_recipe(old[0] / "recipe.json")
+    assert [each.name for each in found.objects] == ["red"]
+    assert found.objects[0].features == "compact"
+    assert any("is ignored" in line for line in said)
+
+
+def test_layers_of_a_scene_of_old_are_of_no_use(old: tuple[Path, Scene]):
+    """What the old files say is not read, be they damaged."""
+    folder, scene = old
+    (folder / "base_colors.safetensors").write_bytes(b"")
+    found = scene_folder.open(folder)
+    assert torch.equal(found.splats.sh0, scene.splats.sh0)

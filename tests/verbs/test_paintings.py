@@ -14,9 +14,10 @@ from painted_balls import (
     FAST,
     RED,
     TRAINED,
+    assert_same_layers,
     assert_same_objects,
     assert_same_splats,
-    paint_of,
+    contents,
     painted,
     write_pictures,
 )
@@ -51,8 +52,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def once(trained: Path, pictures: tuple[Path, Path]) -> Scene:
-    """The red ball painted; split, too."""
-    scene = painted(scene_folder.open(trained), "red", pictures[0])
+    """The red ball painted, on a canvas."""
+    scene = painted(scene_folder.open(trained), "red", pictures[0], canvas="fresh")
     assert len(scene.splats) > len(SPLATS)
     return scene
 
@@ -63,44 +64,38 @@ def assert_made_again(styled: Scene, trained: Path, folder: Path) -> None:
     recipe = read_recipe(folder / "styled" / "recipe.json")
     again = stylize(scene_folder.open(trained), recipe, device="cpu")
     scene_folder.save(again, folder / "again")
-    for path in (folder / "styled").iterdir():
-        if path.name != "metrics.json":  # of the last run, and how long it took
-            assert (folder / "again" / path.name).read_bytes() == path.read_bytes(), path.name
+    found, wanted = (contents(folder / name, "metrics.json") for name in ("again", "styled"))
+    assert found == wanted
     one, other = (scene_folder.open(folder / name) for name in ("styled", "again"))
-    assert_same_splats(one.splats, other.splats)
     assert_same_objects(one, other)
-    for mine, its in zip(paint_of(one).paintings, paint_of(other).paintings, strict=True):
-        assert torch.equal(mine.picked, its.picked)
-        assert {**vars(mine), "picked": None} == {**vars(its), "picked": None}
+    assert_same_layers(one, other)
 
 
 def test_a_recipe_makes_again_what_took_several_runs(
     trained: Path, pictures: tuple[Path, Path], tmp_path: Path
 ):
-    """Neither the order, nor the strengths meanwhile and in the end, are the simple ones."""
+    """What the strengths were meanwhile is that of the settings, in the end they are others."""
     wave, night = pictures
     scene = painted(scene_folder.open(trained), "green", (night, wave), seed=4)
-    scene = adjust(scene, 1.3)
     scene = painted(scene, "3", wave, intensity=0.8, steps=2)
-    scene = adjust(scene, 0.0, objects="green")
     scene = painted(scene, "blue", night, color="keep", max_growth=1.0)
     scene = adjust(scene, 0.5, objects=("green", "blue"))
-    found = paint_of(scene)
-    assert found.names == ("green", "3", "blue")
-    assert [each.upon for each in found.paintings] == [{}, {"green": 1.3}, {"green": 0, "3": 0.8}]
-    assert [each.intensity for each in found.paintings] == [0.5, 0.8, 0.5]
+    assert scene.painted_objects == ("green", "3", "blue")
+    assert [each.strength for each in scene.layers] == [0.5, 0.8, 0.5]
     assert_made_again(scene, trained, tmp_path)
 
 
 def test_a_recipe_makes_again_paint_of_in_one_run(
     trained: Path, pictures: tuple[Path, Path], tmp_path: Path
 ):
-    """Each by itself, which differs from one upon the other: they see each other."""
+    """The second sees the first, as if they were painted one by one."""
     wave, night = pictures
     styles = {"red": Style(wave, config=FAST), "green": Style(night, config=FAST, intensity=1)}
     alone = stylize(scene_folder.open(trained), styles, device="cpu")
-    assert [each.upon for each in paint_of(alone).paintings] == [{}, {}]
     assert_made_again(alone, trained, tmp_path)
+    one = stylize(scene_folder.open(trained), {"red": styles["red"]}, device="cpu")
+    both = stylize(one, {"green": styles["green"]}, device="cpu")
+    assert_same_splats(both.splats, alone.splats)
 
 
 @pytest.mark.skipif(not VGG19.is_file(), reason="needs the developers' weights")
@@ -111,10 +106,10 @@ def test_a_recipe_makes_again_what_several_networks_painted(
     vgg19 = {"features": "vgg19", "weights": VGG19}
     scene = painted(scene_folder.open(trained), "red", wave)
     scene = painted(scene, "green", night, network=vgg19)
-    scene = adjust(scene, 0.9, objects="green")
     scene = painted(scene, "blue", wave)
+    scene = adjust(scene, 0.9, objects="green")
     assert_made_again(scene, trained, tmp_path)
-    red, green, blue = paint_of(scene).paintings
+    red, green, blue = scene.layers
     assert [each.features for each in (red, green, blue)] == ["compact", "vgg19", "compact"]
     assert red.weights is blue.weights is None
     assert green.weights is not None
@@ -152,7 +147,7 @@ def test_the_precision_is_recorded_and_replayed_whatever_is_fastest_here(
     (entry,) = json.loads((tmp_path / "again" / "recipe.json").read_text())["objects"]
     assert entry["precision"] == precision
     other = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
-    fastest = paint_of(other).paintings[0].precision
+    fastest = other.layers[0].precision
     assert fastest == other.metrics["precision"]
     same = torch.equal(other.splats.sh0, scene.splats.sh0)
     assert same == (fastest == precision), "the two differ"
@@ -164,31 +159,24 @@ def test_older_recipes_say_no_precision(once: Scene, trained: Path, tmp_path: Pa
     content = json.loads(file.read_text())
     del content["objects"][0]["precision"]
     file.write_text(json.dumps(content))
-    assert paint_of(scene_folder.open(tmp_path / "styled")).paintings[0].precision is None
     again = stylize(scene_folder.open(trained), read_recipe(file), device="cpu")
     assert_same_splats(again.splats, once.splats)
 
 
-def test_a_recipe_may_say_what_an_object_is_painted_upon(
-    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+def test_what_earlier_recipes_say_of_others_is_ignored(
+    once: Scene, trained: Path, tmp_path: Path, said: list[str]
 ):
-    """Also an object of the same recipe, at a strength that it does not keep."""
-    style = Style(pictures[0], config=FAST)
-    objects = (StyledObject("red", style), StyledObject("green", style, upon={"red": 0.2}))
-    scene = stylize(scene_folder.open(trained), Recipe(objects), device="cpu")
-    assert paint_of(scene).paintings[1].upon == {"red": 0.2}
-    assert [each.intensity for each in paint_of(scene).paintings] == [0.6, 0.6]
-    assert_made_again(scene, trained, tmp_path)
-
-
-def test_what_an_object_was_painted_upon_may_be_gone(
-    trained: Path, pictures: tuple[Path, Path], said: list[str]
-):
-    style = Style(pictures[0], config=FAST)
-    recipe = Recipe((StyledObject("green", style, upon={"red": 0.2}),))
-    scene = stylize(scene_folder.open(trained), recipe, device="cpu")
-    assert "green was painted upon red, which is not there now." in said
-    assert paint_of(scene).paintings[0].upon == {}
+    scene_folder.save(once, tmp_path / "styled")
+    file = tmp_path / "styled" / "recipe.json"
+    content = json.loads(file.read_text())
+    content["objects"][0]["upon"] = {"green": 0.5}
+    content["gone"] = [{**content["objects"][0], "name": "green", "place": 0}]
+    file.write_text(json.dumps(content))
+    recipe = read_recipe(file)
+    assert sum("`gone`, `upon`" in line for line in said) == 1
+    assert [each.name for each in recipe.objects] == ["red"]
+    again = stylize(scene_folder.open(trained), recipe, device="cpu")
+    assert_same_splats(again.splats, once.splats)
 
 
 def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: list[str]):
@@ -198,7 +186,7 @@ def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: lis
     styled = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
     scene_folder.save(styled, tmp_path / "styled")
     found = scene_folder.open(tmp_path / "styled")
-    assert paint_of(found).paintings[0].styles == style.sources()
+    assert found.layers[0].styles == style.sources()
     assert style.sources()[0].path is None
     assert_same_splats(adjust(found, undo=True).splats, scene_folder.open(trained).splats)
     with pytest.raises(StyleSplatError, match=r"red: it was painted with colours that were never"):
@@ -228,43 +216,39 @@ def anew(request: pytest.FixtureRequest, once: Scene, tmp_path: Path) -> Scene:
 
 
 def test_a_name_that_was_selected_anew_changes_nothing_that_was_painted(
-    anew: Scene, once: Scene, tmp_path: Path
+    anew: Scene, once: Scene, trained: Path
 ):
-    assert torch.equal(paint_of(anew).paintings[0].picked, paint_of(once).paintings[0].picked)
+    assert torch.equal(anew.layers[0].rows, once.layers[0].rows)
     for intensity in (0.0, 1.2):
         assert_same_splats(adjust(anew, intensity).splats, adjust(once, intensity).splats)
     undone = adjust(anew, undo=True)
-    assert_same_splats(undone.splats, scene_folder.open(_origin(once)).splats)
+    assert_same_splats(undone.splats, scene_folder.open(trained).splats)
     count = len(undone.splats)
     assert torch.equal(undone.objects["red"].picked, anew.objects["red"].picked[:count])
     numbers, wanted = (evaluate(scene, device="cpu") for scene in (anew, once))
     assert numbers == wanted and wanted["nnfm_after"].keys() == {"red"}
 
 
-def _origin(scene: Scene) -> Path:
-    origin = paint_of(scene).origin
-    assert origin is not None
-    return origin
+def test_what_was_selected_anew_is_painted_as_it_is_now(anew: Scene, pictures: tuple[Path, Path]):
+    if int(anew.objects["red"].picked[: len(SPLATS)].sum()) < 50:
+        with pytest.raises(StyleSplatError, match="red: it has 45 Gaussians"):
+            painted(anew, "red", pictures[1])
+        return
+    again = painted(anew, "red", pictures[1], measured=False)
+    (layer,) = again.layers
+    rows = anew.objects["red"].picked[: len(SPLATS)].nonzero()[:, 0]
+    assert torch.equal(layer.rows, rows)
+    both = painted(anew, "green", pictures[1], measured=False)
+    assert both.painted_objects == ("red", "green")
 
 
-def test_paint_of_is_not_painted_again_by_another_name(anew: Scene, pictures: tuple[Path, Path]):
-    again = select(anew, "vase", id=3)
-    with pytest.raises(StyleSplatError, match=r"vase is styled in .* already, as a part of red"):
-        painted(again, "vase", pictures[1])
-    with pytest.raises(StyleSplatError, match=r"3 is styled in .* already, as a part of red"):
-        painted(again, "3", pictures[1])
-    both = painted(again, "green", pictures[1])
-    assert paint_of(both).names == ("red", "green")
-
-
-def test_a_label_id_that_was_painted_is_not_painted_by_its_name(
-    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+def test_an_object_that_has_two_names_may_have_two_layers(
+    trained: Path, pictures: tuple[Path, Path]
 ):
-    """Whatever the id means among the Gaussians after the split."""
-    scene_folder.save(painted(scene_folder.open(trained), "3", pictures[0]), tmp_path / "styled")
-    styled = scene_folder.open(tmp_path / "styled")
-    with pytest.raises(StyleSplatError, match=r"red is styled in .* already, as a part of 3\."):
-        painted(styled, "red", pictures[1])
+    styled = painted(scene_folder.open(trained), "3", pictures[0], measured=False)
+    both = painted(styled, "red", pictures[0], measured=False)
+    assert both.painted_objects == ("3", "red")
+    assert_same_splats(adjust(both, objects="red", undo=True).splats, styled.splats)
 
 
 def test_undoing_keeps_what_was_named_since(once: Scene):

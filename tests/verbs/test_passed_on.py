@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from painted_balls import BLUE, GREEN, RED, TRAINED, opened, paint_of, write_painted
+from painted_balls import BLUE, GREEN, RED, TRAINED, opened, write_painted
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.ply import read_ply_table
@@ -115,13 +115,19 @@ def test_a_splat_that_was_edited_keeps_objects(tmp_path: Path):
     assert opened(tmp_path / "scene").objects.keys() == TRAINED.objects.keys()
 
 
-def test_paintings_are_taken_back_from_an_edited_splat(painted: Scene, tmp_path: Path):
+def test_layers_are_taken_back_from_an_edited_splat(painted: Scene, tmp_path: Path):
     order, found = edited(painted)
-    assert paint_of(found).names == paint_of(painted).names
+    assert found.painted_objects == painted.painted_objects
+    assert len(found.splats) == len(order) and len(found.layers[0].canvas)
+    count = len(painted.unpainted)
+    own, new = order[order < count], order[order >= count]
+    assert torch.equal(found.splats.means, painted.splats.means[torch.cat([own, new])])
+    torch.testing.assert_close(found.splats.sh0, painted.splats.sh0[torch.cat([own, new])])
     plain = adjust(found, undo=True)
-    torch.testing.assert_close(plain.splats.sh0, painted.unpainted.sh0[order])
+    torch.testing.assert_close(plain.splats.sh0, painted.unpainted.sh0[own])
+    torch.testing.assert_close(plain.splats.opacities, painted.unpainted.opacities[own])
     scene_folder.save(found, tmp_path / "scene")
-    assert paint_of(opened(tmp_path / "scene")).names == paint_of(painted).names
+    assert opened(tmp_path / "scene").painted_objects == painted.painted_objects
 
 
 def test_views_and_colours_turn_along(painted: Scene):
@@ -148,7 +154,7 @@ def test_what_is_new_belongs_to_nothing_and_edited_colours_stay(painted: Scene, 
         **{name: torch.cat([each, far.tensors()[name]]) for name, each in bright.tensors().items()},
     )
     found = import_(both, like=painted)
-    assert found.metrics["new_gaussians"] == 30 and found.painted is None
+    assert found.metrics["new_gaussians"] == 30 and not found.layers
     assert not any(each.picked[-30:].any() for each in found.objects.values())
     assert any("stay as they look" in line for line in said)
     assert torch.equal(found.splats.sh0, both.sh0)

@@ -38,9 +38,8 @@ def write_vgg16(folder: Path) -> None:
 
 def networks(recipe: Recipe | dict[str, Style], **options) -> list[str]:
     """Those that objects were painted with."""
-    painted = stylize(TRAINED, recipe, device="cpu", **options).painted
-    assert painted is not None
-    return [painting.features for painting in painted.paintings]
+    painted = stylize(TRAINED, recipe, device="cpu", **options).layers
+    return [layer.features for layer in painted]
 
 
 def test_the_papers_network_is_vgg16_unless_told(home: Path):

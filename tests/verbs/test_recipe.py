@@ -10,7 +10,7 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import write_json
-from stylesplat.scene.paintings import Source
+from stylesplat.scene.layer import Source
 from stylesplat.stylization.recipe import SHARED, read_recipe
 from stylesplat.stylization.style import Recipe
 from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
@@ -72,7 +72,7 @@ def test_a_preset_takes_the_place_of_the_defaults(read: Read):
     recipe = read("{preset: paper, seed: 1, objects: {vase: {style: wave.jpg}}}")
     assert config_of(recipe) == replace(PRESETS["paper"], seed=1)
     (vase,) = recipe.objects
-    assert (vase.features, vase.weights, vase.intensity, vase.upon) == (None, None, None, None)
+    assert (vase.features, vase.weights, vase.intensity, vase.form) == (None, None, None, None)
     assert vase.style.network == "vgg16"
 
 

@@ -10,9 +10,10 @@ from balls import CAMERAS, SPLATS
 from painted_balls import TRAINED, assert_same_splats, painted, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
+from stylesplat.io.json_files import read_json
+from stylesplat.scene.compose import require_painted, without_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.bookkeeping import refuse_painted, require_painted
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.delete import delete
 from stylesplat.verbs.objects import objects
@@ -67,13 +68,20 @@ def test_an_object_is_forgotten():
         delete(delete(scene, "green"), "green")
 
 
-def test_what_is_painted_keeps_its_name(styled: Scene):
-    """By which the recipe knows it."""
-    with pytest.raises(StyleSplatError, match=r"'red': it is painted.*--object red --undo"):
-        rename(styled, "red", "vase")
-    other = rename(styled, "green", "vase")
-    assert_same_splats(adjust(other, undo=True).splats, adjust(styled, undo=True).splats)
-    assert adjust(other, undo=True).objects.keys() == {"red", "vase", "blue", "both"}
+def test_the_layer_of_what_is_renamed_is_renamed_too(styled: Scene, tmp_path: Path):
+    """So that what is painted on it later takes its place, and the recipe knows it."""
+    other = rename(styled, "red", "vase")
+    assert other.painted_objects == ("vase",) and other.splats is styled.splats
+    scene_folder.save(styled, tmp_path / "scene")
+    scene_folder.revise(styled, other, tmp_path / "scene")
+    found = scene_folder.open(tmp_path / "scene")
+    assert found.painted_objects == ("vase",) and "vase" in found.objects
+    assert read_json(tmp_path / "scene/recipe.json")["objects"][0]["name"] == "vase"
+    assert [path.name for path in (tmp_path / "scene/layers").iterdir()] == ["01-vase.safetensors"]
+    assert_same_splats(adjust(found, 0.2).splats, adjust(styled, 0.2).splats)
+    undone = adjust(found, objects="vase", undo=True)
+    assert_same_splats(undone.splats, adjust(styled, undo=True).splats)
+    assert undone.objects.keys() == {"vase", "green", "blue", "both"}
     with pytest.raises(StyleSplatError, match="something else is called 'red'"):
         rename(delete(styled, "red"), "green", "red")
 
@@ -99,20 +107,11 @@ def test_both_are_of_objects_and_not_of_gaussians():
 def test_commands_in_messages_can_be_pasted(styled: Scene, tmp_path: Path, said: list[str]):
     """Also where names and places have spaces."""
     place, objects = tmp_path / "my garden", {"red pot": styled.objects["red"]}
-    assert styled.painted is not None
-    (red,) = styled.painted.paintings
-    known = replace(styled.painted, paintings=(replace(red, name="red pot"),))
-    scene = replace(styled, path=place, painted=known, objects=objects)
-    start, end = f"`stylesplat adjust '{place}' --object 'red pot' --undo -o ", "`"
+    (red,) = styled.layers
+    scene = replace(styled, path=place, layers=(replace(red, object="red pot"),), objects=objects)
     delete(scene, "red pot")
-    assert f"{start}OTHER{end}" in said[-1]
-    with pytest.raises(StyleSplatError) as renamed:
-        rename(scene, "red pot", "vase")
-    with pytest.raises(StyleSplatError) as refused:
-        refuse_painted(scene, {"part": red.picked})
+    assert f"`stylesplat adjust '{place}' --object 'red pot' --undo -o OTHER`" in said[-1]
     with pytest.raises(StyleSplatError, match=rf"`stylesplat stylize '{place}' --style"):
-        require_painted(replace(scene, painted=None))
-    assert f"{start}SCENE{end}" in str(renamed.value)
-    assert f"{start}SCENE{end}" in str(refused.value)
+        require_painted(replace(without_layers(scene), path=place))
     with pytest.raises(StyleSplatError, match=rf"`stylesplat select '{place}' --name NAME --id N`"):
         find_object(scene, "lid")

@@ -9,9 +9,10 @@ from jaxtyping import Bool
 
 from balls import BALLS, CAMERAS, SPLATS
 from color_detector import ColorDetector
+from plain_layers import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.scene.paintings import Looks, Painted, Painting
+from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick
@@ -229,9 +230,9 @@ def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector)
     red, green = (SPLATS.identities[:, column] == 1 for column in (1, 2))
     painted[red], painted[green] = SPLATS.sh0[green], SPLATS.sh0[red]
     splats = replace(SPLATS, sh0=painted)
-    record = Painting("3", red, (), {}, 1.0, "compact")
-    styled = Painted((record,), before=Looks.of(SPLATS), full=Looks.of(splats))
-    assert how(scene=Scene(splats, CAMERAS, painted=styled), text="red")["ids"] == [3]
+    layer = layer_towards(SPLATS, splats, red | green, "3")
+    styled = with_layers(Scene(SPLATS, CAMERAS), [layer])
+    assert how(scene=styled, text="red")["ids"] == [3]
 
 
 def test_text_needs_objects(monkeypatch):

@@ -1,6 +1,5 @@
 """Styled scenes: adjusted, styled again, made again from their recipe, and undone."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +16,13 @@ from painted_balls import (
     assert_same_splats,
     contents,
     opened,
-    paint_of,
+    own_rows,
     painted,
     write_painted,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import revise, save
+from stylesplat.scene.compose import strengths_of
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
@@ -53,8 +53,7 @@ def test_confidence_stays_with_its_gaussians(folder: Path):
 @pytest.mark.parametrize("styled", ["once", "twice"])
 def test_styles_can_be_undone_to_the_bit(styled: str, folder: Path, tmp_path: Path):
     scene = opened(folder / styled)
-    assert len(scene.splats) > len(SPLATS) + 20, "it was split"
-    assert paint_of(scene).unsplit is not None
+    assert len(scene.splats) > len(SPLATS) + 20, "it has a canvas"
     save(adjust(scene, 0.3), tmp_path / "adjusted")
     adjusted = opened(tmp_path / "adjusted")
     revise(adjusted, adjust(adjusted, 1.2), tmp_path / "adjusted")
@@ -65,13 +64,12 @@ def test_styles_can_be_undone_to_the_bit(styled: str, folder: Path, tmp_path: Pa
         assert contents(undone) == contents(folder / "trained")
 
 
-def test_picks_and_identities_follow_the_split(folder: Path):
+def test_picks_and_identities_follow_the_canvas(folder: Path):
     scene = opened(folder / "twice")
     new = torch.arange(len(scene.splats)) >= len(SPLATS)
     red, green, both = (scene.objects[name].picked for name in ("red", "green", "both"))
     assert torch.equal(both, red | green)
-    assert torch.equal(both[new], new[new])
-    assert (red & new).any() and (green & new).any()
+    assert torch.equal(both[new], new[new]) and (red & new).any()
     assert scene.splats.identities is not None
     for picked, number in ((red, 1), (green, 2)):
         assert (scene.splats.identities[picked].argmax(dim=1) == number).all()
@@ -82,16 +80,15 @@ def test_a_second_style_leaves_the_first_alone(folder: Path):
     green = once.objects["green"].picked
     rows = torch.arange(len(once.splats))
     assert_same_splats(twice.splats[rows][~green], once.splats[~green])
-    assert paint_of(once).names == ("red",)
-    assert paint_of(twice).names == ("red", "green")
+    assert once.painted_objects == ("red",)
+    assert twice.painted_objects == ("red", "green")
+    files = [folder / name / "layers/01-red.safetensors" for name in ("once", "twice")]
+    assert files[0].read_bytes() == files[1].read_bytes()
     assert twice.metrics["train"] == {"psnr": 30.0}
 
 
 def test_what_was_measured_is_there_for_every_object(folder: Path):
     wave, night = folder / "wave.png", folder / "night.png"
-    styles = {"red": Style(wave, config=FAST), "3": Style(night, config=FAST)}
-    with pytest.raises(StyleSplatError, match=r"red and 3 at once: they share"):
-        stylize(TRAINED, styles)
     styles = {"red": Style(wave, config=FAST), "7": Style(night, config=FAST, steps=2)}
     metrics = stylize(TRAINED, styles, device="cpu").metrics
     assert metrics["steps"] == 5
@@ -100,22 +97,24 @@ def test_what_was_measured_is_there_for_every_object(folder: Path):
 
 def test_intensity_0_shows_the_colors_before_and_goes_back(folder: Path):
     styled = opened(folder / "once")
-    none, before = adjust(styled, 0.0), paint_of(styled).before
-    assert torch.equal(none.splats.sh0, before.sh0)
-    assert torch.equal(none.splats.shN, before.shN)
+    none = adjust(styled, 0.0)
+    assert_same_splats(none.splats, opened(folder / "trained").splats)
     assert_same_splats(adjust(none, FAST.intensity).splats, styled.splats)
+    assert_same_objects(adjust(none, FAST.intensity), styled)
 
 
 def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_path: Path):
-    """Among the Gaussians after a split, outliers of an id are others than before."""
-    styled = painted(opened(folder / "trained"), "3", folder / "wave.png", object_size=48)
+    """Among more Gaussians, outliers of an id would be others than before."""
+    styled = painted(
+        opened(folder / "trained"), "3", folder / "wave.png", object_size=48, canvas="fresh"
+    )
     assert len(styled.splats) > len(SPLATS)
-    known = paint_of(styled)
-    repainted = (styled.splats.sh0 != known.before.sh0).flatten(1).any(dim=1)
     save(styled, tmp_path / "styled")
     none = adjust(opened(tmp_path / "styled"), 0.0)
-    assert torch.equal(none.splats.sh0, known.before.sh0)
-    assert repainted.any() and not (repainted & ~known.paintings[0].picked).any()
+    assert_same_splats(none.splats, styled.unpainted)
+    count = len(SPLATS)
+    repainted = (styled.splats.sh0[:count] != styled.unpainted.sh0).flatten(1).any(dim=1)
+    assert repainted.any() and not (repainted & ~own_rows(none, "3")).any()
     assert adjust(none, undo=True).objects.keys() == TRAINED.objects.keys()
 
 
@@ -125,13 +124,11 @@ def test_the_recipe_of_a_styled_scene_makes_it_again(folder: Path, tmp_path: Pat
     _, green = recipe.objects
     assert (green.name, green.style.config, green.features) == (
         "green",
-        replace(FAST, canvas="fresh"),
+        FAST,
         "compact",
     )
     assert green.style.pictures == (folder / "night.png", folder / "wave.png")
-    source = Path(json.loads((styled / "recipe.json").read_text())["scene"])
-    assert source == folder / "trained"
-    save(stylize(opened(source), recipe, device="cpu"), tmp_path / "again")
+    save(stylize(opened(folder / "trained"), recipe, device="cpu"), tmp_path / "again")
     again, scene = opened(tmp_path / "again"), opened(styled)
     assert_same_splats(again.splats, scene.splats)
     assert_same_objects(again, scene)
@@ -142,9 +139,10 @@ def test_every_object_can_be_adjusted_afterwards(folder: Path, tmp_path: Path):
     twice = opened(folder / "twice")
     save(adjust(twice, 0.0, objects="red"), tmp_path / "one")
     scene = opened(tmp_path / "one")
-    red, before = scene.objects["red"].picked, paint_of(scene).before
-    assert torch.equal(scene.splats.sh0[red], before.sh0[red])
-    assert torch.equal(scene.splats.sh0[~red], twice.splats.sh0[~red])
+    red, before = scene.objects["red"].picked, scene.unpainted
+    assert_same_splats(scene.splats[red], before[scene.objects["red"].picked[: len(SPLATS)]])
+    others = ~twice.objects["red"].picked
+    assert torch.equal(scene.splats.sh0[~red], twice.splats.sh0[others])
     assert scene.metrics == {"train": {"psnr": 30.0}}
 
 
@@ -153,8 +151,7 @@ def test_a_recipe_holds_what_each_object_has_of_its_own(folder: Path, tmp_path: 
     red, green = Style(folder / "wave.png", config=FAST), Style(folder / "night.png", config=own)
     styled = stylize(TRAINED, {"red": red, "green": green}, device="cpu")
     adjusted = adjust(styled, 1.1, objects="red")
-    strengths = {each.name: each.intensity for each in paint_of(adjusted).paintings}
-    assert strengths == {"red": 1.1, "green": 0.9}
+    assert strengths_of(adjusted) == {"red": 1.1, "green": 0.9}
     save(adjusted, tmp_path / "styled")
     found = read_recipe(tmp_path / "styled" / "recipe.json", defaults=StyleConfig()).objects
     assert [each.style.config for each in found] == [FAST, own]

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from stylesplat.atelier.studio_state import State
-from stylesplat.scene.paintings import Painting
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.pasted import pasted
 from stylesplat.stylization.plain_settings import plain
 from stylesplat.stylization.style_config import StyleConfig
@@ -22,13 +22,13 @@ class Held:
 
     commands: tuple[tuple[str, ...], ...] = ()
     """Those of its state."""
-    paintings: tuple[Painting, ...] = ()
-    """In their order."""
+    layers: tuple[Layer, ...] = ()
+    """The lowest first."""
 
 
 def held_by(state: State) -> Held:
     """What a folder holds that a state was written to."""
-    return Held(state.commands, _paintings(state))
+    return Held(state.commands, state.scene.layers)
 
 
 def commands(
@@ -46,53 +46,42 @@ def commands(
         None if the folder holds something that this scene has no longer.
     """
     held = held or Held()
-    known, paintings = len(held.commands), _paintings(state)
-    kept = [painting for painting in paintings if _among(painting, held.paintings)]
-    new = paintings[len(kept) :]
-    anew = {painting.name for painting in new}
-    gone = [p for p in held.paintings if not _among(p, kept) and p.name not in anew]
-    if state.commands[:known] != held.commands or gone or not _alike(paintings, kept):
+    known, layers = len(held.commands), state.scene.layers
+    new = [layer for layer in layers if not any(_same(layer, other) for other in held.layers)]
+    before = [layer.object for layer in held.layers]
+    added = [layer.object for layer in new if layer.object not in before]
+    if state.commands[:known] != held.commands or [*before, *added] != _objects(layers):
         return None
     lines = [_placed(words, folder) for words in state.commands[known:]]
-    before = folder
-    for number, painting in enumerate(new):
+    source = folder
+    for number, layer in enumerate(new):
         last = number == len(new) - 1
         after = output if last else output.with_name(f"{output.name}-{number + 1}")
-        lines.append(pasted("stylize", before, *_options(painting), "-o", after))
-        before = after
+        lines.append(pasted("stylize", source, *_options(layer), "-o", after))
+        source = after
     return lines
 
 
-def _paintings(state: State) -> tuple[Painting, ...]:
-    painted = state.scene.painted
-    return () if painted is None else tuple(painted.paintings)
+def _objects(layers: Sequence[Layer]) -> list[str]:
+    return [layer.object for layer in layers]
 
 
-def _among(painting: Painting, others: Sequence[Painting]) -> bool:
-    return any(_same(painting, other) for other in others)
-
-
-def _alike(paintings: Sequence[Painting], begin: Sequence[Painting]) -> bool:
-    return all(_same(a, b) for a, b in zip(paintings, begin, strict=False))
-
-
-def _same(a: Painting, b: Painting) -> bool:
-    """Whether two are one painting: of the same Gaussians, at the same strength."""
-    names = ("name", "styles", "settings", "intensity")
-    same = all(getattr(a, name) == getattr(b, name) for name in names)
-    return same and torch.equal(a.picked[: len(b.picked)], b.picked[: len(a.picked)])
+def _same(a: Layer, b: Layer) -> bool:
+    """Whether two are one layer: of the same Gaussians, as strong."""
+    names = ("object", "styles", "settings", "strength", "form")
+    return all(getattr(a, n) == getattr(b, n) for n in names) and torch.equal(a.rows, b.rows)
 
 
 def _placed(words: tuple[str, ...], folder: Path) -> str:
     return pasted(*(str(folder) if word == "SCENE" else word for word in words))
 
 
-def _options(painting: Painting) -> Iterator[str]:
-    pictures = ",".join(str(source.path or "PICTURE") for source in painting.styles)
-    yield from ("--style", f"{painting.name}={pictures}")
+def _options(layer: Layer) -> Iterator[str]:
+    pictures = ",".join(str(source.path or "PICTURE") for source in layer.styles)
+    yield from ("--style", f"{layer.object}={pictures}")
     usual = plain(StyleConfig())
     for field in fields(StyleConfig):
-        value = painting.settings.get(field.name, usual[field.name])
+        value = layer.settings.get(field.name, usual[field.name])
         if field.name in NO_OPTIONS or value == usual[field.name]:
             continue
         option = f"--{field.name.replace('_', '-')}"
@@ -102,5 +91,5 @@ def _options(painting: Painting) -> Iterator[str]:
             yield from (option, *map(str, value))
         else:
             yield f"{option}={value}"
-    if painting.intensity != 1:
-        yield f"--intensity={painting.intensity:g}"
+    if layer.strength != 1:
+        yield f"--intensity={layer.strength:g}"

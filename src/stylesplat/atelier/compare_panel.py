@@ -14,7 +14,7 @@ from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.thumbnails import grid
 from stylesplat.atelier.viewing import Compared, Stage
 from stylesplat.atelier.widgets import icon
-from stylesplat.stylization.bookkeeping import strengths
+from stylesplat.scene.compose import strengths_of
 
 if TYPE_CHECKING:
     import viser
@@ -58,7 +58,7 @@ class ComparePanel:
 
     def refresh(self) -> None:
         """The state is another."""
-        found = strengths(self.session.state.scene)
+        found = strengths_of(self.session.state.scene)
         self._told.visible = not found
         for name in self._sliders.keys() - found.keys():
             self._sliders.pop(name).remove()

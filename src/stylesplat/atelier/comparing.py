@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from stylesplat.atelier.session import Session
 from stylesplat.atelier.studio_state import State
 from stylesplat.atelier.thumbnails import Thumbnail, object_thumbnail, portrait_camera
-from stylesplat.stylization.bookkeeping import strengths
+from stylesplat.scene.compose import strengths_of
 from stylesplat.stylization.plain_settings import plain
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.adjust import adjust
@@ -32,7 +32,7 @@ def at_intensity(state: State, name: str, intensity: float) -> State:
     Raises:
         StyleSplatError: If there is no such painting, or the intensity is out of range.
     """
-    if strengths(state.scene).get(name) == intensity:
+    if strengths_of(state.scene).get(name) == intensity:
         return state
     scene = adjust(state.scene, intensity, objects=name)
     note = f"{name} at {intensity:.0%}"
@@ -54,8 +54,7 @@ def variant_of(session: Session, name: str, title: str) -> Variant:
     state = session.state
     splats, picked = state.scene.splats, session.masks.of(state.scene, name)
     camera = portrait_camera(splats, state.scene.cameras, picked)
-    painted = state.scene.painted
-    settings = {p.name: p.settings for p in painted.paintings}[name] if painted else {}
+    settings = {layer.object: layer.settings for layer in state.scene.layers}.get(name, {})
     return Variant(
         title=f"{name}: {title}",
         bookmark=session.history.bookmark(),

@@ -17,6 +17,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import color_map, map_colors
 from stylesplat.stylization.style import Picture, Style
@@ -175,19 +176,18 @@ class Easel:
         left = (now - self._began) / done * (steps - step) if done else None
         what = f"{order.name}: {order.title}, step {step} of {steps}"
         self.session.progress = Progress(what, step / steps, left)
-        self.session.preview = Shown(live.splats.to("cpu"), hidden=self._hidden(live))
+        scene = live.scene()
+        self.session.preview = Shown(scene.splats, hidden=self._hidden(scene))
         self.session.tell_change()
 
-    def _hidden(self, live: Live) -> Bool[Tensor, " N"] | None:
+    def _hidden(self, scene: Scene) -> Bool[Tensor, " N"] | None:
         """What the user does not want to see meanwhile."""
-        state, ground = self.session.state, live.ground
-        known, masks = names_in(ground), self.session.masks
-        hidden = masks.together(ground, [name for name in state.hidden if name in known])
+        state, known, masks = self.session.state, names_in(scene), self.session.masks
+        hidden = masks.together(scene, [name for name in state.hidden if name in known])
         if state.alone:
-            picked = masks.together(ground, [name for name in state.picked if name in known])
+            picked = masks.together(scene, [name for name in state.picked if name in known])
             hidden = None if picked is None else ~picked
-        hidden = unless_all(hidden)
-        return None if hidden is None else hidden[live.state.parents.cpu()]
+        return unless_all(hidden)
 
     def _kept(self, order: Order, live: Live, note: str) -> None:
         session = self.session

@@ -278,14 +278,13 @@ def _selected(state: State, name: str, choice: dict[str, Any]) -> State:
 def _own_name(state: State) -> str:
     """The name of the pick that may be changed: one that was made here, else a new one."""
     made = {words[3] for words in state.commands if words[0] == "select"}
-    painted = state.scene.painted.names if state.scene.painted else ()
-    if len(state.picked) == 1 and state.picked[0] in made - set(painted):
+    if len(state.picked) == 1 and state.picked[0] in made - {*state.scene.painted_objects}:
         return state.picked[0]
     return _free_name(state.scene)
 
 
 def _free_name(scene: Scene) -> str:
-    taken = {*scene.objects, *(scene.painted.names if scene.painted else ())}
+    taken = {*scene.objects, *scene.painted_objects}
     return next(
         name for name in (MADE.format(n) for n in range(1, len(taken) + 2)) if name not in taken
     )

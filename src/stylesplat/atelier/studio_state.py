@@ -8,6 +8,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.drawing.shown import Shown
+from stylesplat.scene.compose import family
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
@@ -37,7 +38,7 @@ class Masks:
     """Which Gaussians each object is; that of a label id takes a while, so it is kept."""
 
     def __init__(self) -> None:
-        self._kept = dict[str, tuple[object, object, Tensor]]()
+        self._kept = dict[str, tuple[Tensor, Tensor]]()
 
     def of(self, scene: Scene, name: str) -> Bool[Tensor, " N"]:
         """The Gaussians of one object.
@@ -47,13 +48,13 @@ class Masks:
         """
         if name in scene.objects:
             return scene.objects[name].picked
-        known = self._kept.get(name)
-        painted = scene.painted and scene.painted.names
-        if known and known[0] is scene.splats.means and known[1] == painted:
-            return known[2]
-        found = find_object(scene, name)
-        self._kept[name] = (scene.splats.means, painted, found)
-        return found
+        if name in scene.painted_objects:
+            return find_object(scene, name)
+        known, means = self._kept.get(name), scene.unpainted.means
+        if known is None or known[0] is not means:
+            found = find_object(scene, name)[: len(means)]
+            known = self._kept[name] = (means, found)
+        return known[1][family(scene)] if scene.layers else known[1]
 
     def together(self, scene: Scene, names: Iterable[str]) -> Bool[Tensor, " N"] | None:
         """All Gaussians of some objects; None if there are none of these."""
@@ -83,7 +84,7 @@ def unless_all(hidden: Bool[Tensor, " N"] | None) -> Bool[Tensor, " N"] | None:
 
 def with_scene(state: State, scene: Scene, note: str) -> State:
     """Another scene, and of what is picked and hidden what it still has."""
-    known = {*names_in(scene), *(scene.painted.names if scene.painted else ())}
+    known = {*names_in(scene), *scene.painted_objects}
     return replace(
         state,
         scene=scene,

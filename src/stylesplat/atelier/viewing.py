@@ -70,7 +70,7 @@ class Stage:
         seen = self.session.shown
         before = self.compared == "before" or self._holding
         if before and self.session.preview is None:
-            return Shown(self.session.state.scene.unpainted, hidden=seen.hidden)
+            return _before(self.session.state.scene, seen.hidden)
         return seen
 
     def refresh(self) -> None:
@@ -88,7 +88,7 @@ class Stage:
         image = replace(self._last, pointed=pointed).render(camera, self.behind).numpy()
         if self.compared == "split" and not self._holding and self.session.preview is None:
             scene, hidden = self.session.state.scene, self._last.hidden
-            before = Shown(scene.unpainted, hidden=hidden).render(camera, self.behind).numpy()
+            before = _before(scene, hidden).render(camera, self.behind).numpy()
             middle = round(self.split * image.shape[1])
             image[:, :middle] = before[:, :middle]
             image[:, max(0, middle - 1) : middle + 1] = 255
@@ -171,6 +171,12 @@ class Stage:
             return self._first
         position, centre = close_to(state.scene.splats, picked, now.position)
         return replace(now, position=position, target=centre)
+
+
+def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> Shown:
+    """A scene without its layers; of what is hidden the rows that are there."""
+    base = scene.unpainted
+    return Shown(base, hidden=None if hidden is None else hidden[: len(base)])
 
 
 def close_to(

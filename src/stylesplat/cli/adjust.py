@@ -21,11 +21,13 @@ class Adjust:
     Example: stylesplat adjust garden-wave --intensity 0.6
     """
 
-    first: ClassVar = ("output", "intensity", "object", "undo")
+    first: ClassVar = ("output", "intensity", "form", "object", "undo")
     scene: Positional[Path]
     """Folder of the styled scene."""
     intensity: float | None = None
     """0 for what was before, 1 for the style's, up to 1.5 to exaggerate."""
+    form: float | None = None
+    """How much of the object's own light and relief shows in the paint, 0 to 1.5."""
     undo: FlagCreatePairsOff[bool] = False
     """Write the scene as it was before it was styled, to the bit, to the --output folder; with
     --object only these are as before."""
@@ -40,6 +42,7 @@ class Adjust:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.recovery import changing
+        from stylesplat.scene.compose import strengths_of
         from stylesplat.verbs.adjust import adjust
 
         if self.undo and self.output is None:
@@ -51,13 +54,20 @@ class Adjust:
             after = rewritten(
                 self.scene,
                 self.output,
-                lambda scene: adjust(scene, self.intensity, objects=self.object, undo=self.undo),
+                lambda scene: adjust(
+                    scene,
+                    self.intensity,
+                    form=self.form,
+                    objects=self.object,
+                    undo=self.undo,
+                ),
                 overwrite=self.overwrite,
             )
             nothing = {"before_after": None}
-            picture = write_before_after(after, folder) if after.painted else nothing
-        painted = after.painted.paintings if after.painted else ()
-        shown = {"intensity": {each.name: each.intensity for each in painted}} if painted else {}
+            picture = write_before_after(after, folder) if after.layers else nothing
+        shown = {"intensity": strengths_of(after)} if after.layers else {}
+        if self.form is not None:
+            shown["form"] = {each.object: each.form for each in after.layers}
         return {"scene": folder, **shown, **picture}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:

@@ -100,12 +100,12 @@ class Evaluate:
         from stylesplat.verbs.load import load
 
         source = self.capture or scene.capture
-        if source is None and scene.painted is None:
+        if source is None and not scene.layers:
             raise StyleSplatError(
                 f"{path} knows no photos to compare with. Pass --capture with their folder."
             )
         gone = self.capture is None and source is not None and not source.is_dir()
-        if gone and scene.painted is None:
+        if gone and not scene.layers:
             raise StyleSplatError(
                 f"The photos of {path} are no longer in {source}. Say with --capture where they "
                 "are."

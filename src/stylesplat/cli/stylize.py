@@ -93,7 +93,7 @@ class Stylize:
     """Whether highlights and reflections stay, are painted over (default), or are trained too."""
     canvas: Literal["fresh", "own"] | None = None
     """What carries the strokes: small new Gaussians on the object's surface (fresh, the default),
-    or its own, split where too large."""
+    or its own."""
     max_growth: float | None = None
     """How many times as many Gaussians the object may get, by default 4, up to 16 for one of few;
     1 adds none, as a draft does: it is painted on its own."""

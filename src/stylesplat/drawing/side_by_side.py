@@ -18,11 +18,10 @@ from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import require_painted
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.bookkeeping import require_painted
-from stylesplat.stylization.undo import unpainted
 
 LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
 GAP = 8  # white pixels between the pictures
@@ -48,8 +47,11 @@ def before_after(
     Raises:
         StyleSplatError: If the scene is not styled.
     """
-    base = unpainted(scene).splats.to(pick_device(device))
-    picked = require_painted(scene).everything[: len(base)].to(base.device)
+    require_painted(scene)
+    base = scene.unpainted.to(pick_device(device))
+    picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
+    for layer in scene.layers:
+        picked[layer.rows.to(base.device)] = True
     found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:
         return None

@@ -19,6 +19,7 @@ from stylesplat.io.files import atomic_path
 from stylesplat.io.places import refuse_file
 from stylesplat.rendering.constants import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import mask_of, rows_unpainted
 from stylesplat.scene.content import extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -71,7 +72,7 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     splats = (what.splats if isinstance(what, Scene) else what).detach().to("cpu")
     if not (torch.sigmoid(splats.opacities) >= MIN_ALPHA).any():
         raise StyleSplatError("No Gaussian shows, so a page would be black. Choose another scene.")
-    before = scene.unpainted.detach().to("cpu") if scene else splats
+    before = rows_unpainted(scene).detach().to("cpu") if scene else splats
     packed = pack(splats, before, sh_degree=sh_degree)
     about = packed.about | {
         "start": _start(splats, scene.cameras if scene else None),
@@ -95,7 +96,7 @@ def _start(splats: Splats, cameras: Cameras | None) -> dict[str, Any]:
 
 def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
     """What objects are called, and where they are."""
-    painted = {each.name: each.picked for each in scene.painted.paintings} if scene.painted else {}
+    painted = {layer.object: mask_of(layer, scene) for layer in scene.layers}
     named = {name: each.picked for name, each in scene.objects.items()}
     for name, picked in {**painted, **named}.items():
         if picked.any():

@@ -14,6 +14,7 @@ from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import coverage, label_votes, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import mask_of
 from stylesplat.scene.labels import Mask, resize_labels
 from stylesplat.scene.sampling import far_apart
 from stylesplat.scene.scene import Scene
@@ -52,7 +53,8 @@ def largest_stain(
     base, styled = before.splats.to(device), after.splats.to(device)
     cameras = after.cameras.downscale(after.downscale)
     ids = {name: whole_ids(before, name) for name in names}
-    picks = {name: _picked(after, name, len(base)).to(device) for name in names}
+    layers = {layer.object: layer for layer in after.layers}
+    picks = {name: mask_of(layers[name], before).to(device) for name in names}
     beside = dict(islice(_beside(base, cameras, capture, ids, picks), VIEWS))
     if not beside:
         return {}
@@ -68,16 +70,6 @@ def largest_stain(
     view = max(stains, key=lambda name: stains[name])
     found: dict[str, int | str] = {"stain_pixels": stains[view]}
     return found | ({"stain_view": view} if stains[view] else {})
-
-
-def _picked(scene: Scene, name: str, count: int) -> Bool[Tensor, " N"]:
-    """The Gaussians that a painted object had before, of so many."""
-    painted = scene.painted
-    assert painted is not None
-    picked = next(each.picked for each in painted.paintings if each.name == name)[:count].clone()
-    if painted.unsplit is not None:
-        picked[painted.unsplit.count :] = False  # rows that painting other objects made
-    return picked
 
 
 def _beside(

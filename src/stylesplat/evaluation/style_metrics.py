@@ -38,7 +38,7 @@ def measure_painted(
     *,
     held_out: Cameras | None = None,
     cuts: Mapping[str, CutScene] | None = None,
-    parents: Int[Tensor, " L"] | None = None,
+    families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
     """What painting some objects did to them and to the scene.
 
@@ -47,8 +47,9 @@ def measure_painted(
         jobs: The objects and their styles.
         styled: The scene after; it may have more Gaussians.
         held_out: Views to measure on; those of the studio by default.
-        cuts: By name, of a large scene, what objects are measured in.
-        parents: Which Gaussian of the scene before each one after comes from, if there are `cuts`.
+        cuts: By name, of a large scene, what objects are measured in, as rows of the base.
+        families: The rows of the base that the Gaussians before and after belong to, if there are
+            `cuts`.
 
     Returns:
         What `measure_changes` returns, and by name in `objects` what `measure_object` does.
@@ -59,9 +60,10 @@ def measure_painted(
     objects = {}
     for job in jobs:
         if cuts and job.name in cuts:
-            assert parents is not None
-            cut = cuts[job.name]
-            part, own, after = cut.studio(measured), cut.job(job), cut.styled(styled, parents)
+            assert families is not None
+            rows, after = (cuts[job.name].among(each.to(base.device)) for each in families)
+            cut = replace(cuts[job.name], rows=rows)
+            part, own, after = cut.studio(measured), cut.job(job), styled[after]
             fallback = cut.showing(training)
         else:
             part, own, after, fallback = measured, job, styled, training

@@ -27,23 +27,31 @@ from stylesplat.io.json_files import (
     write_json,
 )
 from stylesplat.io.kinds import no_scene
-from stylesplat.io.painted_files import read_painted, write_painted
+from stylesplat.io.layer_files import STACK, read_layers, write_layers
 from stylesplat.io.recovery import settled
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
 from stylesplat.io.tensors import read_named, write_tensors
+from stylesplat.progress import say
 from stylesplat.scene.labels import MAX_ID
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
 from stylesplat.scene.splats import Splats
 
 SCENE = "scene.json"
-SPLATS = "splats.ply"
+SPLATS = "splats.ply"  # what it looks like
+BASE = "base.ply"  # what lies beneath the layers
 IDENTITIES = "identities.safetensors"
 CAMERAS = "cameras.json"
 OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
 AGAIN = "Train again."
-VERSION = 1  # of the folder's layout
+VERSION = 2  # of the folder's layout
+# What version 1 had of paintings
+OF_OLD = tuple(
+    f"{name}.safetensors"
+    for name in ("base_colors", "style_colors", "opacities", "unsplit", "paintings")
+)
 
 
 class _Settings(msgspec.Struct):
@@ -131,13 +139,15 @@ def _read(path: Path, *, bands: bool) -> Scene:
     declared, info = _read_info(folder / SCENE)
     splats = with_identities(_read_gaussians(folder / SPLATS, bands), folder / IDENTITIES)
     picks = read_named(folder / PICKS, PICKED, N=len(splats))
+    base, layers = _read_stack(folder, splats, bands)
     return Scene(
         splats=splats,
         cameras=read_cameras(folder / CAMERAS),
         held_out=declared.test_views,
         downscale=declared.settings.downscale,
         objects=_read_objects(folder / OBJECTS, picks),
-        painted=read_painted(folder, picks, splats),
+        base=base,
+        layers=layers,
         path=folder,
         capture=_found_capture(declared, folder),
         info=info,
@@ -173,6 +183,29 @@ def _read_gaussians(path: Path, bands: bool) -> Splats:
     return replace(splats, shN=pad_bands(splats.shN)) if bands else splats
 
 
+def _read_stack(
+    folder: Path, splats: Splats, bands: bool
+) -> tuple[Splats | None, tuple[Layer, ...]]:
+    """The splat beneath the layers, and these; None and none if there are none."""
+    if (folder / OF_OLD[0]).exists():
+        say(
+            f"{folder} was written by an earlier StyleSplat: its paint stays, but cannot be undone "
+            "or adjusted."
+        )
+    if not (folder / STACK).exists():
+        return None, ()
+    base = _read_gaussians(folder / BASE, bands)
+    layers, count = read_layers(folder, len(base)), len(base)
+    if len(splats) != count + sum(len(each.parents) for each in layers if each.is_shown):
+        raise StyleSplatError(
+            f"Cannot read {folder / BASE}: it and the layers do not make up the {len(splats):,} "
+            f"Gaussians of {SPLATS}: the files belong to different scenes. {AGAIN}"
+        )
+    own = {n: getattr(splats, n) for n in ("identities", "confidence")}
+    own = {name: tensor if tensor is None else tensor[:count] for name, tensor in own.items()}
+    return replace(base, **own, classifier=splats.classifier), layers
+
+
 def _read_metrics(path: Path) -> dict[str, Any]:
     metrics = read_json(path, most=MAX_JSON)
     fitting(metrics, _Metrics, f"Cannot read {path}", AGAIN)
@@ -202,11 +235,18 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
         picks = {name: each.picked for name, each in scene.objects.items()}
         write_tensors(picks, folder / PICKS)
         write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
-    if differs("painted"):
-        write_painted(scene.painted, folder)
+    if differs("base"):
+        (folder / BASE).unlink(missing_ok=True)
+        if scene.base is not None:
+            write_splat_ply(scene.base, folder / BASE)
+    if differs("layers"):
+        write_layers(scene.layers, folder, before.layers if before else ())
+    for name in OF_OLD:
+        (folder / name).unlink(missing_ok=True)
     if differs("metrics"):
         write_json(scene.metrics, folder / METRICS)
-    if differs("info", "capture", "held_out", "downscale"):
+    old = before is not None and read_json(folder / SCENE, most=MAX_JSON).get("version") != VERSION
+    if old or differs("info", "capture", "held_out", "downscale"):
         write_json(_info(scene, place), folder / SCENE)
 
 
@@ -229,10 +269,10 @@ def _info(scene: Scene, place: Path) -> dict[str, Any]:
 def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
     """What scene.json declares, and what else it says."""
     content = read_json(path, most=MAX_JSON)
-    if content.pop("version", None) != VERSION:
+    if content.pop("version", None) not in (1, VERSION):
         raise StyleSplatError(
-            f"{path} is not of version {VERSION}. Read it with the StyleSplat that made it, or "
-            "train again."
+            f"{path} is not of version 1 or {VERSION}. Read it with the StyleSplat that made it, "
+            "or train again."
         )
     declared = fitting(content, _Info, f"Cannot read {path}", AGAIN)
     settings = content.pop("settings", {})

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief, check_choice, some
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.one_line import counted, one_line
-from stylesplat.scene.paintings import Painted
 from stylesplat.scene.splats import Splats
 
 Which = Literal["test", "train", "all"]
@@ -40,13 +40,13 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class Scene:
-    """Gaussians, the cameras that they were photographed by, named objects, what was painted.
+    """Gaussians, the cameras that they were photographed by, named objects, layers of paint.
 
     Scenes are never changed: every verb takes one and returns another.
     """
 
     splats: Splats
-    """As they look now. Of degree 3 once they come from disk."""
+    """What the scene looks like: the layers composed onto the base. Of degree 3 if it was read."""
     cameras: Cameras
     """All cameras of the capture, at the photos' full size."""
     held_out: tuple[str, ...] = ()
@@ -55,8 +55,10 @@ class Scene:
     """How many times smaller than the photos the views are that it was made from."""
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
     """The objects that have a name."""
-    painted: Painted | None = None
-    """What was painted; None if nothing was."""
+    base: Splats | None = None
+    """The splat beneath all layers; None if there are no layers."""
+    layers: tuple[Layer, ...] = ()
+    """The stack of layers, the lowest first. `with_layers` changes it."""
     path: Path | None = None
     """The folder that it was opened from."""
     capture: Path | None = None
@@ -73,7 +75,7 @@ class Scene:
             counted(len(self.splats), "Gaussian"),
             counted(len(self.cameras), "view") + held_out,
             f"objects: {some(self.objects)}" if self.objects else None,
-            f"painted: {some(self.painted.names)}" if self.painted else None,
+            f"painted: {some(self.painted_objects)}" if self.layers else None,
             self.path,
         )
 
@@ -101,8 +103,13 @@ class Scene:
 
     @property
     def unpainted(self) -> Splats:
-        """The Gaussians there are as they looked before anything was painted."""
-        return self.painted.before.on(self.splats) if self.painted else self.splats
+        """The splat beneath all layers. Its rows are the first ones of `splats`."""
+        return self.splats if self.base is None else self.base
+
+    @property
+    def painted_objects(self) -> tuple[str, ...]:
+        """What the objects of the layers are called, the lowest first."""
+        return tuple(layer.object for layer in self.layers)
 
     def with_object(self, name: str, found: SceneObject) -> "Scene":
         """The scene with one more named object, or with another of that name.

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import family, mask_of
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.selection.detector import Detector
@@ -122,7 +123,8 @@ def choose(
         scores |= {id: max(score, scores.get(id, score)) for id, score in fits.items()}
     ids = tuple(id for id in dict.fromkeys(named) if id not in without)
     if ids:
-        masks.append(pick(scene.splats, object_id=ids, **rules._asdict()))
+        picked = pick(scene.unpainted, object_id=ids, **rules._asdict())
+        masks.append(_extended(scene, picked))
     if not masks:
         raise StyleSplatError(
             "Nothing says which Gaussians. Say it with --id, --point, --box, --text, --box3d, "
@@ -144,20 +146,20 @@ def choose(
 def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
     """The Gaussians that a name or a label id means.
 
-    Of what was painted by its label id, it means those that were painted: a split moves the
-    borders between objects a little.
+    Gaussians of layers belong to the objects of their parents; a name that only a layer has means
+    what it covers.
 
     Raises:
         StyleSplatError: If the scene knows neither.
     """
     if name in scene.objects:
         return scene.objects[name].picked
-    for painting in scene.painted.paintings if scene.painted else ():
-        if painting.name == name:
-            return painting.picked
+    for layer in scene.layers:
+        if layer.object == name:
+            return mask_of(layer, scene)
     if is_id(name) and scene.splats.classifier is not None:
         ids = resolve_ids(scene.splats, object_id=int(name), folder=scene.path)
-        return pick(scene.splats, object_id=ids)
+        return _extended(scene, pick(scene.unpainted, object_id=ids))
     ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
     way = pasted("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
@@ -172,14 +174,20 @@ def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, "
     Raises:
         StyleSplatError: If the scene lacks one of them.
     """
-    told = {*scene.objects, *(scene.painted.names if scene.painted else ())}
+    told = {*scene.objects, *scene.painted_objects}
     classifier = scene.splats.classifier
     ids = {name: int(name) for name in names if is_id(name) and name not in told}
     if classifier is None or len(ids) < 2 or not {*ids.values()} <= {*object_ids(scene.splats)}:
         return {name: find_object(scene, name) for name in names}
-    picked = pick_objects(scene.splats, [*ids.values()])
+    picked = pick_objects(scene.unpainted, [*ids.values()])
+    picked = {id: _extended(scene, mask) for id, mask in picked.items()}
     there = {name: picked[id] for name, id in ids.items() if picked[id].any()}
     return {name: there[name] if name in there else find_object(scene, name) for name in names}
+
+
+def _extended(scene: Scene, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
+    """What is picked of the base, and the Gaussians of layers that belong to it."""
+    return picked[family(scene).to(picked.device)] if scene.layers else picked
 
 
 def names_of(scene: Scene, id: int) -> list[str]:
@@ -207,8 +215,8 @@ def _taken_away(
         yield find_object(scene, name)
     if without:
         rules = Rules(threshold, remove_outliers=False)
-        for _, picked in each_object(scene.splats, without, **rules._asdict()):
-            yield picked
+        for _, picked in each_object(scene.unpainted, without, **rules._asdict()):
+            yield _extended(scene, picked)
 
 
 def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:

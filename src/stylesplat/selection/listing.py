@@ -8,6 +8,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
+from stylesplat.scene.compose import family
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.listed import Listed, ListedObjects
 from stylesplat.scene.scene import Scene
@@ -23,8 +24,9 @@ def picks_of(scene: Scene) -> dict[str, Bool[Tensor, " N"]]:
     if scene.splats.classifier is None:
         return picks
     unnamed = [id for id in object_ids(scene.splats) if not names_of(scene, id)]
-    found = each_object(scene.splats, unnamed) if unnamed else ()
-    return picks | {str(id): picked for id, picked in found if picked.any()}
+    found = each_object(scene.unpainted, unnamed) if unnamed else ()
+    rows = family(scene)
+    return picks | {str(id): picked[rows] for id, picked in found if picked.any()}
 
 
 def no_objects(scene: Scene) -> StyleSplatError:
@@ -67,6 +69,7 @@ def _labels(scene: Scene) -> Int[Tensor, " N"] | None:
     if scene.splats.classifier is None:
         return None
     labels = torch.full((len(scene.splats),), BACKGROUND)
-    for id, picked in each_object(scene.splats, object_ids(scene.splats)):
-        labels[picked] = id
+    rows = family(scene)
+    for id, picked in each_object(scene.unpainted, object_ids(scene.splats)):
+        labels[picked[rows]] = id
     return labels

@@ -6,6 +6,7 @@ import torch
 
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import family
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.naming import with_names
@@ -25,18 +26,27 @@ def relabelled(scene: Scene, masked: Capture, *, add: bool, device: torch.device
     Raises:
         StyleSplatError: If no Gaussian shows in the label maps.
     """
-    lifted = lift(scene.splats.to(device), masked).to("cpu")
+    base = scene.unpainted
+    lifted = lift(base.to(device), masked).to("cpu")
     names = dict(masked.object_names)
     if add and scene.splats.classifier is not None:
         renamed = _renamed(scene, lifted.classifier.ids if lifted.classifier else (), names)
-        lifted = with_labels_of(scene.splats, lifted, renamed)
+        lifted = with_labels_of(base, lifted, renamed)
         names = {renamed[id]: name for id, name in names.items() if id in renamed}
     stay = {
         name: each
         for name, each in scene.objects.items()
         if name not in names.values() and (add or not each.how.get("ids"))
     }
-    found = with_names(replace(scene, splats=lifted, objects=stay), names)
+    rows = family(scene)
+    splats = replace(
+        scene.splats,
+        identities=None if lifted.identities is None else lifted.identities[rows],
+        classifier=lifted.classifier,
+        confidence=None if lifted.confidence is None else lifted.confidence[rows],
+    )
+    found = replace(scene, splats=splats, base=lifted if scene.layers else None, objects=stay)
+    found = with_names(found, names)
     for name in names.values():
         if name in scene.objects and name in found.objects:
             before = int(scene.objects[name].picked.sum())

@@ -10,9 +10,10 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
+from stylesplat.scene.compose import compose, mask_of, spans, taken_rows
 from stylesplat.scene.frames import SAME, seen_from
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.paintings import Looks, Painted
+from stylesplat.scene.layer import Layer, taken
 from stylesplat.scene.same_gaussians import Match, match_gaussians
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
@@ -20,15 +21,16 @@ from stylesplat.scene.turned import moved
 
 EDITED = 0.1  # of a constant band: colours that differ by more, at the median, were edited
 DEGREE = 3  # of the splats of scenes
+LOOKS = ("sh0", "shN", "opacities")
 
 
 def carried_over(splats: Splats, scene: Scene, *, name: str = "The splat") -> Scene:
     """The scene with a splat in place of its own that other programs made of that.
 
     Gaussians are found again whatever their order, and if the whole or parts of it were moved (see
-    `match_gaussians`). They keep their objects and, if their colours were not edited, can be taken
-    back to what they were before they were painted. New ones belong to nothing. The views go
-    where most Gaussians went.
+    `match_gaussians`). They keep their objects and, if their colours were not edited, their layers
+    of paint, whose canvases come after all else. New ones belong to nothing. The views go where
+    most Gaussians went.
 
     Args:
         splats: The splat.
@@ -52,15 +54,17 @@ def carried_over(splats: Splats, scene: Scene, *, name: str = "The splat") -> Sc
         )
     rows, here = match.rows.clamp(min=0), match.rows >= 0
     frame = match.parts[0][0]
-    painted = scene.painted and _painted(scene, scene.painted, splats, match)
     found = replace(
         scene,
         splats=_identified(splats, scene.splats, rows, here),
+        base=None,
+        layers=(),
         cameras=scene.cameras if frame is SAME else seen_from(scene.cameras, frame),
         objects=_objects(scene, rows, here),
-        painted=painted,
         path=None,
     )
+    if scene.layers and not _edited(scene, splats, match):
+        found = _with_layers_of(scene, found, match)
     return replace(found, metrics=_told(match, len(scene.splats)))
 
 
@@ -101,38 +105,70 @@ def _objects(
     return objects
 
 
-def _painted(scene: Scene, painted: Painted, splats: Splats, match: Match) -> Painted | None:
-    """What was painted on the Gaussians that are left, if they still look so."""
-    rows, here = match.rows.clamp(min=0), match.rows >= 0
-    paintings = tuple(replace(each, picked=each.picked[rows] & here) for each in painted.paintings)
-    paintings = tuple(each for each in paintings if each.picked.any())
-    if not paintings:
-        return None
-    mine = torch.stack([each.picked for each in paintings]).any(dim=0)
-    change = (splats.sh0[mine] - scene.splats.sh0[rows[mine]]).abs().median()
+def _edited(scene: Scene, splats: Splats, match: Match) -> bool:
+    """Whether what is painted looks otherwise; if so, the user is told."""
+    painted = torch.stack([mask_of(layer, scene) for layer in scene.layers]).any(dim=0)
+    mine = (match.rows >= 0) & painted[match.rows.clamp(min=0)]
+    if not mine.any():
+        return True
+    change = (splats.sh0[mine] - scene.splats.sh0[match.rows[mine]]).abs().median()
     if change > EDITED:
         say(
             "The colours of what is painted were edited: its paintings are not carried over, they "
             "stay as they look."
         )
-        return None
-    return replace(
-        painted,
-        paintings=paintings,
-        before=_looks(painted.before.on(scene.splats), splats, match),
-        full=_looks(painted.full.on(scene.splats), splats, match),
-        unsplit=None,
-    )
+    return bool(change > EDITED)
 
 
-def _looks(known: Splats, splats: Splats, match: Match) -> Looks:
-    """How the known Gaussians look, turned along with what they became; the splat's own else."""
-    looks = {name: each.clone() for name, each in vars(Looks.of(splats)).items()}
+def _with_layers_of(scene: Scene, found: Scene, match: Match) -> Scene:
+    """The found scene with the layers of the known one; canvases come after all else."""
+    known, here = scene.unpainted, match.rows >= 0
+    mine = (~here | (match.rows < len(known))).nonzero()[:, 0]
+    rows = match.rows[mine]
+    places = torch.full((len(known),), -1)
+    places[rows[rows >= 0]] = (rows >= 0).nonzero()[:, 0]
+    covered = torch.zeros(len(known), dtype=torch.bool)
+    base, layers, order = found.splats[mine], list[Layer](), [mine]
+    canvases = {id(layer): (first, end) for layer, first, end in spans(scene)}
+    for layer in scene.layers:
+        covered[layer.rows] = True
+        first, end = canvases.get(id(layer), (0, 0))
+        new = ((match.rows >= first) & (match.rows < end)).nonzero()[:, 0]
+        left = match.rows[new] - first if layer.is_shown else None
+        part = taken(_turned(layer, known, places, mine, match), places, left)
+        if not (len(part.rows) or len(part.parents)):
+            continue
+        if layer.is_shown:
+            order.append(new)
+            shapes = {n: getattr(found.splats, n)[new] for n in ("means", "quats", "scales")}
+            part = replace(part, canvas=replace(part.canvas, **shapes))
+        layers.append(part)
     for frame, mask in match.parts:
-        part = Looks.of(of_degree(moved(known[match.rows[mask]], frame), DEGREE))
-        for name, each in vars(part).items():
-            looks[name][mask] = each
-    return Looks(**looks)
+        looks = (mask[mine] & covered[rows.clamp(min=0)]).nonzero()[:, 0]
+        looks = looks[rows[looks] >= 0]
+        before = of_degree(moved(known[rows[looks]], frame), DEGREE)
+        base = base.with_rows(looks, {n: getattr(before, n) for n in LOOKS})
+    objects = {name: taken_rows(each, torch.cat(order)) for name, each in found.objects.items()}
+    if not layers:
+        return found
+    splats = compose(base, layers)
+    return replace(found, splats=splats, base=base, layers=tuple(layers), objects=objects)
+
+
+def _turned(layer: Layer, base: Splats, places: Tensor, mine: Tensor, match: Match) -> Layer:
+    """A layer whose higher bands turned along with the Gaussians that it covers.
+
+    Its canvas moved as most did.
+    """
+    paint = of_degree(replace(base[layer.rows], sh0=layer.sh0, shN=layer.shN), DEGREE)
+    shN = paint.shN.clone()
+    gone = places[layer.rows] < 0
+    there = mine[places[layer.rows].clamp(min=0)]
+    for frame, mask in match.parts:
+        part = (mask[there] & ~gone).nonzero()[:, 0]
+        shN[part] = moved(paint[part], frame).shN
+    canvas = moved(of_degree(layer.canvas, DEGREE), match.parts[0][0])
+    return replace(layer, shN=shN, canvas=canvas)
 
 
 def _told(match: Match, before: int) -> dict[str, Any]:

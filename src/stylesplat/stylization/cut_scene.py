@@ -52,16 +52,13 @@ class CutScene:
         """The job among these Gaussians."""
         return replace(job, picked=job.picked[self.rows])
 
-    def styled(self, styled: Splats, parents: Int[Tensor, " L"]) -> Splats:
-        """The same of the scene after something was painted.
+    def of_base(self, family: Int[Tensor, " N"]) -> "CutScene":
+        """The same as rows of the base, given the one that each Gaussian belongs to."""
+        return CutScene(family[self.rows].unique(), self.views)
 
-        Args:
-            styled: The whole of it.
-            parents: What each of its Gaussians came from.
-        """
-        mine = torch.zeros(int(parents.max()) + 1, dtype=torch.bool)
-        mine[self.rows] = True
-        return styled[mine[parents].nonzero()[:, 0]]
+    def among(self, family: Int[Tensor, " L"]) -> Int[Tensor, " K"]:
+        """The Gaussians of other splats that belong to these rows of the base."""
+        return torch.isin(family, self.rows).nonzero()[:, 0]
 
 
 @torch.no_grad()

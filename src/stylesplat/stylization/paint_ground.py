@@ -1,6 +1,5 @@
 """What an object is painted on: Gaussians that are its own, by shares, and fine enough."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,20 +9,15 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
-from stylesplat.stylization.crossfade import UNSEEN
 from stylesplat.stylization.fresh_canvas import fresh_canvas
-from stylesplat.stylization.looking import object_views, see_object
-from stylesplat.stylization.object_views import Box, typical_length
-from stylesplat.stylization.overflow import without_overflow
-from stylesplat.stylization.refit import refit
-from stylesplat.stylization.split import Split, split_large
+from stylesplat.stylization.looking import see_object
+from stylesplat.stylization.object_views import Box
+from stylesplat.stylization.split import Split
 from stylesplat.stylization.style_job import Studio, StyleJob
-
-SPLIT_VIEWS = 12  # in which sizes are looked up before Gaussians are split
 
 
 @dataclass(frozen=True)
@@ -84,19 +78,21 @@ def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
     count = int(ground.job.picked.sum())
     growth = ground.job.config.growth(count)
     room = int((growth - 1) * count)
-    if room == 0 or ground.job.config.intensity == 0:
-        return ground  # nothing would come of it
+    config = ground.job.config
+    if room == 0 or config.intensity == 0 or config.canvas == "own":
+        return ground
     # contributions are known on the CPU only
     studio = replace(ground.studio, splats=ground.studio.splats.to("cpu"))
     job, device = replace(ground.job, picked=ground.job.picked.cpu()), ground.studio.splats.device
-    canvas = _canvas(studio, job, boxes, length, room) if job.config.canvas == "fresh" else None
-    split = canvas or _split(studio, job, boxes, length, growth)
+    split = _canvas(studio, job, boxes, length, room)
+    if split is None:
+        return ground
     split = Split(split.splats.to(device), split.parents.to(device))
     job = replace(ground.job, picked=ground.job.picked[split.parents])
     studio = replace(ground.studio, splats=split.splats)
     places = seen_anew(studio.splats, job.picked, ground.places)
     finer = _with_shares(studio, job, split.parents, places)
-    return finer if canvas is None else replace(finer, bare=_bare(ground.studio.splats, finer))
+    return replace(finer, bare=_bare(ground.studio.splats, finer))
 
 
 def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
@@ -127,7 +123,7 @@ def _canvas(
         seed=job.config.seed,
     )
     if split is None:
-        say(f"{job.name} has no surface for a fresh canvas: its own Gaussians are split instead.")
+        say(f"{job.name} has no surface for a fresh canvas: its own Gaussians are painted.")
     return split
 
 
@@ -136,15 +132,3 @@ def _bare(splats: Splats, ground: Ground) -> Splats:
     laid = ground.studio.splats
     unseen = laid.opacities[len(splats) :] * 0 + UNSEEN
     return replace(laid, opacities=torch.cat([splats.opacities, unseen]))
-
-
-def _split(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, growth: float
-) -> Split:
-    """The scene with Gaussians of the object split."""
-    few = evenly(boxes, SPLIT_VIEWS)
-    zoom = length / typical_length(boxes)
-    views = object_views(studio, job, few, zoom, max_memory=math.inf)
-    split = split_large(studio.splats, job.picked, views, max_growth=growth)
-    split = refit(studio.splats, split, job.picked, boxes, seed=job.config.seed)
-    return without_overflow(studio.splats, split, job.picked, studio.every_camera)

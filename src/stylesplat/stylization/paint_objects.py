@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import combinations
+from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -15,20 +15,22 @@ from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import compose, family_of
+from stylesplat.scene.layer import Layer, without_identities
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.crossfade import crossfade
 from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
+from stylesplat.stylization.plain_settings import plain
+from stylesplat.stylization.repaint import Repainted, look_at, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Precision, StyleConfig
 from stylesplat.stylization.style_images import Picture, read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
-from stylesplat.stylization.styled_scene import Piece, Styled, assembled, piece_of
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture
 MAX_MEMORY = 1.5  # GiB of linear views; with the rest it stays below 3
+LEAST_WEIGHT = 1e-6  # of a Gaussian that does not show, in means
 REPORT_EVERY = 10  # steps between two updates of the loss shown
 
 
@@ -44,7 +46,7 @@ def paint(
     """Repaint one object in the style of a picture.
 
     Nothing but the picked Gaussians changes: of these the colours, and what a fresh canvas hides of
-    them fades, or those too large to show strokes are split. New ones follow all others.
+    them fades. New ones follow all others.
 
     Args:
         splats: The scene.
@@ -58,7 +60,7 @@ def paint(
         StyleSplatError: As `paint_objects` does, and if the picture is unreadable.
     """
     studio, job = _one_object(splats, capture, picked, style, config, network)
-    return _repaint_whole(studio, job).splats
+    return _blended(_last_state(studio, job), studio.splats, job)
 
 
 def paint_live(
@@ -88,66 +90,143 @@ def paint_live(
     """
     studio, job = _one_object(splats, capture, picked, style, config, network)
     for state in repaint(studio, job):
-        yield state if job.config.intensity == 1 else replace(state, splats=blended(state, job))
+        yield replace(state, splats=_blended(state, studio.splats, job))
+
+
+@dataclass(frozen=True)
+class Styled:
+    """A splat and the layers that were painted on it."""
+
+    base: Splats
+    """The splat beneath the layers."""
+    layers: tuple[Layer, ...]
+    """One for each object, the lowest first."""
+
+    @property
+    def splats(self) -> Splats:
+        """What it looks like."""
+        return compose(self.base, self.layers)
+
+    @property
+    def parents(self) -> Int[Tensor, " M"]:
+        """The row of the base that each row of `splats` belongs to."""
+        return family_of(self.base, self.layers)
 
 
 def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dict[str, float]]:
-    """Repaint several objects, each in its own style and by itself: their order is immaterial.
+    """Repaint several objects one after the other, each on what is painted before.
 
     Args:
         studio: The scene, and views to optimise on.
-        jobs: Which Gaussians take which style.
+        jobs: Which Gaussians take which style, the lowest layer first.
 
     Returns:
         The styled scene, and by name the seconds that each object took.
 
     Raises:
-        StyleSplatError: If two objects share Gaussians or a name, an object has too few or is
+        StyleSplatError: If two objects have the same name, an object has too few Gaussians or is
             not seen, or a style image is too small.
     """
     check_jobs(jobs)
     jobs = [moved(job, studio.splats) for job in jobs]
-    found, pieces, seconds = [], [], {}
-    for job in jobs:  # all are looked at before time goes into painting one
-        began = time.perf_counter()
-        found.append(_looked_at(studio, job, closely=len(jobs) > 1))
+    if len(jobs) > 1:
+        for job in jobs:
+            check_sight(studio, job)
+    base, layers, seconds = studio.splats, list[Layer](), dict[str, float]()
+    for job in jobs:
+        began, family = time.perf_counter(), family_of(base, layers)
+        upon = replace(studio, splats=compose(base, layers))
+        layer, _ = paint_layer(upon, replace(job, picked=job.picked[family]), family)
+        layers.append(layer)
         seconds[job.name] = time.perf_counter() - began
-    for job, (cut, sight) in zip(jobs, found, strict=True):
-        began = time.perf_counter()
-        pieces.append(_painted_alone(studio, job, cut, sight))
-        seconds[job.name] += time.perf_counter() - began
-    cuts = {job.name: cut for job, (cut, _) in zip(jobs, found, strict=True) if cut is not None}
-    return replace(assembled(studio.splats, pieces), cuts=cuts), seconds
+    return Styled(base, tuple(layers)), seconds
 
 
-def _looked_at(
-    studio: Studio, job: StyleJob, *, closely: bool
-) -> tuple[CutScene | None, Sight | None]:
-    """The part of a large scene that an object is painted in, or how it looks in a small one.
+def check_sight(studio: Studio, job: StyleJob) -> None:
+    """Check that an object can be painted, which takes a while, but less than painting it.
 
-    How it looks in a part holds a copy of that.
+    Raises:
+        StyleSplatError: If it is not seen, or a style image is too small.
+    """
+    look_at(*_within(cut_scene(studio, job.picked), studio, job), closely=True)
+
+
+def paint_layer(
+    studio: Studio, job: StyleJob, family: Int[Tensor, " M"]
+) -> tuple[Layer, CutScene | None]:
+    """Paint an object on what lies beneath its layer.
+
+    Args:
+        studio: Its splats are what lies beneath.
+        job: The object, on the same device.
+        family: The row of the base that each of the Gaussians beneath belongs to.
+
+    Returns:
+        The layer, and of a large scene the part that it was painted in.
     """
     cut = cut_scene(studio, job.picked)
-    sight = look_at(*_within(cut, studio, job), closely=True) if closely else None
-    return cut, sight if cut is None else None
+    part, own = _within(cut, studio, job)
+    layer = layer_of(_last_state(part, own), own, family if cut is None else family[cut.rows])
+    tidy_heap()  # copies of the whole scene follow
+    return layer, cut
+
+
+def layer_of(state: Repainted, job: StyleJob, family: Int[Tensor, " M"]) -> Layer:
+    """An object that is painted as a layer.
+
+    A row of the base stands for the Gaussians of layers beneath that belong to it, too: its paint
+    is their mean.
+
+    Args:
+        state: How far the painting is.
+        job: The object.
+        family: The row of the base that each of the Gaussians beneath belongs to.
+    """
+    count, own = len(family), job.picked.nonzero()[:, 0]
+    before, after = state.base, state.splats.detach()
+    visible = torch.sigmoid(before.opacities[own])
+    fading = after.opacities[own] != before.opacities[own]
+    factors = (torch.sigmoid(after.opacities[own]) / visible).clamp(0, 1)
+    rows, members = family[own].unique(return_inverse=True)
+    mean = partial(_means, members=members, weights=visible.clamp(min=LEAST_WEIGHT))
+    canvas = without_identities(after[count:])
+    config = plain(job.config)
+    return Layer(
+        object=job.name,
+        rows=rows,
+        shares=torch.ones_like(rows, dtype=after.means.dtype),
+        sh0=mean(after.sh0[own]),
+        shN=mean(after.shN[own]),
+        opacity_factors=mean(torch.where(fading, factors, torch.ones_like(factors))),
+        canvas=canvas,
+        canvas_sh0=before.sh0[count:],
+        parents=family[state.parents[count:]],
+        relief=after.means.new_zeros(len(rows) + len(canvas)),
+        strength=job.config.intensity,
+        form=float(config.get("form", 0.0)),
+        settings=config,
+    )
+
+
+def _means(
+    values: Float[Tensor, "O *_"], members: Int[Tensor, " O"], weights: Float[Tensor, " O"]
+) -> Float[Tensor, "R *_"]:
+    """The weighted means of groups of values; of a single value that, to the bit."""
+    count = int(members.max()) + 1
+    if count == len(members):
+        return values.new_empty(values.shape).index_copy_(0, members, values)
+    shape = (-1, *(1,) * (values.dim() - 1))
+    sums = values.new_zeros(count, *values.shape[1:])
+    sums.index_add_(0, members, values * weights.view(shape))
+    total = weights.new_zeros(count).index_add_(0, members, weights)
+    means = sums / total.view(shape)
+    single = (members.bincount(minlength=count) == 1)[members]
+    return means.index_copy_(0, members[single], values[single])
 
 
 def _within(cut: CutScene | None, studio: Studio, job: StyleJob) -> tuple[Studio, StyleJob]:
     """What an object is painted in: the scene, or the part of a large one."""
     return (studio, job) if cut is None else (cut.studio(studio), cut.job(job))
-
-
-def _painted_alone(
-    studio: Studio, job: StyleJob, cut: CutScene | None, sight: Sight | None
-) -> Piece:
-    """What becomes of an object."""
-    alone = _repaint_whole(*_within(cut, studio, job), sight)
-    if cut is None:
-        return piece_of(alone, job.picked)
-    piece = piece_of(alone, job.picked[cut.rows], cut.rows)
-    del alone
-    tidy_heap()  # copies of the whole scene follow
-    return piece
 
 
 def open_studio(
@@ -209,22 +288,24 @@ def moved(job: StyleJob, splats: Splats) -> StyleJob:
     return replace(job, picked=job.picked.to(splats.device), styles=styles)
 
 
-def _repaint_whole(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Styled:
+def _last_state(studio: Studio, job: StyleJob) -> Repainted:
     """All steps of one object, with a progress bar."""
     state = None
     with task(job.name, job.config.all_steps) as bar:
-        for state in repaint(studio, job, sight):
+        for state in repaint(studio, job):
             bar.advance()
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    return Styled(blended(state, job), state.splats, state.base, state.parents)
+    return state
 
 
-def blended(state: Repainted, job: StyleJob) -> Splats:
-    """The state at the intensity that is wanted."""
-    mask = job.picked[state.parents]
-    return crossfade(state.base, state.splats, mask, job.config.intensity)
+def _blended(state: Repainted, splats: Splats, job: StyleJob) -> Splats:
+    """The splats with what is painted so far, at the intensity that is wanted."""
+    if job.config.intensity == 1:
+        return state.splats
+    rows = torch.arange(len(splats), device=splats.device)
+    return compose(splats, [layer_of(state, job, rows)])
 
 
 def check_jobs(jobs: Sequence[StyleJob]) -> None:
@@ -238,24 +319,11 @@ def check_jobs(jobs: Sequence[StyleJob]) -> None:
                 f"Cannot stylise {job.name}: it has {count} Gaussians, too few for a texture "
                 f"(at least {MIN_GAUSSIANS}). Pick more of it."
             )
-    apart = _apart(jobs)
-    for one, other in combinations(jobs, 2):
-        shared = 0 if apart else int((one.picked & other.picked).sum())
-        if one.name == other.name:
-            raise StyleSplatError(
-                f"{one.name} was given twice. Give it once; several pictures make one style: "
-                f"{one.name}=a.jpg,b.jpg."
-            )
-        if shared:
-            raise StyleSplatError(
-                f"Cannot stylise {one.name} and {other.name} at once: they share {shared} "
-                f"Gaussians. Pick objects that do not overlap."
-            )
-
-
-def _apart(jobs: Sequence[StyleJob]) -> bool:
-    """Whether no two objects share Gaussians; pairs need not be looked at then."""
-    taken = torch.zeros_like(jobs[0].picked)
+    names = set[str]()
     for job in jobs:
-        taken |= job.picked
-    return int(taken.sum()) == sum(int(job.picked.sum()) for job in jobs)
+        if job.name in names:
+            raise StyleSplatError(
+                f"{job.name} was given twice. Give it once; several pictures make one style: "
+                f"{job.name}=a.jpg,b.jpg."
+            )
+        names.add(job.name)

@@ -1,7 +1,7 @@
 """The schema of recipes: which objects are repainted, with what settings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,10 +9,11 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
-from stylesplat.io.painted_files import RECIPE
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
-from stylesplat.io.recipe_files import Intensity, listed
-from stylesplat.scene.paintings import Source
+from stylesplat.io.recipe_files import RECIPE, Intensity, listed
+from stylesplat.progress import say
+from stylesplat.scene.intensity import check_form
+from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
@@ -29,7 +30,6 @@ SHARED = {  # what else a recipe may say of all objects
     "objects": dict | list | None,
     "gone": list | None,
 }
-PLACE = {"place": int}  # of one that is gone, among those that are not
 OWN = {  # and of one
     "style": str | tuple[str, ...],
     "sha256": str | tuple[str, ...] | None,
@@ -37,6 +37,7 @@ OWN = {  # and of one
     "features": Network | None,
     "weights": str | None,
     "weights_sha256": str | None,
+    "form": float | None,
     "upon": dict[str, Intensity],
     "precision": Precision | None,
 }
@@ -90,13 +91,12 @@ def read_recipe(
         for name, entry in _named_entries(others.get("objects")):
             with within(name):
                 objects.append(_styled_object(name, entry, base))
-        for entry in reversed(others.get("gone") or []):
-            name, entry = _named_entry(entry)
-            check_name_or_id(name)
-            with within(name):
-                place = fitted({"place": entry.pop("place", 0)}, PLACE)["place"]
-                gone = _styled_object(name, entry, base)
-                objects.insert(max(0, place), replace(gone, gone=True))
+        old = any("upon" in entry for _, entry in _named_entries(others.get("objects")))
+        if others.get("gone") or old:
+            say(
+                f"{path} is of an earlier version: which objects it says were there while others "
+                "were painted (`gone`, `upon`) is ignored."
+            )
     return Recipe(tuple(objects))
 
 
@@ -159,7 +159,7 @@ def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject
     if None in (listed(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
     settings, own = _sorted_out(entry, OWN)
-    recorded = "upon" in own or "features" in own  # by us, so what is not under `settings` is now
+    recorded = "features" in own  # by us, so what is not under `settings` is now
     if recorded:
         settings.pop("intensity", None)
         settings |= {k: v for k, v in own.get("settings", {}).items() if k == "intensity"}
@@ -167,13 +167,15 @@ def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject
     config = with_settings(base.config, settings)
     style = Style(*_pictures(files, digests, base.folder), config=config, preset=base.preset)
     network = own if "features" in own else base.shared
+    if own.get("form") is not None:
+        check_form(own["form"])
     return StyledObject(
         name=name,
         style=style,
         features=network.get("features"),
         weights=_weights(network, base.folder),
         intensity=told.get("intensity"),
-        upon=own.get("upon", {} if recorded else None),
+        form=own.get("form"),
         precision=own.get("precision"),
     )
 

@@ -8,11 +8,11 @@ from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.paintings import Painted
+from stylesplat.scene.compose import spans, taken_rows
+from stylesplat.scene.layer import Layer, taken
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.listing import no_objects, picks_of
-from stylesplat.stylization.bookkeeping import taken_rows
 
 REST = "rest"  # what the part is called that belongs to no object
 
@@ -68,21 +68,31 @@ def every_part(scene: Scene) -> dict[str, Scene]:
 
 
 def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
-    """Some Gaussians alone: to be shown, as nothing can be taken back from them."""
+    """Some Gaussians alone: to be shown, as nothing can be taken back from them.
+
+    Args:
+        scene: Where they are.
+        rows: Which they are, in ascending order.
+    """
     objects = {
         name: taken_rows(each, rows)
         for name, each in scene.objects.items()
         if each.picked[rows].any()
     }
-    painted = scene.painted and _painted_part(scene.painted, rows)
-    return replace(scene, splats=scene.splats[rows], objects=objects, painted=painted, path=None)
-
-
-def _painted_part(painted: Painted, rows: Tensor) -> Painted:
+    own = rows[rows < len(scene.unpainted)]
+    layers = list[Layer]()
+    places = torch.full((len(scene.unpainted),), -1)
+    places[own] = torch.arange(len(own))
+    for layer, first, end in spans(scene) if len(own) else ():
+        canvas = rows[(rows >= first) & (rows < end)] - first
+        part = taken(layer, places, canvas)
+        if len(part.rows) or len(canvas):
+            layers.append(part)
     return replace(
-        painted,
-        paintings=tuple(replace(each, picked=each.picked[rows]) for each in painted.paintings),
-        before=painted.before[rows],
-        full=painted.full[rows],
-        unsplit=None,
+        scene,
+        splats=scene.splats[rows],
+        base=scene.unpainted[own] if layers else None,
+        layers=tuple(layers),
+        objects=objects,
+        path=None,
     )

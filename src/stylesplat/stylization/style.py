@@ -12,8 +12,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.files import read_bytes
+from stylesplat.scene.layer import Source
 from stylesplat.scene.one_line import one_line
-from stylesplat.scene.paintings import Source
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style_config import NETWORKS, PRESETS, Network, Precision, StyleConfig
 from stylesplat.stylization.style_images import Picture, read_style
@@ -103,13 +103,10 @@ class StyledObject:
     """The network's file; None for its own."""
     intensity: float | None = None
     """How strong it is to be in the end; None for the style's."""
-    upon: Mapping[str, float] | None = None
-    """The objects that were painted before it, and how strong they were then; None leaves that
-    to whoever uses the recipe."""
+    form: float | None = None
+    """How much form it is to show in the end; None for the style's."""
     precision: Precision | None = None
     """In which features are computed; None takes what is fastest on the machine."""
-    gone: bool = False
-    """Whether it is there only as long as others are painted upon it."""
 
     def __repr__(self) -> str:
         intensity = None if self.intensity is None else f"intensity={self.intensity:g}"
@@ -121,7 +118,7 @@ class Recipe:
     """Which objects to repaint, and how."""
 
     objects: tuple[StyledObject, ...] = field(default_factory=tuple)
-    """In order, each once, but for those that are gone in the end."""
+    """The lowest layer first, each once."""
 
     def __repr__(self) -> str:
         pictures = (some(map(_called, each.style.pictures)) for each in self.objects)

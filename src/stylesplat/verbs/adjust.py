@@ -1,14 +1,13 @@
-"""`adjust`: change how strong a style is, afterwards and without optimising."""
+"""`adjust`: change how strong layers of paint are, afterwards and without optimising."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.intensity import check_intensity
+from stylesplat.scene.compose import require_painted, with_strengths, without_layers
+from stylesplat.scene.intensity import check_form, check_intensity
 from stylesplat.scene.scene import Scene
-from stylesplat.stylization.bookkeeping import at_intensities
-from stylesplat.stylization.undo import require_painted_objects, unpainted
 
 
 @check_arguments
@@ -16,16 +15,18 @@ def adjust(
     scene: Scene,
     intensity: float | None = None,
     *,
+    form: float | None = None,
     objects: str | Sequence[str] = (),
     undo: bool = False,
 ) -> Scene:
-    """Blend the styled colours of a scene with those before, or take the style back.
+    """Change the strength of layers of paint or the form that shows in them, or remove layers.
 
     Renders are linear in the colours, so this blends the renders, wherever no colour is clamped.
 
     Args:
         scene: A styled scene.
-        intensity: 0 for what was before, 1 for the style's, up to 1.5 to exaggerate.
+        intensity: 0 for what is beneath, 1 for the style's, up to 1.5 to exaggerate.
+        form: How much of the object's own light and relief shows in the paint, 0 to 1.5.
         objects: What to adjust; all that were styled by default.
         undo: Give the scene as it was before these objects were styled, to the bit; what else was
             styled stays as it is.
@@ -36,11 +37,17 @@ def adjust(
     """
     names = [objects] if isinstance(objects, str) else list(objects)
     if undo:
-        return unpainted(scene, names or None)
-    if intensity is None:
-        raise StyleSplatError("Nothing to adjust. Pass an --intensity F, or --undo.")
-    check_intensity(intensity)
-    painted = require_painted_objects(scene, names)
-    scene = at_intensities(scene, dict.fromkeys(names or painted.names, float(intensity)))
+        return without_layers(scene, names or None)
+    if intensity is None and form is None:
+        raise StyleSplatError("Nothing to adjust. Pass an --intensity F, a --form F, or --undo.")
+    if intensity is not None:
+        check_intensity(intensity)
+    if form is not None:
+        check_form(form)
+    require_painted(scene, names)
+    names = names or scene.painted_objects
+    strengths = {} if intensity is None else dict.fromkeys(names, float(intensity))
+    forms = {} if form is None else dict.fromkeys(names, float(form))
+    scene = with_strengths(scene, strengths, forms)
     # What was measured of the style before is no longer true
     return replace(scene, metrics={"train": scene.metrics.get("train", {})})

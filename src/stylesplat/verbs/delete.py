@@ -24,7 +24,7 @@ def delete(scene: Scene, name: str) -> Scene:
         >>> scene = delete(scene, "lid")  # doctest: +SKIP
     """
     require_named(scene, name)
-    if scene.painted and name in scene.painted.names:
+    if name in scene.painted_objects:
         options = ("--object", name, "--undo", "-o", "OTHER")
         way = pasted("adjust", scene.path or "SCENE", *options)
         say(f"{name} stays painted. `{way}` takes that back.")

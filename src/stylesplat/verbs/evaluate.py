@@ -22,17 +22,18 @@ from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import mask_of, without_layers
 from stylesplat.scene.frames import posed_as
-from stylesplat.scene.paintings import Painting, Source
+from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.paint_objects import moved, open_studio
+from stylesplat.stylization.paint_task import load_network
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.undo import unpainted
-from stylesplat.verbs.stylize import flat_metrics, load_network
+from stylesplat.verbs.stylize import flat_metrics
 
 SCHEMA = "stylesplat-evaluation-1"  # of what is measured; `compare` has it for each scene
 
@@ -59,11 +60,11 @@ def evaluate(
     """
     splats = scene.splats.to(pick_device(device))
     metrics = {} if capture is None else _photo_metrics(scene, splats, capture)
-    if scene.painted is not None:
+    if scene.layers:
         metrics |= _styled_metrics(scene, splats)
         if capture is not None:
-            names = scene.painted.names
-            metrics |= largest_stain(unpainted(scene), scene, names, capture, splats.device)
+            before, names = without_layers(scene), scene.painted_objects
+            metrics |= largest_stain(before, scene, names, capture, splats.device)
         return {"schema": SCHEMA} | metrics
     if capture is None:
         raise StyleSplatError("Nothing to compare the scene with. Give the capture of its photos.")
@@ -97,48 +98,43 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
 
 def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     """The numbers of `stylize`, its seconds and steps aside."""
-    assert scene.painted is not None
-    before = unpainted(scene)
+    before = without_layers(scene)
     base = before.splats.to(styled.device)
     training, held_out = before.working_views()
     cameras = held_out or training
-    picks = {
-        painting.name: painting.picked[: len(base)].to(base.device)
-        for painting in scene.painted.paintings
-    }
+    picks = {each.object: mask_of(each, before).to(base.device) for each in scene.layers}
     views = {n: showing(base, mask, cameras, fallback=training) for n, mask in picks.items()}
     objects = {
-        painting.name: _closeness(painting, base, styled, views[painting.name])
-        | measure_look(base, styled, views[painting.name], picks[painting.name])
-        for painting in scene.painted.paintings
+        layer.object: _closeness(layer, picks[layer.object], base, styled, views[layer.object])
+        | measure_look(base, styled, views[layer.object], picks[layer.object])
+        for layer in scene.layers
     }
     every: Bool[Tensor, " N"] = torch.stack([*picks.values()]).any(dim=0)
     return flat_metrics(measure_changes(base, styled, cameras, every) | {"objects": objects})
 
 
 def _closeness(
-    painting: Painting, base: Splats, styled: Splats, views: Cameras
+    layer: Layer, picked: Bool[Tensor, " N"], base: Splats, styled: Splats, views: Cameras
 ) -> dict[str, float]:
     """How close an object is to its style; empty if that cannot be told here."""
     try:
-        style = _style_of(painting)
-        network = load_network([style], painting.features, painting.weights, download=False)
-        picked = painting.picked[: len(base)]
-        job = moved(StyleJob(painting.name, picked, style.read(), style.config), base)
+        style = _style_of(layer)
+        network = load_network([style], layer.features, layer.weights, download=False)
+        job = moved(StyleJob(layer.object, picked, style.read(), style.config), base)
         return measure_style(open_studio(base, views, network), job, styled)
     except StyleSplatError as error:
-        say(f"{painting.name} is not compared with its style: {error}")
+        say(f"{layer.object} is not compared with its style: {error}")
         return {}
 
 
-def _style_of(painting: Painting) -> Style:
+def _style_of(layer: Layer) -> Style:
     """The style that an object was painted in.
 
     Raises:
         StyleSplatError: If its pictures are gone or others now.
     """
-    pictures = [_present(source) for source in painting.styles]
-    return Style(*pictures, config=with_settings(StyleConfig(), painting.settings))
+    pictures = [_present(source) for source in layer.styles]
+    return Style(*pictures, config=with_settings(StyleConfig(), layer.settings))
 
 
 def _present(source: Source) -> Path:

@@ -1,7 +1,7 @@
 """`sheet`: one object in a grid of styles and settings, to choose from."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,15 @@ from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.bookkeeping import at_intensities, strengths
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Picture, Style
 from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.undo import unpainted
 from stylesplat.verbs.stylize import stylize_unmeasured
 
 Drawn = UInt8[Tensor, "_ _ 3"]
@@ -92,9 +91,8 @@ def sheet(
     how = {"features": features, "weights": weights, "device": device}
 
     def painted() -> Iterator[Scene]:
-        bare = replace(unpainted(scene, {name} & strengths(scene).keys()), path=scene.path)
         for style, _ in track(plan.runs(), name, unit="painting"):
-            yield stylize_unmeasured(bare, {name: style}, **how).scene
+            yield stylize_unmeasured(scene, {name: style}, **how).scene
 
     return sheet_of(scene, name, plan, painted(), view=view, device=device)
 
@@ -126,7 +124,7 @@ def sheet_of(
     pictures = {}
     for (_, places), each in zip(runs, painted, strict=True):
         for place in places:
-            shown = at_intensities(each, {name: place.intensity}).splats.to(splats.device)
+            shown = with_strengths(each, {name: place.intensity}).splats.to(splats.device)
             pictures[place.row, place.column] = _picture(shown, camera)
     grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
     return Sheet(grid, camera.names[0], len(pictures), len(runs))

@@ -5,45 +5,43 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any
 
 import torch
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.paintings import Painting, Source
+from stylesplat.scene.compose import (
+    beneath,
+    family,
+    new_ones_last,
+    with_layers,
+    with_strengths,
+    without_layers,
+)
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.bookkeeping import (
-    at_intensities,
-    strengths,
-    with_origin,
-    with_paintings,
-)
+from stylesplat.stylization.cut_scene import CutScene
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.paint_objects import MAX_MEMORY, open_studio, paint_objects
-from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.runs import Run, check_runs, runs_of
-from stylesplat.stylization.style import (
-    Picture,
-    Recipe,
-    Style,
-    StyledObject,
-    as_recipe,
-    digest,
+from stylesplat.stylization.paint_objects import (
+    MAX_MEMORY,
+    check_sight,
+    moved,
+    open_studio,
+    paint_layer,
 )
+from stylesplat.stylization.paint_task import PaintTask, load_network, paint_tasks
+from stylesplat.stylization.style import Picture, Recipe, Style, StyledObject, as_recipe
 from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_job import Studio, StyleJob
-from stylesplat.stylization.undo import unpainted
+from stylesplat.stylization.style_job import Studio
 
-ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over runs
+ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over networks
 
 
 @dataclass(frozen=True)
@@ -52,10 +50,10 @@ class Unmeasured:
 
     scene: Scene
     """As `stylize` returns it, but for the metrics that take measuring."""
-    recipe: Recipe
-    """What was painted."""
-    measures: Sequence[Callable[[], dict[str, Any]]]
-    """Of each run, what measures it."""
+    painted: tuple[str, ...]
+    """The objects that were painted."""
+    measures: Sequence[Callable[[Scene], dict[str, Any]]]
+    """What measures the objects of each network."""
     device: torch.device
     """Where to render."""
 
@@ -63,16 +61,47 @@ class Unmeasured:
         """The scene with all of its metrics; see `stylize`."""
         figures = {}
         for measure in self.measures:
-            figures = _joined(figures, measure())
-        _forget_ways(figures, self.recipe)
-        names = sorted({each.name for each in self.recipe.objects if not each.gone})
-        if capture is not None and names:
+            figures = _joined(figures, measure(self.scene))
+        if capture is not None:
             try:
-                before = unpainted(self.scene, names)
-                figures |= largest_stain(before, self.scene, names, capture, self.device)
+                before = without_layers(self.scene, self.painted)
+                names = (before, self.scene, self.painted)
+                figures |= largest_stain(*names, capture, self.device)
             except StyleSplatError as error:  # the painting is done all the same
                 say(f"Stains beside the objects are not looked for: {error}")
         return replace(self.scene, metrics={**self.scene.metrics, **figures})
+
+
+@dataclass(frozen=True)
+class Studios:
+    """What opens a studio on what lies beneath a layer."""
+
+    scene: Scene
+    """Whose views are looked at."""
+    tasks: Sequence[PaintTask]
+    """All objects, which tell how deep a network has to be."""
+    max_memory: float
+    """GiB for prepared views."""
+    device: torch.device
+    """Where to compute."""
+    networks: "dict[Any, FeatureNetwork]"
+    """Those that were loaded."""
+
+    def open(self, splats: Splats, task: PaintTask) -> Studio:
+        """The studio in which one object is painted, or measured."""
+        training, held_out = self.scene.working_views()
+        key = task.features, task.weights
+        if key not in self.networks:
+            styles = [each.style for each in self.tasks if (each.features, each.weights) == key]
+            self.networks[key] = load_network(styles, *key)
+        return open_studio(
+            splats.to(self.device),
+            training,
+            self.networks[key],
+            held_out=held_out,
+            max_memory=self.max_memory,
+            precision=task.precision,
+        )
 
 
 @check_arguments
@@ -88,11 +117,10 @@ def stylize(
 ) -> Scene:
     """Repaint objects of a scene, each in the style of one or more pictures.
 
-    Nothing but these objects changes: of their Gaussians the colours, and what a fresh canvas hides
-    of them fades, or those too large to show strokes are split. New ones follow all others. Objects
-    are painted each by itself; those that were painted before stay to the bit, and show in the
-    views that others are painted in. An object that was painted before is painted anew from the
-    colours it had before that.
+    Each object gets a layer of paint, and nothing else changes. A new layer goes on top of the
+    stack. The layer of an object that is painted already is replaced, in its place in the stack.
+    Objects are painted one after the other, the lowest layer first, each on what the layers beneath
+    it show.
 
     Args:
         scene: What to paint on.
@@ -106,13 +134,12 @@ def stylize(
             stain there is beside the objects.
 
     Returns:
-        The scene, with what was painted. Its metrics are `seconds`, `steps`, `precision`, what
+        The scene with its layers. Its metrics are `seconds`, `steps`, `precision`, what
         changed around the objects, and by object `nnfm_before`, `nnfm_after` and the like; those
         of training are under `train`.
 
     Raises:
-        StyleSplatError: If an object, picture or weights file is unfit, or Gaussians of an object
-            are part of another one that is painted.
+        StyleSplatError: If an object, picture or weights file is unfit.
 
     Example:
         >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
@@ -136,145 +163,44 @@ def stylize_unmeasured(
     Raises:
         StyleSplatError: As `stylize` does.
     """
-    recipe = as_recipe(styles)
-    if not recipe.objects:
-        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
-    start = time.perf_counter()
-    before, facts, measures = scene, {}, []
-    runs = runs_of(recipe, scene, features, weights)
-    check_runs(scene, runs)
-    for run in runs:
-        scene, found, measure = _painted(_cleared(scene, run), run, max_memory, device)
-        facts = _joined(facts, found)
-        measures.append(measure)
-    gone = {name for name, gone in {o.name: o.gone for o in recipe.objects}.items() if gone}
-    scene = unpainted(scene, gone & strengths(scene).keys())
-    wanted = strengths(before) | {o.name: _final(o) for o in recipe.objects if not o.gone}
-    metrics = {"seconds": time.perf_counter() - start, **facts}
-    metrics["train"] = before.metrics.get("train", before.metrics)
-    scene = replace(with_origin(at_intensities(scene, wanted), before), metrics=metrics)
-    return Unmeasured(scene, recipe, measures, pick_device(device))
+    start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
+    tasks = paint_tasks(recipe, scene, features, weights)
+    studios = Studios(scene, tasks, max_memory, pick_device(device), {})
+    if len(tasks) > 1:  # one is looked at as soon when it is painted
+        for task in tasks:
+            _check_sight(studios, scene, task)
+    anew = [task.name for task in tasks if task.name in scene.painted_objects]
+    if anew:
+        say(f"Painting {', '.join(anew)} anew, from the colours before.")
+    seconds, cuts, precisions = dict[str, float](), dict[str, CutScene](), dict[str, str]()
+    for task in tasks:
+        began = time.perf_counter()
+        scene, cut = _painted(studios, scene, task)
+        seconds[task.name] = time.perf_counter() - began
+        precisions[task.name] = next(
+            str(each.precision) for each in scene.layers if each.object == task.name
+        )
+        if cut is not None:
+            cuts[task.name] = cut
+    scene = _finished(scene, recipe.objects)
+    metrics = {
+        "seconds": time.perf_counter() - start,
+        "steps": sum(task.style.config.all_steps for task in tasks),
+        "precision": precisions[tasks[-1].name],
+        "seconds_by_object": {each.name: seconds[each.name] for each in recipe.objects},
+        "train": before.metrics.get("train", before.metrics),
+    }
+    measures = [partial(_measured, studios, each, cuts) for each in _by_network(tasks)]
+    names = tuple(task.name for task in tasks)
+    return Unmeasured(replace(scene, metrics=metrics), names, measures, studios.device)
 
 
 stylise = stylize
 
 
-def load_network(
-    styles: Sequence[Style],
-    features: str,
-    weights: Source | None,
-    *,
-    download: bool = True,
-) -> FeatureNetwork:
-    """The network that some styles need, as deep as the deepest does.
-
-    Raises:
-        StyleSplatError: As `load_weights` does, or if the file is not the one that was meant.
-    """
-    path = weights.path if weights else None
-    if weights and path and weights.sha256 and path.is_file() and digest(path) != weights.sha256:
-        raise StyleSplatError(
-            f"{path} holds other weights than those that were used: its digest differs. Put the "
-            "file back, or pass --weights."
-        )
-    check_choice(features, "feature network", get_args(Network))
-    depth = max(max(style.config.layers) for style in styles)
-    return load_weights(cast("Network", features), path, depth=depth, download=download)
-
-
-def _final(each: StyledObject) -> float:
-    """How strong an object is to be in the end."""
-    return each.style.config.intensity if each.intensity is None else each.intensity
-
-
-def _cleared(scene: Scene, run: Run) -> Scene:
-    """The scene without what a run paints anew, and without what only others needed."""
-    anew = sorted(run.anew(scene))
-    if anew:
-        say(f"Painting {', '.join(anew)} anew, from the colours before.")
-    return run.cleared(scene)
-
-
-def _forget_ways(measured: Mapping[str, Any], recipe: Recipe) -> None:
-    """Say nothing of how close objects come that were measured at another intensity."""
-    for each in recipe.objects:
-        if not each.gone and _final(each) != each.style.config.intensity:
-            for name in ("nnfm_of_style", "share_of_way", "off_palette", "palette_distance"):
-                measured.get(name, {}).pop(each.name, None)
-
-
-def _painted(
-    scene: Scene, run: Run, max_memory: float, device: str
-) -> tuple[Scene, dict[str, Any], Callable[[], dict[str, Any]]]:
-    """The scene after a run, what is known of it and what measures it: not what goes in the end."""
-    lost = sorted(run.upon.keys() - strengths(scene).keys() - run.names)
-    if lost:
-        say(f"{run.objects[0].name} was painted upon {', '.join(lost)}, which is not there now.")
-    styles = [each.style for each in run.objects]
-    ground = scene
-    if scene.painted is not None:  # what it is not painted upon is hidden meanwhile
-        ground = at_intensities(scene, dict.fromkeys(strengths(scene), 0.0) | dict(run.upon))
-    jobs = run.jobs(ground)
-    network = load_network(styles, run.features, run.weights)
-    training, held_out = ground.working_views()
-    rest = {"held_out": held_out, "max_memory": max_memory, "precision": run.precision}
-    opened = partial(open_studio, cameras=training, network=network, **rest)
-    studio = opened(ground.splats.to(pick_device(device)))
-    run = replace(run, precision=studio.precision_name)
-    styled, seconds = paint_objects(studio, jobs)
-    scene = with_paintings(ground, styled, records(run, jobs, strengths(ground)))
-    staying = [job for job in jobs if job.name not in run.passing]
-    if not staying:
-        return scene, {}, dict
-    facts = {
-        "steps": sum(job.config.all_steps for job in staying),
-        "precision": studio.precision_name,
-        "seconds_by_object": {job.name: seconds[job.name] for job in staying},
-    }
-    shown = unpainted(scene, run.passing)
-    measure = partial(_measured, opened, staying, shown, held_out, studio.splats.device)
-    if run.passing:
-        return scene, facts, measure
-    return scene, facts, partial(measure, cuts=styled.cuts, parents=styled.parents)
-
-
-def _measured(
-    opened: Callable[[Splats], Studio],
-    jobs: Sequence[StyleJob],
-    scene: Scene,
-    held_out: Cameras | None,
-    device: torch.device,
-    **cut: Any,
-) -> dict[str, Any]:
-    """What painting some objects did, with one entry per number; `cut` as `measure_painted` has.
-
-    The scene before is made of the one after, which remembers it: two take much memory.
-    """
-    studio = opened(unpainted(scene, {job.name for job in jobs}).splats.to(device))
-    shown = scene.splats.to(device)
-    return flat_metrics(measure_painted(studio, jobs, shown, held_out=held_out, **cut))
-
-
-def records(run: Run, jobs: Sequence[StyleJob], upon: Mapping[str, float]) -> list[Painting]:
-    """What a scene remembers of the jobs of a run, and of what was painted before it."""
-    weights = run.weights
-    if weights is not None and weights.path is not None:
-        path = weights.path.resolve()
-        weights = Source(path, weights.sha256 or digest(path))
-    return [
-        Painting(
-            name=each.name,
-            picked=job.picked.cpu(),  # a job's may lie on a GPU; all of a scene is on the CPU
-            styles=each.style.sources(),
-            settings=plain(each.style.config),
-            intensity=each.style.config.intensity,
-            features=run.features,
-            weights=weights,
-            upon=dict(upon),
-            precision=run.precision,
-        )
-        for each, job in zip(run.objects, jobs, strict=True)
-    ]
+def with_layer(scene: Scene, place: int, layer: Layer) -> Scene:
+    """The scene with a layer in a place of its stack, in place of the one that is there."""
+    return with_layers(scene, (*scene.layers[:place], layer, *scene.layers[place + 1 :]))
 
 
 def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
@@ -286,8 +212,64 @@ def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
     return metrics
 
 
+def _check_sight(studios: Studios, scene: Scene, task: PaintTask) -> None:
+    under, _ = beneath(scene, task.name)
+    studio = studios.open(under.splats, task)
+    check_sight(studio, moved(task.job(family(under)), studio.splats))
+
+
+def _painted(studios: Studios, scene: Scene, task: PaintTask) -> tuple[Scene, CutScene | None]:
+    """The scene with one more layer, or another one, and the part that was looked at, if any."""
+    under, place = beneath(scene, task.name)
+    studio, rows = studios.open(under.splats, task), family(under)
+    job = moved(task.job(rows), studio.splats)
+    layer, cut = paint_layer(studio, job, rows.to(studio.splats.device))
+    layer = task.recorded(layer, studio.precision_name)
+    return with_layer(scene, place, layer), cut and cut.of_base(rows.to(cut.rows.device))
+
+
+def _finished(scene: Scene, objects: Sequence[StyledObject]) -> Scene:
+    """The scene with layers as strong as a recipe wants them in the end."""
+    strengths = {each.name: each.intensity for each in objects if each.intensity is not None}
+    forms = {each.name: each.form for each in objects if each.form is not None}
+    return with_strengths(scene, strengths, forms)
+
+
+def _by_network(tasks: Sequence[PaintTask]) -> list[list[PaintTask]]:
+    """The objects of each network."""
+    groups = dict[Any, list[PaintTask]]()
+    for task in tasks:
+        groups.setdefault((task.features, task.weights, task.precision), []).append(task)
+    return [*groups.values()]
+
+
+def _measured(
+    studios: Studios, tasks: Sequence[PaintTask], cuts: Mapping[str, CutScene], scene: Scene
+) -> dict[str, Any]:
+    """What painting some objects did, with one entry per number.
+
+    The scene before is made of the one after: two take much memory.
+    """
+    names = [task.name for task in tasks]
+    before = without_layers(scene, names)
+    rows = family(before)
+    studio = studios.open(before.splats, tasks[0])
+    splats, after = new_ones_last(scene, names)
+    _, held_out = scene.working_views()
+    return flat_metrics(
+        measure_painted(
+            studio,
+            [task.job(rows) for task in tasks],
+            splats.to(studio.splats.device),
+            held_out=held_out,
+            cuts=cuts,
+            families=(rows, after),
+        )
+    )
+
+
 def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of two runs as one: objects together, steps added, else the later ones."""
+    """The numbers of two networks as one: objects together, counts added, else the later ones."""
     joined = {**earlier, **later}
     for name, value in earlier.items():
         if isinstance(value, dict):

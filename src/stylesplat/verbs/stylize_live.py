@@ -1,27 +1,22 @@
 """`stylize_live`: repaint one object step by step, to watch it, to stop early or to go on."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.compose import beneath, compose, family
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.bookkeeping import strengths, with_origin, with_paintings
-from stylesplat.stylization.paint_objects import (
-    MAX_MEMORY,
-    blended,
-    moved,
-    open_studio,
-)
+from stylesplat.stylization.paint_objects import MAX_MEMORY, layer_of, moved
+from stylesplat.stylization.paint_task import PaintTask, paint_tasks
 from stylesplat.stylization.repaint import Repainted, repaint
-from stylesplat.stylization.runs import Run, check_runs, runs_of
 from stylesplat.stylization.style import Style, as_recipe
-from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_config import Network, Precision
 from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.styled_scene import Styled
-from stylesplat.verbs.stylize import load_network, records
+from stylesplat.verbs.stylize import Studios, with_layer
 
 
 @dataclass(frozen=True)
@@ -33,23 +28,32 @@ class Live:
     before: Scene
     """The scene as it was given."""
     ground: Scene
-    """What it is painted on: without what it was painted with before."""
-    run: Run
-    """It alone."""
+    """What lies beneath the object's layer."""
+    place: int
+    """Of the layer in the stack."""
+    task: PaintTask
+    """The object and its style."""
     job: StyleJob
-    """Its Gaussians and settings."""
+    """Its Gaussians among those of `ground`, and settings."""
+    precision: Precision
+    """Of the features."""
+
+    @property
+    def layer(self) -> Layer:
+        """What is painted so far."""
+        rows = family(self.ground).to(self.state.parents.device)
+        return self.task.recorded(layer_of(self.state, self.job, rows), self.precision)
 
     @property
     def splats(self) -> Splats:
         """As they look now."""
-        return blended(self.state, self.job)
+        layers = self.before.layers
+        layers = (*layers[: self.place], self.layer, *layers[self.place + 1 :])
+        return compose(self.before.unpainted, layers)
 
     def scene(self) -> Scene:
         """The scene with what is painted so far, as `stylize` would give it, but not measured."""
-        state = self.state
-        styled = Styled(self.splats, state.splats, state.base, state.parents)
-        painting = records(self.run, [self.job], strengths(self.ground))
-        return with_origin(with_paintings(self.ground, styled, painting), self.before)
+        return with_layer(self.before, self.place, self.layer)
 
 
 @check_arguments
@@ -87,21 +91,9 @@ def stylize_live(
         ...         break
         >>> early = live.scene()  # doctest: +SKIP
     """
-    runs = runs_of(as_recipe({name: style}), scene, features, weights)
-    check_runs(scene, runs)
-    (run,) = runs
-    ground = run.cleared(scene)
-    (job,) = run.jobs(ground)
-    training, held_out = ground.working_views()
-    studio = open_studio(
-        ground.splats.to(pick_device(device)),
-        training,
-        load_network([style], run.features, run.weights),
-        held_out=held_out,
-        max_memory=max_memory,
-        precision=run.precision,
-    )
-    run = replace(run, precision=studio.precision_name)
-    job = moved(job, studio.splats)
+    (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
+    under, place = beneath(scene, name)
+    studio = Studios(scene, tasks, max_memory, pick_device(device), {}).open(under.splats, task)
+    job = moved(task.job(family(under)), studio.splats)
     for state in repaint(studio, job):
-        yield Live(state, scene, ground, run, job)
+        yield Live(state, scene, under, place, task, job, studio.precision_name)

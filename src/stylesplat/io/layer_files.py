@@ -1,0 +1,219 @@
+"""The stack of layers of a scene, in the scene's folder."""
+
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import torch
+from msgspec import Meta
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError, within
+from stylesplat.io.declared import GAUSSIANS, Declared
+from stylesplat.io.json_files import FilePath, fitting, read_json_as, write_json
+from stylesplat.io.recipe_files import AGAIN, RECIPE, Intensity, Word, recipe_of
+from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
+from stylesplat.io.tensors import read_tensors, write_tensors
+from stylesplat.scene.layer import Layer, Source
+from stylesplat.scene.scene import check_name_or_id
+from stylesplat.scene.splats import Splats
+
+STACK = "layers.json"
+LAYERS = "layers"  # the folder
+FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in it: no slashes, no dots
+MOST_LETTERS = 40  # of an object's name in a file's
+UNIT = {"low": 0.0, "high": 1.0}
+CANVAS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+
+
+class _Source(msgspec.Struct):
+    path: FilePath | None = None
+    sha256: Word | None = None
+
+
+class _Layer(msgspec.Struct):
+    """One layer in `layers.json`."""
+
+    file: Annotated[str, Meta(pattern=FILE)]
+    object: str
+    kind: Literal["paint"] = "paint"
+    strength: Intensity = 1.0
+    form: Intensity = 0.0
+    visible: bool = True
+    styles: list[_Source] = []
+    settings: dict[str, Any] = {}
+    features: Word = "compact"
+    weights: _Source | None = None
+    precision: Word | None = None
+
+
+class _Stack(msgspec.Struct):
+    layers: Annotated[list[_Layer], Meta(min_length=1)]
+
+
+def write_layers(layers: Sequence[Layer], folder: Path, before: Sequence[Layer] = ()) -> None:
+    """Write the stack of a scene, and its recipe, into the scene's folder.
+
+    Args:
+        layers: The stack, the lowest first; none removes all files.
+        folder: Of the scene.
+        before: The stack that the folder holds. Files of layers that stay are not written again.
+
+    Raises:
+        StyleSplatError: If the files cannot be written, or an object has a name that files cannot
+            have.
+    """
+    for layer in layers:
+        check_name_or_id(layer.object)
+    place = folder / LAYERS
+    if place.is_symlink():
+        place.unlink()  # what it leads to is not ours
+    held = folder / f"{LAYERS}.before"
+    if place.exists():
+        place.rename(held)
+    files = {_identity(layer): file_name(n, layer) for n, layer in enumerate(before)}
+    try:
+        for number, layer in enumerate(layers):
+            path, known = place / file_name(number, layer), files.get(_identity(layer))
+            if known is not None and (held / known).is_file():
+                path.parent.mkdir(exist_ok=True)
+                (held / known).rename(path)
+            else:
+                write_tensors(_tensors(layer), path)
+    finally:
+        shutil.rmtree(held, ignore_errors=True)
+    for name in (STACK, RECIPE):
+        (folder / name).unlink(missing_ok=True)
+    if layers:
+        stack = [_entry(number, layer) for number, layer in enumerate(layers)]
+        write_json({"layers": stack}, folder / STACK)
+        write_json(recipe_of(layers), folder / RECIPE)
+
+
+def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
+    """Read the stack of a scene; empty if there is none.
+
+    Args:
+        folder: Of the scene.
+        count: How many Gaussians the base has.
+
+    Raises:
+        StyleSplatError: If a file is missing or damaged, or belongs to another scene.
+    """
+    stack = read_json_as(folder / STACK, _Stack, AGAIN)
+    with within(f"Cannot read {folder / STACK}"):
+        for entry in stack.layers:
+            check_name_or_id(entry.object)
+            fitting(entry.settings.get("form", 0.0), Intensity, "form is wrong", AGAIN)
+        names = [(entry.object, entry.kind) for entry in stack.layers]
+        if len({*names}) < len(names):
+            raise StyleSplatError(f"an object has two layers of a kind. {AGAIN}")
+    return tuple(_read(folder / LAYERS / entry.file, entry, count) for entry in stack.layers)
+
+
+def file_name(number: int, layer: Layer) -> str:
+    """The name of a layer's file, given its place in the stack."""
+    called = re.sub(r"[^A-Za-z0-9_-]", "_", layer.object)[:MOST_LETTERS]
+    return f"{number + 1:02}-{called}.safetensors"
+
+
+def _identity(layer: Layer) -> tuple[int, ...]:
+    """What is equal only if a file of the layer need not be written again."""
+    return tuple(id(tensor) for tensor in (layer.rows, layer.sh0, layer.relief, layer.parents))
+
+
+def _entry(number: int, layer: Layer) -> dict[str, Any]:
+    return {
+        "file": file_name(number, layer),
+        "object": layer.object,
+        "kind": layer.kind,
+        "strength": layer.strength,
+        "form": layer.form,
+        "visible": layer.visible,
+        "styles": [vars(source) for source in layer.styles],
+        "settings": layer.settings,
+        "features": layer.features,
+        "weights": layer.weights and vars(layer.weights),
+        "precision": layer.precision,
+    }
+
+
+def _tensors(layer: Layer) -> dict[str, Tensor]:
+    """What the file of a layer holds. Higher bands that are all 0 are left out."""
+    own, canvas = layer.relief.split([len(layer.rows), len(layer.parents)])
+    tensors = {
+        "rows": layer.rows,
+        "shares": layer.shares,
+        "sh0": layer.sh0,
+        "shN": _bands(layer.shN),
+        "opacity_factors": layer.opacity_factors,
+        "relief": own,
+        "parents": layer.parents,
+        "canvas_relief": canvas,
+        "canvas_before": layer.canvas_sh0,
+    }
+    every = {**layer.canvas.tensors(), "shN": _bands(layer.canvas.shN)}
+    return tensors | {f"canvas_{name}": every[name] for name in CANVAS}
+
+
+def _bands(shN: Tensor) -> Tensor:
+    return pad_bands(shN) if shN.any() else shN[:, :0]
+
+
+def _declared(count: int) -> dict[str, Declared]:
+    """What the file of a layer on so many Gaussians holds."""
+    index = Declared(("R",), torch.int64, low=0, high=count - 1)
+    row = Declared(("R",))
+    canvas = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
+    canvas["shN"] = ("canvas bands", 3)
+    return {
+        "rows": replace(index, unique=True),
+        "shares": replace(row, **UNIT),
+        "sh0": replace(GAUSSIANS["sh0"], shape=("R", 1, 3)),
+        "shN": replace(GAUSSIANS["shN"], shape=("R", "bands", 3)),
+        "opacity_factors": replace(row, **UNIT),
+        "relief": replace(row, low=-1.0),
+        "parents": replace(index, shape=("C",)),
+        "canvas_relief": replace(row, shape=("C",), low=-1.0),
+        "canvas_before": replace(GAUSSIANS["sh0"], shape=("C", 1, 3)),
+        **{
+            f"canvas_{name}": replace(GAUSSIANS[name], shape=("C", *canvas[name]))
+            for name in CANVAS
+        },
+    }
+
+
+def _read(path: Path, entry: _Layer, count: int) -> Layer:
+    tensors = read_tensors(path, _declared(count), N=count)
+    for name in ("shN", "canvas_shN"):
+        if tensors[name].shape[1] not in (0, FULL_BANDS):
+            raise StyleSplatError(
+                f"Cannot read {path}: {name} has a wrong number of bands. {AGAIN}"
+            )
+        tensors[name] = pad_bands(tensors[name])
+    means, quats, scales, opacities, sh0, shN = (tensors[f"canvas_{name}"] for name in CANVAS)
+    weights = entry.weights
+    return Layer(
+        object=entry.object,
+        **{n: tensors[n] for n in ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")},
+        canvas=Splats(means, quats, scales, opacities, sh0, shN),
+        canvas_sh0=tensors["canvas_before"],
+        relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),
+        strength=entry.strength,
+        form=entry.form,
+        visible=entry.visible,
+        kind=entry.kind,
+        styles=tuple(map(_source, entry.styles)),
+        settings=entry.settings,
+        features=entry.features,
+        weights=weights and _source(weights),
+        precision=entry.precision,
+    )
+
+
+def _source(each: _Source) -> Source:
+    return Source(Path(each.path) if each.path else None, each.sha256)

@@ -1,0 +1,130 @@
+"""The `Layer` noun: the paint of one object, apart from the splat that it lies on."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.errors import some
+from stylesplat.scene.one_line import counted, one_line
+from stylesplat.scene.splats import Splats
+
+Kind = Literal["paint"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that something was made from."""
+
+    path: Path | None
+    """Where the file was; None if it was never a file."""
+    sha256: str | None = None
+    """The digest of its content; None if it was not recorded."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """The paint of one object at full strength, and how much of it shows.
+
+    Gaussians of layers beneath belong to a row of the base (see `parents`); this layer treats them
+    as it treats that row.
+    """
+
+    object: str
+    """What the object was called: a name, or a label id."""
+    rows: Int[Tensor, " R"]
+    """The rows of the base that the layer covers."""
+    shares: Float[Tensor, " R"]
+    """How much of its paint each row takes on."""
+    sh0: Float[Tensor, "R 1 3"]
+    """The paint of these rows: the constant band."""
+    shN: Float[Tensor, "R _ 3"]
+    """The paint of these rows: the higher bands."""
+    opacity_factors: Float[Tensor, " R"]
+    """Factors on the opacities at strength 1: 1 where nothing fades."""
+    canvas: Splats
+    """The layer's own Gaussians, which have no identities."""
+    canvas_sh0: Float[Tensor, "C 1 3"]
+    """Colours of the canvas before it was painted. Strengths above 1 lead away from them."""
+    parents: Int[Tensor, " C"]
+    """The row of the base that each Gaussian of the canvas belongs to."""
+    relief: Float[Tensor, " L"]
+    """The luminance detail of the unpainted object, in 0..1: of the rows, then of the canvas."""
+    strength: float = 1.0
+    """How much of the paint shows, 0 to 1.5."""
+    form: float = 0.0
+    """How much of the relief shows, 0 to 1.5."""
+    visible: bool = True
+    """Whether the layer shows at all."""
+    kind: Kind = "paint"
+    """What the layer does."""
+    styles: tuple[Source, ...] = ()
+    """The pictures whose style the object has."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """All settings as plain values; strength and form among them are those of the painting."""
+    features: str = "compact"
+    """The network whose features were matched."""
+    weights: Source | None = None
+    """The network's file, if it was not the network's own."""
+    precision: str | None = None
+    """The precision of the features; None if it was not recorded."""
+
+    def __repr__(self) -> str:
+        pictures = some(each.path.name if each.path else "a picture" for each in self.styles)
+        gaussians = counted(len(self.rows), "Gaussian")
+        new = f"{len(self.canvas):,} new" if len(self.canvas) else None
+        shown = f"strength {self.strength:g}" if self.visible else "hidden"
+        return one_line(
+            self, f"{self.object} like {pictures}", gaussians, new, shown, self.features
+        )
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the layer changes anything."""
+        return self.visible and self.strength > 0
+
+    @property
+    def painted_form(self) -> float:
+        """The form that the paint has already."""
+        return float(self.settings.get("form", 0.0))
+
+
+def without_identities(splats: Splats) -> Splats:
+    """The Gaussians alone."""
+    return replace(splats, identities=None, classifier=None, confidence=None)
+
+
+def on_device(layer: Layer, device: torch.device | str) -> Layer:
+    """The same layer on another device."""
+    moved = {n: t.to(device) for n, t in vars(layer).items() if isinstance(t, Tensor)}
+    return replace(layer, **moved, canvas=layer.canvas.to(device))
+
+
+def taken(
+    layer: Layer, places: Int[Tensor, " N"], canvas: Int[Tensor, " K"] | None = None
+) -> Layer:
+    """What is left of a layer on some rows of its base.
+
+    Args:
+        layer: On the whole base.
+        places: Where each row of the base is now; -1 if it is gone.
+        canvas: The Gaussians of the canvas that are left; None for all. They belong to some row of
+            the layer if their parent is gone.
+    """
+    kept = places[layer.rows] >= 0
+    rows = places[layer.rows][kept]
+    left = torch.arange(len(layer.parents)) if canvas is None else canvas
+    parents = places[layer.parents[left]]
+    return replace(
+        layer,
+        rows=rows,
+        **{n: getattr(layer, n)[kept] for n in ("shares", "sh0", "shN", "opacity_factors")},
+        canvas=layer.canvas[left],
+        canvas_sh0=layer.canvas_sh0[left],
+        parents=torch.where(parents < 0, rows[0] if len(rows) else 0, parents),
+        relief=torch.cat([layer.relief[: len(kept)][kept], layer.relief[len(kept) :][left]]),
+    )
