@@ -15,6 +15,7 @@ from painted_balls import PICKS
 from plain_layers import layer_towards
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.compose import with_layers
+from stylesplat.scene.layer import without_identities
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 
@@ -53,7 +54,8 @@ def scene() -> Scene:
     )
     layers = [layer_towards(before, after, PICKED[name], name) for name in ("red", "blue")]
     rows = PICKED["red"].nonzero()[::7, 0]
-    canvas = replace(after[rows], identities=None, classifier=None, means=after.means[rows] + 0.01)
+    canvas = replace(after[rows], means=after.means[rows] + 0.01, opacities=before.opacities[rows])
+    canvas = without_identities(canvas)
     colors = {"canvas": canvas, "canvas_sh0": before.sh0[rows], "parents": rows}
     relief = torch.zeros(len(layers[0].rows) + len(rows))
     layers[0] = replace(layers[0], **colors, relief=relief)
