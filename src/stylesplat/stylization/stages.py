@@ -49,8 +49,8 @@ COARSE = 0.6  # of the pattern's size: where the large shapes are found
 FIRST = 25  # steps on the object as it is, where laying a canvas would keep one waiting
 PLANS: dict[Quality, tuple[Row, ...]] = {
     "draft": (Row(90, COARSE), Row(30, 1.0)),
-    "normal": (Row(165, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
-    "high": (Row(225, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
+    "normal": (Row(60, COARSE), Row(30, 1.0), Row(100, None, rate=2.0)),
+    "high": (Row(60, COARSE), Row(30, 1.0), Row(300, None, rate=2.0)),
 }
 
 
@@ -111,7 +111,7 @@ def planned(
         if row.of_pattern is None:
             full = _scaled(finest, scale, most=finest)
             half = max(_scaled(pattern_length, scale, most=most), full / 2)
-            stages.append(Stage((half, max(half, full)), end - start, WINDOW, row.rate, True))
+            stages.append(Stage((max(half, full),), end - start, WINDOW, row.rate, True))
         else:
             usual = row.of_pattern * pattern_length
             length = _scaled(usual, scale, most=most)
