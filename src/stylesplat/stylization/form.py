@@ -5,7 +5,7 @@ Detail that it has everywhere (a pattern, fur, a weave) is decoration, which the
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import torch
@@ -14,6 +14,8 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from stylesplat.metrics.lab import LUMA
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import HIDDEN, ObjectView
 
 SIZES = (0.004, 0.015, 0.05)  # deviations between which the bands lie, of the object's length
 AROUND = 0.03  # deviation of the mean of a band's energy, of the object's length
@@ -70,6 +72,36 @@ def form_distance(
         correlation = (weight * band * detail).sum() / (norms + 1e-12).sqrt()
         total = total + share * (1 - correlation)
     return total
+
+
+@torch.no_grad()
+def form_relief(
+    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView], length: float
+) -> Float[Tensor, " N"]:
+    """The form of an object as luminance that each of its Gaussians adds, averaged over views.
+
+    Adding some of it to painted colours, or taking it away, changes the form in closed form.
+
+    Args:
+        splats: The unpainted scene.
+        picked: The object's Gaussians.
+        views: Of the whole object.
+        length: The object's longer side in these views, in pixels.
+
+    Returns:
+        In 0..1 units; 0 for Gaussians that are not picked or hardly show.
+    """
+    matte = replace(splats, shN=splats.shN.masked_fill(picked[:, None, None], 0))
+    total, weights = torch.zeros_like(splats.opacities), torch.zeros_like(splats.opacities)
+    for view in views:
+        form = measure_form(view.render(splats), view.pixels, length)
+        pairs = zip(form.details, form.shares, strict=True)
+        detail = torch.stack([share * detail for detail, share in pairs]).sum(dim=0)
+        image = torch.stack([detail, view.pixels.to(detail), torch.zeros_like(detail)], dim=2)
+        sums = view.carried(matte, image)
+        total += sums[:, 0, 0]
+        weights += sums[:, 0, 1]
+    return torch.where(picked & (weights > HIDDEN), total / weights.clamp(min=HIDDEN), 0)
 
 
 def luminance_bands(

@@ -17,6 +17,7 @@ from stylesplat.stylization.color import (
     object_colors,
     transfer_colors,
 )
+from stylesplat.stylization.form import form_relief
 from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.looking import check_visible, object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
@@ -54,6 +55,12 @@ class Repainted:
     """The same Gaussians as they looked before."""
     parents: Int[Tensor, " N"]
     """Which Gaussian of the scene before each one comes from."""
+    paint: Splats
+    """As `splats`, with each Gaussian's paint in full, whatever its share."""
+    shares: Float[Tensor, " N"]
+    """How much of its paint each Gaussian takes on."""
+    relief: Float[Tensor, " N"]
+    """The object's form as luminance that each Gaussian adds; see `form_relief`."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +111,7 @@ def repaint(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Iterat
     canvas_at, confined_at = min(CANVAS_AT, len(stages) - 1), len(stages) - 1
     generator = torch.Generator().manual_seed(config.seed)
     views, aim, current, done = list[ObjectView](), None, None, 0
+    relief = torch.zeros(0)
     for number, stage in enumerate(stages):
         views.clear()  # before there are others: they take much memory
         begun = number == 0
@@ -111,13 +119,14 @@ def repaint(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Iterat
             ground = canvas_ground(ground, boxes, config.finest(typical_length(boxes)))
             begun |= ground.canvas is not None
         if number == confined_at and ground.canvas is not None:
-            along = None if begun else current
-            ground, kept = confined_ground(ground, boxes, along)
-            current = current and _colored(ground, current, kept)
+            ground, kept = confined_ground(ground, boxes, None if begun else current)
+            if current is not None and not begun:
+                current, relief = _colored(ground, current, kept), relief[kept]
         views += stage_views(ground.studio, ground.job, boxes, stage, generator)
         few = _few_views(ground, boxes, stage, views)
         if begun or aim is None or current is None:
             aim, current = _begun(ground, few)
+            relief = form_relief(ground.studio.splats, ground.job.picked, few, stage.lengths[0])
         aim = replace(aim, views=few)
         objective = _objective(ground, aim, stage)
         targets = objective.targets(
@@ -130,7 +139,15 @@ def repaint(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Iterat
             if step.number == stage.steps:
                 current, shown = _ended(ground, aim, current, last=done == config.all_steps)
             yield Repainted(
-                done, config.all_steps, step.nnfm, shown, ground.unpainted, ground.parents
+                step=done,
+                steps=config.all_steps,
+                nnfm=step.nnfm,
+                splats=shown,
+                base=ground.unpainted,
+                parents=ground.parents,
+                paint=current,
+                shares=ground.shares,
+                relief=relief,
             )
 
 
