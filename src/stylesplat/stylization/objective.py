@@ -20,7 +20,7 @@ from stylesplat.stylization.style_config import StyleConfig
 
 PULL = 10.0  # weight of the squared way back to the painting's colours; more costs style
 HOLD = 5.0  # weight of the squared change of large shapes; 50 leaves fine strokes no room
-FORM = 0.2  # weight of the form at 1: fox and doll keep faces and lose no style (within .003 NNFM)
+FORM = 0.1  # weight of the form at 1: fox and doll keep their faces for .004 of half-size NNFM
 EVEN = 0.1  # weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
 MOST_CONTENT = 0.98  # a larger weight of content keeps no more of it
 SIDE = 4  # pixels of a view that make one in which large shapes are compared

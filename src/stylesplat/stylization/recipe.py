@@ -12,6 +12,7 @@ from stylesplat.io.kinds import kind_of
 from stylesplat.io.painted_files import RECIPE
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.io.recipe_files import Intensity, listed
+from stylesplat.progress import say
 from stylesplat.scene.paintings import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
@@ -29,6 +30,7 @@ SHARED = {  # what else a recipe may say of all objects
     "objects": dict | list | None,
     "gone": list | None,
 }
+RETIRED = ("canvas", "smoothness", "texture")  # settings of older recipes
 PLACE = {"place": int}  # of one that is gone, among those that are not
 OWN = {  # and of one
     "style": str | tuple[str, ...],
@@ -124,9 +126,17 @@ def _sorted_out(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The settings in an entry, those under `settings` included, and what it has of `keys`."""
-    fit = fitted(entry, {**SETTINGS, **keys})
+    fit = fitted(_without_retired(entry), {**SETTINGS, **keys})
     others = {key: fit.pop(key) for key in keys if key in fit}
-    return fitted(others.get("settings", {}), SETTINGS) | fit, others
+    return fitted(_without_retired(others.get("settings", {})), SETTINGS) | fit, others
+
+
+def _without_retired(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """An entry without settings that older versions had, which the user is told."""
+    retired = [key for key in RETIRED if key in entry]
+    if retired:
+        say(f"{', '.join(retired)}: older recipes have this; it is no setting now and is ignored.")
+    return {key: value for key, value in entry.items() if key not in retired}
 
 
 def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str, dict[str, Any]]]:

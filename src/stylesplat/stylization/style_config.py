@@ -27,6 +27,7 @@ ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
 Precision = Literal["float32", "bfloat16"]
 
+SOFTENED = 0.75  # of the object's pattern: all of it takes mouths along, half leaves a vase its own
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
 
@@ -135,7 +136,7 @@ class StyleConfig:
     @property
     def softened(self) -> float:
         """How much of the object's own pattern to take away before it is painted, 0 to 1."""
-        return 0.0 if self.color == "free" else 1 - min(self.content, 1.0)
+        return 0.0 if self.color == "free" else SOFTENED * (1 - min(self.content, 1.0))
 
     @property
     def levelled(self) -> float:
