@@ -89,16 +89,12 @@ class PaintPanel:
             "quality": gui.add_dropdown(
                 "Quality", ("draft", "normal", "high"), initial_value=USUAL.quality
             ),
-            "pattern": gui.add_dropdown(
-                "Pattern", ("small", "medium", "large", "photo"), initial_value=USUAL.pattern
-            ),
             "color": gui.add_dropdown(
                 "Colour", ("style", "keep", "blend", "free"), initial_value=USUAL.color
             ),
             "scale": gui.add_slider("Stroke size", 0.5, 6.0, 0.1, USUAL.scale),
-            "texture": gui.add_slider("Take texture away", 0.0, 1.0, 0.05, USUAL.softened),
+            "form": gui.add_slider("Keep form", 0.0, 1.5, 0.05, USUAL.form),
             "content": gui.add_slider("Keep content", 0.0, 1.0, 0.05, USUAL.content),
-            "smoothness": gui.add_slider("Smoothness", 0.0, 5.0, 0.1, USUAL.smoothness),
             "rotate": gui.add_slider("Rotate", 0.0, 345.0, 15.0, USUAL.rotate),
         }
         self.part = StylePart(gui, self.session, self.gallery)
@@ -106,7 +102,6 @@ class PaintPanel:
     def _chosen(self, size: tuple[int, int]) -> dict[str, Any]:
         """The settings that differ from the usual ones."""
         found: dict[str, Any] = {name: each.value for name, each in self.controls.items()}
-        usual = {**vars(USUAL), "texture": USUAL.softened}
-        found = {name: value for name, value in found.items() if value != usual[name]}
+        found = {name: value for name, value in found.items() if value != getattr(USUAL, name)}
         region = self.part.region(size)
         return found if region is None else {**found, "region": region}

@@ -65,17 +65,17 @@ def _options(command: type) -> Iterator[tuple[str, JobOption]]:
         if field.name in (*OURS, *WITHIN) and field.name not in places:
             continue
         marks = get_args(field.type)
-        name = option.names[-1].removeprefix("--").lower()
-        yield (
-            f"no-{name}" if field.default is True else name,
-            JobOption(
-                count=option.count,
-                repeated=UseAppendAction in marks,
-                is_path=option.placeholder == PATH and field.name not in places,
-                is_place=field.name in places,
-                is_word=Positional in marks,
-            ),
+        found = JobOption(
+            count=option.count,
+            repeated=UseAppendAction in marks,
+            is_path=option.placeholder == PATH and field.name not in places,
+            is_place=field.name in places,
+            is_word=Positional in marks,
         )
+        for each in option.names:
+            name = each.removeprefix("--").lower()
+            if not name.startswith("-"):  # one letter, which nobody writes into a job file
+                yield f"no-{name}" if field.default is True else name, found
 
 
 def _fault(command: type, name: str, words: Sequence[str]) -> str | None:

@@ -165,16 +165,3 @@ def _split_place(text: str) -> tuple[str, list[float]]:
         return view, [float(number) for number in numbers.split(",")]
     except ValueError:
         return view, []
-
-
-def number_or_word(text: str) -> float | str:
-    """A number, if it is one.
-
-    Example:
-        >>> number_or_word("0.5"), number_or_word("keep")
-        (0.5, 'keep')
-    """
-    try:
-        return float(text)
-    except ValueError:
-        return text

@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.next_steps import next_lines, painted_commands
 from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given
-from stylesplat.cli.parse import number_or_word, parse_style
+from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import before_after_line, write_before_after
 from stylesplat.errors import StyleSplatError
@@ -23,18 +23,13 @@ if TYPE_CHECKING:
 SETTINGS = (
     "quality",
     "steps",
-    "pattern",
-    "layers",
     "scale",
     "rotate",
     "region",
     "intensity",
     "color",
+    "form",
     "content",
-    "smoothness",
-    "view_dependence",
-    "canvas",
-    "max_growth",
     "seed",
 )
 
@@ -68,12 +63,9 @@ class Stylize:
     for --preset paper."""
     weights: Path | None = None
     """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
-    pattern: Literal["small", "medium", "large", "photo"] | None = None
-    """Size of strokes and shapes, medium by default; photo matches at the photos' size."""
-    layers: tuple[int, ...] | None = None
-    """Groups of network layers that are matched, of 1 to 4; 3 by default."""
-    scale: float | None = None
-    """Size of the style picture relative to the object, 2 by default: more makes larger strokes."""
+    scale: Annotated[float | None, arg(name="stroke-size", aliases=["--scale"])] = None
+    """Size of the strokes, 2 by default: as many longer sides of the object as the style picture's
+    longer side has."""
     rotate: float | None = None
     """Degrees to turn the style picture by, counter-clockwise."""
     region: tuple[int, int, int, int] | None = None
@@ -82,23 +74,10 @@ class Stylize:
     """How much of the new colours to blend into the old, 0 to 1.5; see also `adjust`."""
     color: Literal["style", "keep", "blend", "free"] | None = None
     """Whose hues the object gets: the style's (default), its own, both, or what matching gives."""
-    texture: str | None = None
-    """keep, soften, replace, or 0 to 1: how much of the object's own pattern to take away before;
-    keep (0) by default."""
+    form: float | None = None
+    """How much of its form the object keeps, 0 to 1.5, 1 by default: eyes, folds, edges."""
     content: float | None = None
     """How much of its own features the object keeps, 0 (default) to 1 (nearly all)."""
-    smoothness: float | None = None
-    """Weight of the total variation; 0 by default, 1 calms, 5 makes flat areas."""
-    view_dependence: Literal["keep", "drop", "train"] | None = None
-    """Whether highlights and reflections stay, are painted over (default), or are trained too."""
-    canvas: Literal["fresh", "own"] | None = None
-    """What carries the strokes: small new Gaussians on the object's surface (fresh, the default),
-    or its own."""
-    max_growth: float | None = None
-    """How many times as many Gaussians the object may get, by default 4, up to 16 for one of few;
-    1 adds none, as a draft does: it is painted on its own."""
-    hard: FlagCreatePairsOff[bool] = False
-    """Paint all picked Gaussians alike; else each by how much of it belongs to the object."""
     max_memory: float = 1.5
     """GiB for prepared views; what does not fit takes longer."""
     seed: int | None = None
@@ -158,10 +137,6 @@ class Stylize:
         from stylesplat.stylization.style import Recipe, Style, StyledObject
 
         settings = given(self, SETTINGS)
-        if self.hard:
-            settings["hard"] = True
-        if self.texture is not None:
-            settings["texture"] = number_or_word(self.texture)
         if self.recipe is None:
             styles = [parse_style(text) for text in self.style]
             if not styles:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stylesplat.metrics.lab import LUMA
 from stylesplat.metrics.ssim import ssim_map
 from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import COVERED
@@ -16,7 +17,6 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.object_views import ObjectView
 
-LUMA = (0.2126, 0.7152, 0.0722)  # Rec. 709: how bright red, green and blue are
 TINY = 1e-12  # keeps 0 / 0 at 0: a style without any feature or any contrast
 
 

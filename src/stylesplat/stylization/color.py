@@ -12,11 +12,38 @@ from torch.nn import functional as F
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.style_config import StyleConfig
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
 VARIATION = 0.08  # deviation of the colours that `vary_colors` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
+
+
+@torch.no_grad()
+def initial_colors(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    views: Sequence[ObjectView],
+    palette: Float[Tensor, "P 3"],
+    config: StyleConfig,
+) -> Splats:
+    """The colours to start from.
+
+    Args:
+        splats: The scene, with as much of the object's own pattern as is wanted.
+        picked: The object's Gaussians.
+        views: Whose pixels tell its colours.
+        palette: Colours in 0..1, that it is to have.
+        config: The settings.
+    """
+    if config.color != "free":
+        splats = vary_colors(splats, picked, seed=config.seed)
+        splats = transfer_colors(splats, picked, palette, views)
+    if config.view_dependence == "drop":
+        matte = splats.shN.masked_fill(picked[:, None, None], 0)
+        splats = replace(splats, shN=matte)
+    return splats
 
 
 @torch.no_grad()

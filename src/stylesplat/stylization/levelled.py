@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import ObjectView
-
-HIDDEN = 1e-3  # pixels that a Gaussian paints in all views: fewer tell no colour
+from stylesplat.stylization.object_views import HIDDEN, ObjectView
 
 
 @torch.no_grad()
@@ -35,16 +33,8 @@ def levelled(
     total, weights = torch.zeros_like(splats.sh0), torch.zeros_like(splats.sh0)
     for view in views:
         image, own = view.render(matte), view.pixels[..., None]
-        total += _carried(view, matte, image * own)
-        weights += _carried(view, matte, own.expand_as(image).to(image))
+        total += view.carried(matte, image * own)
+        weights += view.carried(matte, own.expand_as(image).to(image))
     around = (total / weights.clamp(min=HIDDEN) - 0.5) / SH_C0
     seen = picked[:, None, None] & (weights > HIDDEN)
     return replace(splats, sh0=torch.where(seen, splats.sh0.lerp(around, share), splats.sh0))
-
-
-def _carried(view: ObjectView, splats: Splats, wanted: Tensor) -> Float[Tensor, "N 1 3"]:
-    """What each Gaussian paints of an image: a render is linear in what Gaussians carry."""
-    with torch.enable_grad():
-        grey = torch.zeros_like(splats.sh0).requires_grad_()
-        (sums,) = torch.autograd.grad(view.render(replace(splats, sh0=grey)), grey, wanted)
-    return sums / SH_C0

@@ -13,6 +13,7 @@ from stylesplat.progress import say, track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
@@ -23,6 +24,7 @@ SURVEY_SIZE = 160  # longer side of the renders in which objects are looked for
 STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
 MARGIN = 12  # pixels around a box at most: what lies beyond hardly moves a deep feature (< 1 %)
 MEBIBYTE = 2**20
+HIDDEN = 1e-3  # pixels that a Gaussian paints in all views: fewer tell no colour
 MIN_CELLS = 16  # views that show fewer features of the object are skipped
 
 
@@ -82,6 +84,16 @@ class ObjectView:
         width, height = self.camera.size
         everywhere = splats.means.new_ones(height, width, 1)
         return contributed(splats, self.camera, everywhere)[:, 0] * picked
+
+    def carried(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 1 3"]:
+        """What each of the object's Gaussians paints of an image, summed over its pixels.
+
+        A render is linear in what Gaussians carry.
+        """
+        with torch.enable_grad():
+            grey = torch.zeros_like(splats.sh0).requires_grad_()
+            (sums,) = torch.autograd.grad(self.render(replace(splats, sh0=grey)), grey, image)
+        return sums / SH_C0
 
     def with_fixed_bands(
         self, splats: Splats, varied: Bool[Tensor, " N"] | None = None

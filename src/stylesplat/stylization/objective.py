@@ -1,27 +1,29 @@
-"""What an object's colours are optimised for: style, and as much content and calm as wanted."""
+"""What an object's colours are optimised for: the style, and as much of the object as is wanted."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional as F
 
-from stylesplat.scene.cache import size_of
+from stylesplat.progress import track
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.form import Form, form_distance, measure_form
 from stylesplat.stylization.matching import StyleIndex
 from stylesplat.stylization.near_palette import NearPalette
 from stylesplat.stylization.nnfm import cosine_distance
-from stylesplat.stylization.object_views import ObjectView, ViewKey
+from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.style_config import StyleConfig
 
 PULL = 10.0  # weight of the squared way back to the painting's colours; more costs style
 HOLD = 5.0  # weight of the squared change of large shapes; 50 leaves fine strokes no room
+FORM = 0.1  # weight of the form at 1: fox and doll keep their faces for .004 of half-size NNFM
 EVEN = 0.1  # weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
 MOST_CONTENT = 0.98  # a larger weight of content keeps no more of it
+SIDE = 4  # pixels of a view that make one in which large shapes are compared
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,21 @@ class Losses:
     style: Float[Tensor, ""]
     """NNFM over the object's own features, averaged over the layer groups."""
     total: Float[Tensor, ""]
-    """With the weighted content, total variation and distance from the palette."""
+    """With the weighted form, content, large shapes and distance from the palette."""
+
+
+@dataclass(frozen=True)
+class ViewTarget:
+    """A view to paint in, and what the paint is compared with there."""
+
+    view: ObjectView
+    """Cut to the object."""
+    form: Form | None = None
+    """The unpainted object's form; None leaves it free."""
+    content: Sequence[Float[Tensor, "_ _"]] | None = None
+    """The unpainted object's features, by layer group; None leaves them free."""
+    shapes: Float[Tensor, "3 h w"] | None = None
+    """The large shapes of the paint so far; None leaves them free."""
 
 
 @dataclass(frozen=True)
@@ -42,21 +58,40 @@ class Objective:
     """Whose features are matched."""
     styles: Sequence[StyleIndex]
     """The features of the style, for each layer group."""
-    original: Splats
-    """What `content` compares with."""
     config: StyleConfig
     """The layers and weights."""
+    length: float
+    """The whole object's longer side in the views, in pixels."""
     near: NearPalette | None = None
     """The colours to stay near to; None leaves them free."""
-    anchor: Anchor | None = None
-    """The large shapes to keep; None leaves them free."""
-    wanted: dict[ViewKey, list[Tensor]] = field(default_factory=dict)
-    """The original's features in the pictures seen so far, for `content`."""
-    room: float = math.inf
-    """Bytes that these may take; what does not fit is computed in every step."""
 
-    def __call__(self, view: ObjectView, splats: Splats) -> Losses:
+    @torch.no_grad()
+    def targets(
+        self, views: Sequence[ObjectView], original: Splats, begun: Splats | None
+    ) -> list[ViewTarget]:
+        """What the paint is compared with in some views.
+
+        Args:
+            views: Of the object.
+            original: The unpainted scene.
+            begun: The paint whose large shapes are to stay; None leaves them free.
+        """
+        return [self._target(view, original, begun) for view in track(views, "looking at the form")]
+
+    def _target(self, view: ObjectView, original: Splats, begun: Splats | None) -> ViewTarget:
+        form = content = None
+        if self.config.form > 0 or self.config.content > 0:
+            image = view.render(original)
+            if self.config.form > 0:
+                form = measure_form(image, view.pixels, self.length)
+            if self.config.content > 0:
+                content = self._features(view, image)
+        shapes = None if begun is None else _large_shapes(view, view.render(begun))
+        return ViewTarget(view, form, content, shapes)
+
+    def __call__(self, target: ViewTarget, splats: Splats) -> Losses:
         """The losses of splats in one view."""
+        view = target.view
         image = view.render(splats)
         feats = self._features(view, image)
         pairs = zip(feats, self.styles, strict=True)
@@ -65,38 +100,23 @@ class Objective:
             for own, style in pairs
         ]
         style = total = torch.stack(matched).mean()
-        if self.config.content > 0:
-            total = total + content_weight(self.config.content) * self._content(view, feats)
-        if self.config.smoothness > 0:
-            variation = total_variation(image, view.pixels)
-            total = total + self.config.smoothness * variation
+        if target.form is not None:
+            distance = form_distance(image, view.pixels, self.length, target.form)
+            total = total + FORM * self.config.form * distance
+        if target.content is not None:
+            change = _relative_change(feats, target.content)
+            total = total + content_weight(self.config.content) * change
         if self.near is not None:
             total = total + PULL * self.near.distance(image, view.pixels)
-        if self.anchor is not None:
-            total = total + HOLD * self.anchor.distance(view, image)
+        if target.shapes is not None:
+            # both hold 0 outside the object
+            change = (_large_shapes(view, image) - target.shapes).square().sum()
+            total = total + HOLD * change * SIDE**2 / view.pixels.sum()
         return Losses(style, total)
 
     def _features(self, view: ObjectView, image: Tensor) -> list[Tensor]:
         blocks = self.network(image, self.config.layers)
         return [block[cells] for block, cells in zip(blocks, view.cells, strict=True)]
-
-    def _content(self, view: ObjectView, feats: Sequence[Tensor]) -> Tensor:
-        """The mean squared change of the features, in units of their mean square."""
-        key = view.key
-        wanted = self.wanted.get(key)
-        if wanted is None:
-            with torch.no_grad():
-                as_it_was = view.with_fixed_bands(self.original)  # the view may have others
-                image = as_it_was.render(self.original)
-                wanted = self._features(view, image)
-            used = sum(size_of(tuple(each)) for each in self.wanted.values())
-            if used + size_of(tuple(wanted)) <= self.room:
-                self.wanted[key] = wanted
-        changes = [
-            (own.float() - other.float()).square().mean() / other.float().square().mean()
-            for own, other in zip(feats, wanted, strict=True)
-        ]
-        return torch.stack(changes).mean()
 
 
 def content_weight(content: float) -> float:
@@ -112,8 +132,16 @@ def content_weight(content: float) -> float:
     return EVEN * share / (1 - share)
 
 
-def total_variation(image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, ""]:
-    """The mean absolute difference of neighbouring pixels that both lie in the mask."""
-    down = (image[1:] - image[:-1]).abs()[mask[1:] & mask[:-1]]
-    right = (image[:, 1:] - image[:, :-1]).abs()[mask[:, 1:] & mask[:, :-1]]
-    return torch.cat([down, right]).mean()
+def _relative_change(feats: Sequence[Tensor], wanted: Sequence[Tensor]) -> Float[Tensor, ""]:
+    """The mean squared change of features, in units of their mean square."""
+    changes = [
+        (own.float() - other.float()).square().mean() / other.float().square().mean()
+        for own, other in zip(feats, wanted, strict=True)
+    ]
+    return torch.stack(changes).mean()
+
+
+def _large_shapes(view: ObjectView, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "3 h w"]:
+    """The object's pixels, averaged over squares."""
+    own = image * view.pixels[..., None]
+    return F.avg_pool2d(own.permute(2, 0, 1)[None], SIDE, ceil_mode=True)[0]

@@ -1,7 +1,7 @@
 """The optimisation of an object's colours against style features."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -13,7 +13,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import mixed_colors
 from stylesplat.stylization.near_palette import DARKEST
 from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
-from stylesplat.stylization.objective import Objective
+from stylesplat.stylization.objective import Objective, ViewTarget
 from stylesplat.training.adam import Moments, adam_step
 
 SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
@@ -38,7 +38,7 @@ def optimize_colors(
     paint: Splats,
     base: Splats,
     shares: Float[Tensor, " N"],
-    views: Sequence[ObjectView],
+    targets: Sequence[ViewTarget],
     objective: Objective,
     steps: int,
 ) -> Iterator[Step]:
@@ -48,7 +48,7 @@ def optimize_colors(
         paint: The scene, without gradients, its object in the paint to start from.
         base: The scene before, of which Gaussians keep what is not the object's share.
         shares: How much of its paint each Gaussian takes on.
-        views: Of the object; one is drawn per step.
+        targets: Views of the object; one is drawn per step.
         objective: What to minimise; its settings are the rates and the seed.
         steps: How many to take.
 
@@ -66,12 +66,15 @@ def optimize_colors(
     rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
     moments = Moments.zeros(leaves)
     shown = mixed_colors(base, paint, shares)
+    views = [target.view for target in targets]
     if "shN" not in leaves:
         views = with_fixed_bands(views, shown)
+        pairs = zip(targets, views, strict=True)
+        targets = [replace(target, view=view) for target, view in pairs]
     trust = None if config.hard else _trust(base, picked, views)
-    for number, view in enumerate(drawn(views, steps, generator), start=1):
+    for number, target in enumerate(drawn(targets, steps, generator), start=1):
         with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(view, shown.with_rows(rows, _mixed_rows(own, leaves, part)))
+            losses = objective(target, shown.with_rows(rows, _mixed_rows(own, leaves, part)))
             losses.total.backward()
         before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
         decayed = config.final_lr ** ((number - 1) / steps)

@@ -1,8 +1,4 @@
-"""Children of split Gaussians that show where nothing of the object showed, taken back.
-
-Children of large Gaussians close to a camera, each of which it sees in its own perspective; that
-lie before what hid the parent's centre; or that grew when they were fitted.
-"""
+"""Gaussians of a painted object that show where nothing of the object showed."""
 
 from collections.abc import Sequence
 
@@ -17,31 +13,11 @@ from stylesplat.rendering.seen import pixel_bounds, touching
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.split import Split, unsplit
 
-VIEWS = 16  # that are checked
 Untouched = tuple[Cameras, Tensor]  # one camera, and some of its pixels [H, W]
+FAINT = 0.01  # coverage by the object below which it does not show: haze around it
 NONE = torch.zeros(0, dtype=torch.long)
-
-
-@torch.no_grad()
-def without_overflow(
-    splats: Splats, split: Split, picked: Bool[Tensor, " N"], cameras: Cameras
-) -> Split:
-    """Leave those Gaussians whole whose children show where nothing of the object showed.
-
-    Args:
-        splats: The scene before the split, on the CPU.
-        split: After it.
-        picked: The object's Gaussians, before.
-        cameras: Views in which the object may cover no pixel that it did not cover before; of
-            many some are checked.
-    """
-    pixels = untouched(splats, picked, [cameras[r] for r in evenly(range(len(cameras)), VIEWS)])
-    found = beside(split.splats, picked[split.parents], pixels)
-    return unsplit(splats, split, split.parents[torch.cat([NONE, *found])].unique())
 
 
 @torch.no_grad()
@@ -58,7 +34,7 @@ def untouched(
     bare = without_looks(splats)
 
     def look(camera: Cameras) -> Untouched:
-        return camera, coverage(bare, camera, picked) == 0
+        return camera, coverage(bare, camera, picked) < FAINT
 
     return [*track(at_once(look, cameras), "looking where nothing shows", total=len(cameras))]
 

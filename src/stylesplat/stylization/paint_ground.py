@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -13,10 +13,10 @@ from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support
 from stylesplat.selection.soft_picks import Place, find_places, seen_anew, soft_shares
-from stylesplat.stylization.fresh_canvas import fresh_canvas
+from stylesplat.stylization.canvas import Canvas, confine_canvas, lay_canvas
+from stylesplat.stylization.fit_canvas import fit_canvas
 from stylesplat.stylization.looking import see_object
 from stylesplat.stylization.object_views import Box
-from stylesplat.stylization.split import Split
 from stylesplat.stylization.style_job import Studio, StyleJob
 
 
@@ -34,20 +34,20 @@ class Ground:
     """The Gaussian of the scene before that each one comes from."""
     places: Sequence[Place]
     """Where the object is in some views, which tells shares; none if all have one of 1."""
-    bare: Splats | None = None
-    """The same Gaussians without the fresh canvas, which does not show; None if there is none."""
+    beneath: "Ground | None" = None
+    """The object as it is; None if there is no canvas on it."""
+    canvas: Canvas | None = None
+    """What was laid on that."""
 
     @property
     def unpainted(self) -> Splats:
-        """The same Gaussians as the scene looked before."""
-        return self.studio.splats if self.bare is None else self.bare
-
-    def handed_down(self, earlier: Splats) -> Splats:
-        """The object's Gaussians in the colours that their parents had earlier."""
-        rows = self.job.picked.nonzero()[:, 0]
-        parents = self.parents[rows]
-        colors = {"sh0": earlier.sh0[parents], "shN": earlier.shN[parents]}
-        return self.studio.splats.with_rows(rows, colors)
+        """The same Gaussians as the scene looked before: discs do not show."""
+        splats = self.studio.splats
+        if self.beneath is None:
+            return splats
+        before = self.beneath.studio.splats.opacities
+        unseen = torch.full_like(splats.opacities[len(before) :], UNSEEN)
+        return replace(splats, opacities=torch.cat([before, unseen]))
 
 
 def own_ground(studio: Studio, job: StyleJob) -> Ground:
@@ -64,35 +64,53 @@ def own_ground(studio: Studio, job: StyleJob) -> Ground:
     return _with_shares(studio, job, everyone, places)
 
 
-def finer_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
-    """The same with Gaussians that are fine enough: a fresh canvas, or split ones.
+def canvas_ground(ground: Ground, boxes: Sequence[Box], length: float) -> Ground:
+    """The same with a canvas on it, if the object is to have one, and has a surface for it.
 
     Args:
-        ground: Not split yet.
-        boxes: Where the object is seen.
-        length: Its longer side in pixels, for which Gaussians are to be fine enough.
-
-    Raises:
-        StyleSplatError: If it is hardly visible.
+        ground: The object as it is.
+        boxes: Where it is seen.
+        length: Its longer side in pixels, for which discs are to be fine enough.
     """
-    count = int(ground.job.picked.sum())
-    growth = ground.job.config.growth(count)
-    room = int((growth - 1) * count)
-    config = ground.job.config
-    if room == 0 or config.intensity == 0 or config.canvas == "own":
-        return ground
+    config, count = ground.job.config, int(ground.job.picked.sum())
+    room = int((config.growth(count) - 1) * count)
+    if room == 0 or config.intensity == 0:
+        return ground  # nothing would come of it
     # contributions are known on the CPU only
-    studio = replace(ground.studio, splats=ground.studio.splats.to("cpu"))
-    job, device = replace(ground.job, picked=ground.job.picked.cpu()), ground.studio.splats.device
-    split = _canvas(studio, job, boxes, length, room)
-    if split is None:
+    splats, picked = ground.studio.splats.to("cpu"), ground.job.picked.cpu()
+    canvas = lay_canvas(splats, picked, boxes, length=length, room=room, seed=config.seed)
+    if canvas is None:
+        say(f"{ground.job.name} has no surface for a canvas: its own Gaussians are painted.")
         return ground
-    split = Split(split.splats.to(device), split.parents.to(device))
-    job = replace(ground.job, picked=ground.job.picked[split.parents])
-    studio = replace(ground.studio, splats=split.splats)
-    places = seen_anew(studio.splats, job.picked, ground.places)
-    finer = _with_shares(studio, job, split.parents, places)
-    return replace(finer, bare=_bare(ground.studio.splats, finer))
+    return _on_canvas(ground, fit_canvas(splats, canvas, picked, boxes, seed=config.seed))
+
+
+def confined_ground(
+    ground: Ground, boxes: Sequence[Box], along: Splats | None
+) -> tuple[Ground, Bool[Tensor, " N"]]:
+    """The same with a canvas that shows nowhere beside the object, and which Gaussians are left.
+
+    Args:
+        ground: With a canvas.
+        boxes: Where the object is seen.
+        along: The same Gaussians with strokes to turn discs along; None leaves them round.
+    """
+    bare, canvas = ground.beneath, ground.canvas
+    assert bare is not None and canvas is not None
+    splats, picked = bare.studio.splats.to("cpu"), bare.job.picked.cpu()
+    along, cameras = along and along.to("cpu"), ground.studio.every_camera
+    canvas, kept = confine_canvas(splats, canvas, picked, boxes, cameras, along=along)
+    return _on_canvas(bare, canvas), kept.to(ground.studio.splats.device)
+
+
+def _on_canvas(ground: Ground, canvas: Canvas) -> Ground:
+    """What is painted once there is a canvas on the object."""
+    device = ground.studio.splats.device
+    splats, parents = canvas.splats.to(device), canvas.parents.to(device)
+    job = replace(ground.job, picked=ground.job.picked[parents])
+    places = seen_anew(splats, job.picked, ground.places)
+    laid = _with_shares(replace(ground.studio, splats=splats), job, parents, places)
+    return replace(laid, beneath=ground, canvas=canvas)
 
 
 def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequence[Place]) -> Ground:
@@ -105,30 +123,5 @@ def _with_shares(studio: Studio, job: StyleJob, parents: Tensor, places: Sequenc
     see_object(studio, job, studio.cameras)  # else that is why
     raise StyleSplatError(
         f"Cannot stylise {job.name}: most of what each of its Gaussians paints lies where they "
-        "cover less than half. Pick more of the object, or pass --hard (hard=True)."
+        "cover less than half. Pick more of the object, or paint it with Style(..., hard=True)."
     )
-
-
-def _canvas(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], length: float, room: int
-) -> Split | None:
-    """The scene with a fresh canvas on the object, if that is possible."""
-    split = fresh_canvas(
-        studio.splats,
-        job.picked,
-        boxes,
-        studio.every_camera,
-        length=length,
-        room=room,
-        seed=job.config.seed,
-    )
-    if split is None:
-        say(f"{job.name} has no surface for a fresh canvas: its own Gaussians are painted.")
-    return split
-
-
-def _bare(splats: Splats, ground: Ground) -> Splats:
-    """What lies on a canvas without it."""
-    laid = ground.studio.splats
-    unseen = laid.opacities[len(splats) :] * 0 + UNSEEN
-    return replace(laid, opacities=torch.cat([splats.opacities, unseen]))

@@ -201,7 +201,7 @@ def layer_of(state: Repainted, job: StyleJob, family: Int[Tensor, " M"]) -> Laye
         canvas=canvas,
         canvas_sh0=before.sh0[count:],
         parents=family[state.parents[count:]],
-        relief=after.means.new_zeros(len(rows) + len(canvas)),
+        relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
         strength=job.config.intensity,
         form=float(config.get("form", 0.0)),
         settings=config,

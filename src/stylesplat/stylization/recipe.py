@@ -30,6 +30,7 @@ SHARED = {  # what else a recipe may say of all objects
     "objects": dict | list | None,
     "gone": list | None,
 }
+RETIRED = ("canvas", "smoothness", "texture")  # settings of older recipes
 OWN = {  # and of one
     "style": str | tuple[str, ...],
     "sha256": str | tuple[str, ...] | None,
@@ -124,9 +125,17 @@ def _sorted_out(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The settings in an entry, those under `settings` included, and what it has of `keys`."""
-    fit = fitted(entry, {**SETTINGS, **keys})
+    fit = fitted(_without_retired(entry), {**SETTINGS, **keys})
     others = {key: fit.pop(key) for key in keys if key in fit}
-    return fitted(others.get("settings", {}), SETTINGS) | fit, others
+    return fitted(_without_retired(others.get("settings", {})), SETTINGS) | fit, others
+
+
+def _without_retired(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """An entry without settings that older versions had, which the user is told."""
+    retired = [key for key in RETIRED if key in entry]
+    if retired:
+        say(f"{', '.join(retired)}: older recipes have this; it is no setting now and is ignored.")
+    return {key: value for key, value in entry.items() if key not in retired}
 
 
 def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str, dict[str, Any]]]:

@@ -5,13 +5,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.anchor import Anchor
-from stylesplat.stylization.color import color_map, mixed_colors, object_colors, transfer_colors
+from stylesplat.stylization.color import (
+    color_map,
+    initial_colors,
+    mixed_colors,
+    object_colors,
+    transfer_colors,
+)
+from stylesplat.stylization.form import form_relief
 from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.looking import check_visible, object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
@@ -19,20 +25,18 @@ from stylesplat.stylization.near_palette import NearPalette, near_palette, settl
 from stylesplat.stylization.object_views import Box, ObjectView, typical_length
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
-from stylesplat.stylization.paint_ground import Ground, finer_ground, own_ground
+from stylesplat.stylization.paint_ground import Ground, canvas_ground, confined_ground, own_ground
 from stylesplat.stylization.stages import Stage
 from stylesplat.stylization.style_config import ColorMode, StyleConfig
 from stylesplat.stylization.style_job import Studio, StyleJob
 from stylesplat.stylization.target import check_size, fits, style_features
 from stylesplat.stylization.texture import soften
-from stylesplat.stylization.undercoat import undercoat
 
 KEPT: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
 STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
 COLOR_VIEWS = 8  # whose pixels tell an object's colours
 CALM = 0.5  # factor of the rate on a fresh canvas: a pixel shows few discs, and more looks grainy
-FINER_AT = 1  # the stage: Gaussians are fine enough for the one before
-REMEMBERED = 0.25  # of the memory for views, for features to compare with, and for shapes
+CANVAS_AT = 1  # the stage before which it is laid: the first strokes are seen at once
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class Repainted:
     """The same Gaussians as they looked before."""
     parents: Int[Tensor, " N"]
     """Which Gaussian of the scene before each one comes from."""
+    relief: Float[Tensor, " N"]
+    """The object's form as luminance that each Gaussian adds; see `form_relief`."""
 
 
 @dataclass(frozen=True)
@@ -98,37 +104,57 @@ def repaint(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Iterat
     config = job.config
     sight = sight or look_at(studio, job)
     ground, boxes, stages = sight.ground, sight.boxes, sight.stages
-    finest = config.finest(typical_length(boxes))
-    finer_at = min(FINER_AT, len(stages) - 1)
-    if finer_at == 0:
-        ground = finer_ground(ground, boxes, finest)
+    canvas_at = min(CANVAS_AT, len(stages) - 1)
+    confined_at = next((n for n, each in enumerate(stages) if each.anchored), len(stages) - 1)
+    confined_at = max(confined_at, canvas_at)
     generator = torch.Generator().manual_seed(config.seed)
-    views = stage_views(ground.studio, ground.job, boxes, stages[0], generator)
-    aim, plain, current = _begun(ground, _few_views(ground, boxes, stages[0], views))
-    done = 0
+    views, aim, current, done = list[ObjectView](), None, None, 0
+    relief = torch.zeros(0)
     for number, stage in enumerate(stages):
-        if number > 0:
-            views.clear()  # before there are others: they take much memory
-            before = ground
-            if number == finer_at:
-                ground = finer_ground(ground, boxes, finest)
-            views += stage_views(ground.studio, ground.job, boxes, stage, generator)
-            if ground is not before:
-                few = _few_views(ground, boxes, stage, views)
-                current = ground.handed_down(current)
-                if ground.bare is not None:
-                    aim, plain, _ = _begun(ground, few)
-                else:
-                    aim, plain = replace(aim, views=few), ground.handed_down(plain)
-        objective = _objective(ground, aim, stage, plain, current)
+        views.clear()  # before there are others: they take much memory
+        begun = number == 0
+        if number == canvas_at:
+            ground = canvas_ground(ground, boxes, config.finest(typical_length(boxes)))
+            begun |= ground.canvas is not None
+        if number == confined_at and ground.canvas is not None:
+            ground, kept = confined_ground(ground, boxes, None if begun else current)
+            if current is not None and not begun:
+                current, relief = _colored(ground, current, kept), relief[kept]
+        views += stage_views(ground.studio, ground.job, boxes, stage, generator)
+        few = _few_views(ground, boxes, stage, views)
+        if begun or aim is None or current is None:
+            aim, current = _begun(ground, few)
+            relief = form_relief(ground.studio.splats, ground.job.picked, few, stage.lengths[0])
+        aim = replace(aim, views=few)
+        objective = _objective(ground, aim, stage)
+        targets = objective.targets(
+            views, ground.studio.splats, _mixed(ground, current) if stage.anchored else None
+        )
         for step in optimize_colors(
-            current, ground.studio.splats, ground.shares, views, objective, stage.steps
+            current, ground.studio.splats, ground.shares, targets, objective, stage.steps
         ):
             done, current, shown = done + 1, step.paint, step.splats
             if step.number == stage.steps:
                 current, shown = _ended(ground, aim, current, last=done == config.all_steps)
-            base, parents = ground.unpainted, ground.parents
-            yield Repainted(done, config.all_steps, step.nnfm, shown, base, parents)
+            yield Repainted(
+                step=done,
+                steps=config.all_steps,
+                nnfm=step.nnfm,
+                splats=shown,
+                base=ground.unpainted,
+                parents=ground.parents,
+                relief=relief,
+            )
+
+
+def _colored(ground: Ground, paint: Splats, kept: Bool[Tensor, " N"]) -> Splats:
+    """The ground's Gaussians in the colours of a paint of which some are left."""
+    return replace(ground.studio.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
+
+
+def _mixed(ground: Ground, paint: Splats) -> Splats:
+    """The ground with each Gaussian's share of a paint."""
+    return mixed_colors(ground.studio.splats, paint, ground.shares)
 
 
 def look_at(studio: Studio, job: StyleJob, *, closely: bool = False) -> Sight:
@@ -152,12 +178,11 @@ def look_at(studio: Studio, job: StyleJob, *, closely: bool = False) -> Sight:
     return Sight(ground, boxes, stages)
 
 
-def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats, Splats]:
-    """What the object is to look like; as much of its own pattern as stays; the undercoat."""
-    aim, job = _aim(ground, views), ground.job
-    softened = 1 - (1 - job.config.softened) * (1 - job.config.levelled)
-    plain = soften(ground.studio.splats, job.picked, views, softened)
-    return aim, plain, undercoat(plain, job.picked, views, aim.palette, job.config)
+def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats]:
+    """What the object is to look like, and the colours to start from."""
+    aim, job, splats = _aim(ground, views), ground.job, ground.studio.splats
+    splats = soften(splats, job.picked, views, job.config.softened)
+    return aim, initial_colors(splats, job.picked, views, aim.palette, job.config)
 
 
 def _few_views(
@@ -179,12 +204,12 @@ def _aim(ground: Ground, views: Sequence[ObjectView]) -> Aim:
 
 def _ended(ground: Ground, aim: Aim, paint: Splats, *, last: bool) -> tuple[Splats, Splats]:
     """The paint and what shows of it, in the colours of the style, after a stage."""
-    base, shares, config = ground.studio.splats, ground.shares, ground.job.config
+    shares, config = ground.shares, ground.job.config
     paint = levelled(paint, ground.job.picked, aim.views, config.levelled)
     if aim.near is None:
-        return paint, mixed_colors(base, paint, shares)
+        return paint, _mixed(ground, paint)
     paint = transfer_colors(paint, ground.job.picked, aim.palette, aim.views)
-    shown = mixed_colors(base, paint, shares)
+    shown = _mixed(ground, paint)
     return paint, settle(shown, shares, aim.views, aim.near) if last else shown
 
 
@@ -233,22 +258,19 @@ def _pictures(ground: Ground, views: Sequence[ObjectView]) -> list[Tensor]:
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in job.styles]
 
 
-def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: Splats) -> Objective:
-    studio, config, fine = ground.studio, ground.job.config, stage.anchored
+def _objective(ground: Ground, aim: Aim, stage: Stage) -> Objective:
+    studio, config = ground.studio, ground.job.config
     features = target_features(studio, config, aim.pictures, stage.lengths[0])
-    if fine:
+    if stage.anchored:
         generator = torch.Generator().manual_seed(config.seed)
         features = [_some(group, generator) for group in features]
-    room = studio.max_memory * REMEMBERED
-    before = mixed_colors(studio.splats, current, ground.shares) if fine else None
+    calm = CALM if ground.canvas is not None else 1.0
     return Objective(
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
-        original=plain,
-        config=replace(config, lr=stage.rate * (1.0 if ground.bare is None else CALM) * config.lr),
+        config=replace(config, lr=stage.rate * calm * config.lr),
+        length=stage.lengths[0],
         near=aim.near,
-        anchor=None if before is None else Anchor(before, room=room),
-        room=room,
     )
 
 

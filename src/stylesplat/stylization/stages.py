@@ -35,22 +35,33 @@ class Row:
 
     steps: int
     """In proportion to those of the others."""
-    of_pattern: float | None
-    """The object's size as a share of that in which patterns are matched; None is fine: parts
-    at half and at full size of the photos."""
+    of_pattern: float | None = None
+    """The object's size as a share of that in which patterns are matched."""
+    of_photos: float | None = None
+    """Or parts of it, in its size as a share of that in the photos."""
     rate: float = 1.0
     """Factor of the learning rate."""
 
 
 GROWTH = 4.0  # times as many Gaussians by splitting
 MOST_GROWTH = 16.0  # of objects that have few
-FEW = 25_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
+FEW = 60_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
 FIRST = 25  # steps on the object as it is, where laying a canvas would keep one waiting
 PLANS: dict[Quality, tuple[Row, ...]] = {
     "draft": (Row(90, COARSE), Row(30, 1.0)),
-    "normal": (Row(165, COARSE), Row(55, 1.0), Row(80, None, rate=2.0)),
-    "high": (Row(225, COARSE), Row(75, 1.0), Row(300, None, rate=2.0)),
+    "normal": (
+        Row(60, COARSE),
+        Row(30, 1.0),
+        Row(60, of_photos=0.5, rate=2.0),
+        Row(60, of_photos=1.0, rate=2.0),
+    ),
+    "high": (
+        Row(60, COARSE),
+        Row(30, 1.0),
+        Row(80, of_photos=0.5, rate=2.0),
+        Row(200, of_photos=1.0, rate=2.0),
+    ),
 }
 
 
@@ -108,11 +119,14 @@ def planned(
     ends = [round(steps * done / total) for done in accumulate((r.steps for r in rows), initial=0)]
     stages = []
     for row, (start, end) in zip(rows, pairwise(ends), strict=True):
-        if row.of_pattern is None:
-            full = _scaled(finest, scale, most=finest)
-            half = max(_scaled(pattern_length, scale, most=most), full / 2)
-            stages.append(Stage((half, max(half, full)), end - start, WINDOW, row.rate, True))
+        if row.of_photos is not None:
+            length = max(
+                _scaled(pattern_length, scale, most=most),
+                row.of_photos * _scaled(finest, scale, most=finest),
+            )
+            stages.append(Stage((length,), end - start, WINDOW, row.rate, True))
         else:
+            assert row.of_pattern is not None
             usual = row.of_pattern * pattern_length
             length = _scaled(usual, scale, most=most)
             window = WINDOW if length > max(usual, WINDOW) else None

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.intensity import check_intensity
+from stylesplat.scene.intensity import MAX_INTENSITY, check_intensity
 from stylesplat.stylization.stages import (
     FINEST,
     SCALE,
@@ -25,13 +25,11 @@ Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
 ViewDependence = Literal["drop", "keep", "train"]
 Pattern = Literal["small", "medium", "large", "photo"]
-Texture = Literal["keep", "soften", "replace"]
-Canvas = Literal["fresh", "own"]
 Precision = Literal["float32", "bfloat16"]
 
+SOFTENED = 0.75  # of the object's pattern: all of it takes mouths along, half leaves a vase its own
 DEFAULT_NETWORK: Network = "compact"  # it ships with the package
 SIZES: dict[Pattern, int | None] = {"small": 224, "medium": 160, "large": 112, "photo": None}
-SOFTENED: dict[Texture, float] = {"keep": 0.0, "soften": 0.5, "replace": 1.0}
 
 
 @dataclass(frozen=True)
@@ -67,16 +65,14 @@ class StyleConfig:
     color: ColorMode = "style"
     """Whose hues the object has: the style's, its own (keep), half of both (blend), or whatever
     matching features alone gives (free)."""
-    texture: Texture | float = "keep"
-    """How much of the object's own pattern to take away before it is painted, 0 to 1; its light
-    and large shapes stay. keep is 0, soften 0.5, replace 1."""
+    form: float = 1.0
+    """How much of the object's form to keep, 0 to 1.5: the luminance detail that stands out from
+    what the object has everywhere, such as eyes, a mouth, folds. Its pattern is painted over."""
     content: float = 0.0
     """How much of the object's own features to keep: 0 none, 0.5 half-way, 1 nearly all.
 
     More counts as 1: the weights that it once was went up to 2.
     """
-    smoothness: float = 0.0
-    """Weight of the total variation of the renders: 1 calms, 5 makes flat areas."""
     view_dependence: ViewDependence = "drop"
     """What becomes of highlights and reflections: painted over, kept, or trained too, which leaves
     colours out of range where they end up there."""
@@ -90,12 +86,6 @@ class StyleConfig:
     """Adam's step for the constant colour band."""
     final_lr: float = 0.1
     """The last step's rate, as a share of the first's."""
-    canvas: Canvas = "fresh"
-    """What carries the strokes: fresh lays small, round Gaussians on the object's surface, which
-    have nothing of its pattern in their shapes; own splits the object's where they are too large.
-
-    Both need room to grow, and a draft has none.
-    """
     hard: bool = False
     """Paint all picked Gaussians alike; else each by how much of it belongs to the object, and
     more slowly where it hardly shows."""
@@ -112,11 +102,9 @@ class StyleConfig:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise StyleSplatError(f"Cannot stylise with {name} {value}: it must exceed 0.")
-        for name in ("content", "smoothness"):
-            value = getattr(self, name)
-            if not value >= 0:
-                raise StyleSplatError(f"Cannot stylise with {name} {value}: use 0 or more.")
-        for name in ("scale", "lr", "content", "smoothness", "rotate", "max_growth", "object_size"):
+        if not self.content >= 0:
+            raise StyleSplatError(f"Cannot stylise with content {self.content}: use 0 or more.")
+        for name in ("scale", "lr", "content", "rotate", "max_growth", "object_size"):
             if not abs(getattr(self, name) or 0) <= LARGEST:
                 raise StyleSplatError(
                     f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
@@ -131,9 +119,9 @@ class StyleConfig:
                 f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
             )
         check_intensity(self.intensity)
-        if not 0 <= self.softened <= 1:
+        if not 0 <= self.form <= MAX_INTENSITY:
             raise StyleSplatError(
-                f"Cannot stylise with texture {self.texture}: use keep, soften, replace or 0 to 1."
+                f"Cannot stylise with form {self.form}: use 0 to {MAX_INTENSITY:g}."
             )
         if not 0 < self.view_share <= 1:
             raise StyleSplatError(
@@ -147,8 +135,8 @@ class StyleConfig:
 
     @property
     def softened(self) -> float:
-        """How much of the object's own pattern to take away, 0 to 1."""
-        return SOFTENED[self.texture] if isinstance(self.texture, str) else self.texture
+        """How much of the object's own pattern to take away before it is painted, 0 to 1."""
+        return 0.0 if self.color == "free" else SOFTENED * (1 - min(self.content, 1.0))
 
     @property
     def levelled(self) -> float:
@@ -182,7 +170,7 @@ class StyleConfig:
             most=float(self.object_size or max(SMALLEST * size, min(photos, FINEST))),
             steps=self.all_steps,
             scale=self.scale,
-            canvas=self.canvas == "fresh" and self.growth(1) > 1,
+            canvas=self.growth(1) > 1,
         )
 
     def finest(self, photo_length: float) -> float:
@@ -203,6 +191,7 @@ PRESETS = {
         lr=0.0025,
         final_lr=1.0,
         color="free",
+        form=0.0,
         view_dependence="train",
         max_growth=1.0,
         hard=True,
