@@ -52,10 +52,11 @@ def once(quickly: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def styled(once: Path, tmp_path: Path) -> Path:
     """A copy of it, with style pictures of its own."""
     out = shutil.copytree(once, tmp_path / "styled")
-    recipe = read_json(out / "recipe.json")
-    for how in recipe["objects"]:
-        how["style"] = shutil.copy(how["style"], tmp_path)
-    write_json(recipe, out / "recipe.json")
+    stack = read_json(out / "layers.json")
+    for layer in stack["layers"]:
+        for source in layer["styles"]:
+            source["path"] = shutil.copy(source["path"], tmp_path)
+    write_json(stack, out / "layers.json")
     return out
 
 
@@ -146,10 +147,10 @@ def test_nothing_is_downloaded(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.setattr(weights, "fetch_tensors", lambda *_, **__: pytest.fail("a download"))
-    recipe = read_json(styled / "recipe.json")
-    for how in recipe["objects"]:
-        how |= {"features": "vgg16", "weights": file}
-    write_json(recipe, styled / "recipe.json")
+    stack = read_json(styled / "layers.json")
+    for how in stack["layers"]:
+        how |= {"features": "vgg16", "weights": file and {"path": file, "sha256": None}}
+    write_json(stack, styled / "layers.json")
     numbers, said = evaluate(styled)
     assert len(said) == 2 and all((file or "vgg16") in line for line in said)
     assert set(numbers) >= NEEDS_NONE and not NEEDS_STYLE & set(numbers)

@@ -81,12 +81,12 @@ def test_intensities_are_blends_of_one_result(draw, style: Path):
 def test_what_is_painted_is_painted_anew(
     styled: Path, scene: Path, style: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """From the colours before, as `stylize` does it; other paintings stay and show."""
+    """From the colours before, as `stylize` does it; what lies beneath stays and shows."""
     gradient = tmp_path / "gradient.png"
     Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(gradient)
-    ways = ("--style", f"3={gradient}", "--view", CAMERAS.names[0], *FAST)
+    ways = ("--style", f"7={gradient}", "--view", CAMERAS.names[0], *FAST)
     other = tmp_path / "other"
-    assert run("stylize", scene, "-o", other, "--style", f"7={style}", *OTHER) == 0
+    assert run("stylize", scene, "-o", other, "--style", f"3={style}", *OTHER) == 0
     files = []
     for name, place in {"upon": styled, "bare": other}.items():
         files.append(tmp_path / f"{name}.png")

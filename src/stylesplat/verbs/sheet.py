@@ -1,7 +1,7 @@
 """`sheet`: one object in a grid of styles and settings, to choose from."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +91,10 @@ def sheet(
     how = {"features": features, "weights": weights, "device": device}
 
     def painted() -> Iterator[Scene]:
+        # Its own paint is not told of, and stays in its place of the stack
+        bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
         for style, _ in track(plan.runs(), name, unit="painting"):
-            yield stylize_unmeasured(scene, {name: style}, **how).scene
+            yield stylize_unmeasured(bare, {name: style}, **how).scene
 
     return sheet_of(scene, name, plan, painted(), view=view, device=device)
 

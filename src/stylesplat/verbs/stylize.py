@@ -169,7 +169,8 @@ def stylize_unmeasured(
     if len(tasks) > 1:  # one is looked at as soon when it is painted
         for task in tasks:
             _check_sight(studios, scene, task)
-    anew = [task.name for task in tasks if task.name in scene.painted_objects]
+    shown = {layer.object for layer in scene.layers if layer.is_shown}
+    anew = [task.name for task in tasks if task.name in shown]
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, cuts, precisions = dict[str, float](), dict[str, CutScene](), dict[str, str]()
