@@ -53,7 +53,7 @@ def test_confidence_stays_with_its_gaussians(folder: Path):
 @pytest.mark.parametrize("styled", ["once", "twice"])
 def test_styles_can_be_undone_to_the_bit(styled: str, folder: Path, tmp_path: Path):
     scene = opened(folder / styled)
-    assert len(scene.splats) > len(SPLATS) + 20, "it was split"
+    assert len(scene.splats) > len(SPLATS) + 20, "a canvas lies on it"
     assert paint_of(scene).unsplit is not None
     save(adjust(scene, 0.3), tmp_path / "adjusted")
     adjusted = opened(tmp_path / "adjusted")
@@ -65,7 +65,7 @@ def test_styles_can_be_undone_to_the_bit(styled: str, folder: Path, tmp_path: Pa
         assert contents(undone) == contents(folder / "trained")
 
 
-def test_picks_and_identities_follow_the_split(folder: Path):
+def test_picks_and_identities_follow_the_canvas(folder: Path):
     scene = opened(folder / "twice")
     new = torch.arange(len(scene.splats)) >= len(SPLATS)
     red, green, both = (scene.objects[name].picked for name in ("red", "green", "both"))
@@ -107,7 +107,7 @@ def test_intensity_0_shows_the_colors_before_and_goes_back(folder: Path):
 
 
 def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_path: Path):
-    """Among the Gaussians after a split, outliers of an id are others than before."""
+    """Among the Gaussians with a canvas, outliers of an id are others than before."""
     styled = painted(opened(folder / "trained"), "3", folder / "wave.png", object_size=48)
     assert len(styled.splats) > len(SPLATS)
     known = paint_of(styled)
@@ -125,7 +125,7 @@ def test_the_recipe_of_a_styled_scene_makes_it_again(folder: Path, tmp_path: Pat
     _, green = recipe.objects
     assert (green.name, green.style.config, green.features) == (
         "green",
-        replace(FAST, canvas="fresh"),
+        FAST,
         "compact",
     )
     assert green.style.pictures == (folder / "night.png", folder / "wave.png")
