@@ -24,7 +24,7 @@ from trials import PATHS
 BOOT = 0.25  # seconds in which Python itself starts, and prints tracebacks of its own
 PATIENCE = 180.0  # seconds for a command: a watchdog; kernels may have to be compiled
 PROGRAM = (sys.executable, "-m", "stylesplat")
-QUICK = ("--features", "compact", "--pattern", "large", "--max-growth", "2", "--device", "cpu")
+QUICK = ("--features", "compact", "--quality", "draft", "--device", "cpu")
 STEPS = 60  # of training
 # Of a scene, what follows from a command alone; other files hold times
 TOLD = ("splats.ply", "picks.safetensors", "objects.json", "recipe.json", "layers.json", "base.ply")

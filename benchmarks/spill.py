@@ -55,7 +55,7 @@ class Options:
     steps: int = 300
     """Optimiser steps per object."""
     growth: float = 4.0
-    """Cap of splitting."""
+    """How many times as many Gaussians an object may get."""
 
 
 @dataclass(frozen=True)

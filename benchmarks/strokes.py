@@ -2,11 +2,11 @@
 
     .venv/bin/python benchmarks/strokes.py --scene SCENE --object OBJECT --painting FILE
 
-For some scales and patterns: the distance in pixels at which the autocorrelation of what was added
-to the object's lightness falls to one half; the mean over four held-out views. What its colours
-before explain (its own pattern, recoloured) does not count, nor does what changes slowly. Noise of
-1, 2, 4 and 8 times the size gives 1.5, 3.3, 6.5 and 12.4 on the demo's vase. It should double when
-the scale does, within a quarter.
+For some sizes of strokes (`--stroke-size`) and patterns of the settings: the distance in pixels
+at which the autocorrelation of what was added to the object's lightness falls to one half; the mean
+over four held-out views. What its colours before explain (its own pattern, recoloured) does not
+count, nor does what changes slowly. Noise of 1, 2, 4 and 8 times the size gives 1.5, 3.3, 6.5 and
+12.4 on the demo's vase. It should double when the stroke size does, within a quarter.
 """
 
 import math

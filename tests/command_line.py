@@ -6,8 +6,7 @@ import pytest
 
 from stylesplat.cli import main
 
-QUICK = ("--features", "compact", "--pattern", "large", "--max-growth", 2, "--canvas", "own")
-QUICK += ("--device", "cpu")
+QUICK = ("--features", "compact", "--quality", "draft", "--device", "cpu")
 
 
 def run(*arguments: object) -> int:

@@ -18,9 +18,7 @@ from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.stylize import stylize_unmeasured
 
-FAST = StyleConfig(
-    steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0, canvas="own"
-)
+FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0)
 ROWS = torch.arange(len(SPLATS))
 RED, GREEN, BLUE = ((ROWS >= start) & (ROWS < start + 80) for start in (200, 280, 360))
 PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
@@ -66,7 +64,7 @@ def painted(
 def write_painted(
     folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
 ) -> Path:
-    """The balls; red painted on a canvas, a second one on its own Gaussians; and two pictures.
+    """The balls; red painted on a canvas; a second one upon that; and two pictures.
 
     Args:
         folder: Gets `trained`, `once`, `twice` and the pictures.
@@ -76,7 +74,7 @@ def write_painted(
     wave, night = write_pictures(folder)
     scene_folder.save(TRAINED, folder / "trained")
     rest = {"measured": False}
-    once = painted(opened(folder / "trained"), "red", wave, canvas="fresh", **rest)
+    once = painted(opened(folder / "trained"), "red", wave, **rest)
     scene_folder.save(once, folder / "once")
     twice = painted(opened(folder / "once"), second, pictures(wave, night), **rest)
     scene_folder.save(twice, folder / "twice")

@@ -1,4 +1,4 @@
-"""The still life with Gaussians in one ball that are large enough to be split."""
+"""The still life with Gaussians in one ball that are much larger than strokes."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from stylesplat.scene.splats import Splats
 
 TABLE, BALL = 200, 80  # Gaussians before the balls, and of each
 LARGE = 40  # of the first ball's, which are stretched
-# Undoing a split may let through what reaches pixels that it had finished: below MIN_TRANSMITTANCE
+# What discs hide may let through what reaches pixels that it had finished: below MIN_TRANSMITTANCE
 UNSEEN = 1e-4
 
 

@@ -13,7 +13,7 @@ FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, max_growth=
 BANDS = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=torch.Generator().manual_seed(0))
 SCENE = replace(SPLATS, shN=BANDS)
 TABLE = 200  # Gaussians before the balls' 80 each
-GROWN = 2.5  # cap of the tests that split; the balls' Gaussians are larger than strokes
+GROWN = 2.5  # cap of the tests that lay a canvas
 
 
 def ball(number: int) -> torch.Tensor:

@@ -11,7 +11,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 
-QUICK = StyleConfig(steps=4, layers=(1,), object_size=30, max_growth=2.0, canvas="own")
+QUICK = StyleConfig(steps=4, layers=(1,), object_size=30, max_growth=2.0)
 
 
 def session_in(folder: Path) -> Session:

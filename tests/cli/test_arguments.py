@@ -62,7 +62,8 @@ def test_no_row_of_help_is_empty(width: int, capsys, monkeypatch):
         ((*STYLIZE, "--steps", "many"), "--steps: expected a whole number, got 'many'."),
         ((*STYLIZE, "--color", "x"), "--color: expected style, keep, blend or free, got 'x'."),
         ((*STYLIZE, "--region", *"12x4"), "--region: expected a whole number, got '1 2 x 4'."),
-        ((*STYLIZE, "--layers"), "--layers: expected a whole number, got nothing."),
+        (("select", "s", "--name", "a", "--id"), "--id: expected a whole number, got nothing."),
+        ((*STYLIZE, "--stroke-size", "big"), "--stroke-size: expected a number, got 'big'."),
         ((*STYLIZE, "--steps"), "--steps: expected a whole number, got nothing."),
         ((*STYLIZE, "--region", "1", "2"), "--region: expected 4 values, got 2."),
         ((*STYLIZE, "--json=3"), "--json takes no value, got '3'."),
@@ -106,9 +107,33 @@ def test_what_is_repeated_appends():
         "select", "garden", "--name", "a", "--sphere", "-1,0,2,3", "--sphere", "x:1,2,3"
     )
     assert select.sphere == ("-1,0,2,3", "x:1,2,3")
-    assert parsed(*STYLIZE, "--layers", "2", "--layers", "3").layers == (2, 3)
-    assert parsed(*STYLIZE).layers is None and parsed(*STYLIZE).style == ()
+    assert parsed(*STYLIZE).style == () and parsed(*STYLIZE).steps is None
     assert parsed(*STYLIZE, "--steps", "1", "--steps", "2").steps == 2, "one value: the last"
+
+
+def test_the_size_of_strokes_has_two_names():
+    """`--scale` is what it was called before."""
+    for name in ("--stroke-size", "--scale"):
+        assert parsed(*STYLIZE, name, "3").scale == 3
+    assert parsed(*STYLIZE, "--scale", "3", "--stroke-size", "1").scale == 1
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "pattern",
+        "layers",
+        "texture",
+        "smoothness",
+        "view-dependence",
+        "canvas",
+        "max-growth",
+        "hard",
+    ],
+)
+def test_settings_that_only_python_has_are_no_options(option: str, capsys):
+    said = printed(capsys, *STYLIZE, f"--{option}", "3", status=2)
+    assert f"there is no option --{option}." in said
 
 
 def test_values_are_what_commands_hold():

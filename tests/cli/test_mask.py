@@ -18,7 +18,7 @@ from stylesplat.verbs.select import select
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 BOX = "vase=0001.jpg:6,8,23,24"
-QUICK = ("--features", "compact", "--steps", 1, "--pattern", "large", "--max-growth", 2)
+QUICK = ("--features", "compact", "--steps", 1, "--quality", "draft")
 
 
 def run(*arguments: object) -> int:

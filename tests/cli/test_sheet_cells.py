@@ -21,12 +21,11 @@ SCENE = "scene.json"
     "vary",
     [
         ["scale=1,2,4", "color=style,keep"],
-        ["view_dependence=keep,drop", "scale=1,1.0,3"],
-        ["steps=5,7", "texture=keep,0.5"],
-        ["layers=[3],[2,3]", "intensity=0.5,1"],
+        ["form=0,1", "scale=1,1.0,3"],
+        ["steps=5,7", "content=0,0.5"],
+        ["rotate=0,90", "intensity=0.5,1"],
         ["preset=default,paper", "quality=draft"],
         ["region=null,[0,0,9,9]"],
-        ["hard=true,false"],
         [],
     ],
     ids=" ".join,
@@ -40,9 +39,8 @@ def test_jobs_are_what_a_sheet_paints_in_its_order(vary: list[str], scene: Path,
     for job, (styled, _) in zip(jobs, plan.runs(), strict=True):
         words = job.words(scene, scene)
         assert f"--style=3={style}" in words
-        for key in variations.keys() - {"preset", "hard", "region", "intensity", "layers"}:
+        for key in variations.keys() - {"preset", "region", "intensity"}:
             assert f"--{key.replace('_', '-')}={getattr(styled.config, key)}" in words
-        assert ("--hard" in words) == (styled.config.hard and "hard" in variations)
         assert f"--preset={'paper' if styled.config.lr < 0.1 else 'default'}" in words
         assert ("--region" in words) == (styled.config.region is not None)
 
@@ -88,7 +86,8 @@ def test_cells_are_kept_and_show_what_a_sheet_shows(
             ["--cells", "{tmp}/cells", "--vary", "lr=0.1,0.2"],
             "no option that says all values of lr",
         ),
-        (["--cells", "{tmp}/cells", "--vary", "hard=false", "--preset", "paper"], "values of hard"),
+        (["--cells", "{tmp}/cells", "--vary", "layers=[3],[2,3]"], "values of layers"),
+        (["--cells", "{tmp}/cells", "--vary", "region=null", "--preset", "paper"], "of region"),
         (["--cells", "{tmp}"], "holds something that is no result of jobs"),
         (["--cells", "{tmp}/cells", "--view", "lost.jpg"], "No view is called"),
         (["--cells", "{tmp}/cells", "--style", "3={tmp}/no.png"], "no.png"),

@@ -81,7 +81,7 @@ def test_completion_scripts(shell: str, capsys):
         main(["--tyro-print-completion", shell])
     assert not stopped.value.code
     script = capsys.readouterr().out
-    assert all(word in script for word in ("stylize", "--view-dependence", "free"))
+    assert all(word in script for word in ("stylize", "--stroke-size", "free"))
 
 
 def test_bash_completes(tmp_path: Path):

@@ -77,7 +77,7 @@ def test_objects_names_nothing_twice(scene: Path, said):
 
 def test_stylize_ends_with_a_line_per_object(scene: Path, style: Path, said):
     out = scene.with_name("painted")
-    options = ("--steps", 2, "--pattern", "large", "--max-growth", 1, "--device", "cpu")
+    options = ("--steps", 2, "--quality", "draft", "--device", "cpu")
     lines = said("stylize", scene, "--style", f"3={style}", "-o", out, *options)
     at = lines.index(f"{out}: painted.")
     assert lines[at + 1].startswith(f"Picture: {out / 'before_after.png'} (view 000")

@@ -51,25 +51,25 @@ def test_nothing_changes_outside_the_object(job: StyleJob, network: FeatureNetwo
     assert (metrics["outside_psnr"], metrics["outside_max_difference"]) == (120, 0)
 
 
-@pytest.mark.parametrize(("color", "canvas"), [("blend", "own"), ("free", "fresh")])
+@pytest.mark.parametrize(("color", "growth"), [("blend", 1.0), ("free", GROWN)])
 def test_the_object_comes_closer_to_the_style(
-    job: StyleJob, network: FeatureNetwork, color: str, canvas: str
+    job: StyleJob, network: FeatureNetwork, color: str, growth: float
 ):
-    job = with_settings(job, steps=60, color=color, max_growth=GROWN, hard=True, canvas=canvas)
+    job = with_settings(job, steps=60, color=color, max_growth=growth, hard=True)
     styled, metrics = measured([job], network, CAMERAS[1:], held_out=CAMERAS[:1])
     numbers = metrics["objects"]["ball"]
     assert numbers["nnfm_after"] < 0.97 * numbers["nnfm_before"]
     new = len(styled.splats) - len(SCENE)
-    assert (new > 0) == (canvas == "fresh") and 80 + new <= 80 * GROWN
+    assert (new > 0) == (growth > 1) and 80 + new <= 80 * growth
     assert metrics["changed_gaussians"] == 80 + new
     assert json.loads(json.dumps(metrics)) == metrics
     before, after = (rasterize(s, CAMERAS)[0] for s in (SCENE, styled.splats))
     assert (before - after).abs().max() > 0.1
 
 
-def test_splitting_hardly_shows_outside(job: StyleJob, network: FeatureNetwork):
+def test_a_canvas_hardly_shows_outside(job: StyleJob, network: FeatureNetwork):
     _, metrics = measured([with_settings(job, max_growth=GROWN)], network)
-    assert metrics["outside_max_difference"] < 2e-4  # see UNSEEN in test_split.py
+    assert metrics["outside_max_difference"] < 2e-4  # see UNSEEN in stretched_balls.py
 
 
 def test_each_object_has_its_own_numbers(job: StyleJob, network: FeatureNetwork):

@@ -64,21 +64,28 @@ def test_a_training_on_several_gpus_is_torchrun_s(tmp_path: Path):
 
 
 def test_a_command_is_that_of_the_command_line(tmp_path: Path):
-    options = "style: {vase: wave.jpg, pot: [[wave.jpg, night.jpg]]}, layers: [[2, 3]], hard: true"
+    options = "style: {vase: wave.jpg, pot: [[wave.jpg, night.jpg]]}, region: [[0, 0, 9, 8]]"
     ((verb, scene, *rest),) = words(tmp_path, jobs(f"stylize: {{{options}}}"))
     wave, night = tmp_path / "wave.jpg", tmp_path / "night.jpg"
     assert (verb, scene) == ("stylize", str(tmp_path / "garden"))
     styles = [f"--style=vase={wave}", f"--style=pot={wave},{night}"]
     place = ["-o", str(tmp_path / "out" / "garden-stylize")]
-    last = ["--layers", "2", "3", "--hard", *place, "--overwrite", "--json"]
+    last = ["--region", "0", "0", "9", "8", *place, "--overwrite", "--json"]
     assert rest == [*styles, *last]
 
 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ("stylize: {style: {a: wave.jpg}, layers: [1, [2, 3]]}", ["layers-1", "layers-2-3"]),
-        ("stylize: {style: {a: wave.jpg}, hard: [true, false]}", ["hard", "no-hard"]),
+        ("select: {name: x, id: [1, [2, 3]]}", ["id-1", "id-2-3"]),
+        (
+            "select: {name: x, id: 1, keep_outliers: [true, false]}",
+            ["keep-outliers", "no-keep-outliers"],
+        ),
+        (
+            "stylize: {style: {a: wave.jpg}, stroke-size: [1, 2.5]}",
+            ["stroke-size-1", "stroke-size-2.5"],
+        ),
         ("stylize: {style: {a: wave.jpg}, seed: [null, 3]}", ["seed-default", "seed-3"]),
         ("stylize: {style: [{a: wave.jpg}, {b: wave.jpg}]}", ["a-wave", "b-wave"]),
         ("stylize: {style: {a: [wave.jpg, wave.png]}}", ["a-wave.jpg", "a-wave.png"]),
@@ -166,11 +173,11 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("stylize: {style: {a: gs://b/wave.jpg}}"), "line 3: 'gs://b/wave.jpg' is an address"),
         (jobs("stylize: {recipe: no.yaml}"), "line 3: recipe: there is no "),
         (jobs("stylize: {style: a=wave.jpg}"), "line 3: style is a map"),
-        (jobs("stylize: {scale: fast}"), "line 3: --scale: expected a number, got 'fast'"),
+        (jobs("stylize: {scale: fast}"), "line 3: --stroke-size: expected a number"),
         (jobs("stylize: {scale: [[1, 2]]}"), "line 3: scale takes one value"),
         (jobs("stylize: {region: [0, 0, 9, 9]}"), "line 3: region takes 4 values: write [[x, "),
         (jobs("stylize: {scale: []}"), "scale lists nothing"),
-        (jobs("stylize: {hard: 3}"), "hard is true or false, not 3"),
+        (jobs("select: {keep-outliers: 3}"), "keep-outliers is true or false, not 3"),
         (jobs("select: {id: 1}"), "--name"),
         (jobs("export: {}"), "line 3: export makes a file in the job's folder. Name it with"),
         (jobs("sheet: {style: {a: wave.jpg}}"), "line 3: sheet makes a file in the job's folder"),
@@ -182,7 +189,7 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("render: {}") + "  - render: {what: depth}\n", "line 3, 4"),
         (jobs("render: {downscale: [2, 2]}"), "take out what is listed twice"),
         (jobs("render: {max_a: 1, max-a: 2}"), "there is no key 'max_a'"),
-        (jobs("stylize: {max_growth: 1, max-growth: 2}"), "max-growth is listed twice"),
+        (jobs("stylize: {max_memory: 1, max-memory: 2}"), "max-memory is listed twice"),
         (
             jobs(f"stylize: {{seed: {[*range(200)]}, steps: {[*range(1, 200)]}}}"),
             "multiply to 39,800 jobs",

@@ -8,11 +8,17 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.sh import SH_C0
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
-from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
-from stylesplat.stylization.objective import Objective, content_weight, total_variation
+from stylesplat.stylization.near_palette import near_palette
+from stylesplat.stylization.object_views import (
+    ObjectView,
+    cut_views,
+    find_boxes,
+    typical_length,
+)
+from stylesplat.stylization.objective import SIDE, Losses, Objective, content_weight
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.style_config import StyleConfig
 
@@ -20,7 +26,9 @@ PICKED = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
 SCENE = replace(
     SPLATS, shN=0.1 * torch.randn(len(SPLATS), 3, 3, generator=torch.Generator().manual_seed(0))
 )
-CONFIG = StyleConfig(layers=(2,), lr=0.05)
+CONFIG = StyleConfig(layers=(2,), lr=0.05, form=0.0)
+EVERYTHING = replace(CONFIG, content=1.0, form=1.0)
+ZOOM = 2.0
 STEPS = 25
 
 
@@ -32,28 +40,72 @@ def views(request: pytest.FixtureRequest, network: FeatureNetwork) -> list[Objec
 def views_within(max_memory: float, network: FeatureNetwork) -> list[ObjectView]:
     boxes = find_boxes(SCENE, CAMERAS[:3], PICKED)
     cells = [network.cells(2)]
-    return cut_views(SCENE, boxes, PICKED, cells, zoom=2.0, max_memory=max_memory)
+    return cut_views(SCENE, boxes, PICKED, cells, zoom=ZOOM, max_memory=max_memory)
 
 
 @pytest.fixture
 def objective(network: FeatureNetwork) -> Objective:
     style = torch.rand(200, 12, generator=torch.Generator().manual_seed(1))
-    index = build_index(style, torch.float32)
-    return Objective(network, [index], SCENE, CONFIG)
+    length = ZOOM * typical_length(find_boxes(SCENE, CAMERAS[:3], PICKED))
+    return Objective(network, [build_index(style, torch.float32)], CONFIG, length)
+
+
+def with_settings(objective: Objective, **settings: float) -> Objective:
+    return replace(objective, config=replace(objective.config, **settings))
+
+
+def losses(
+    objective: Objective, view: ObjectView, splats: Splats, begun: Splats | None = None
+) -> Losses:
+    (target,) = objective.targets([view], SCENE, begun)
+    return objective(target, splats)
+
+
+def extra(
+    objective: Objective, view: ObjectView, splats: Splats, begun: Splats | None = None
+) -> float:
+    """What is added to the style's part."""
+    found = losses(objective, view, splats, begun)
+    return float(found.total - found.style)
 
 
 def optimised(objective: Objective, views: list[ObjectView], **settings: float) -> torch.Tensor:
     """The constant bands of the object after some steps."""
-    objective = replace(objective, config=replace(objective.config, **settings))
-    *_, last = optimize_colors(SCENE, SCENE, PICKED.float(), views, objective, STEPS)
+    objective = with_settings(objective, **settings)
+    targets = objective.targets(views, SCENE, None)
+    *_, last = optimize_colors(SCENE, SCENE, PICKED.float(), targets, objective, STEPS)
     return last.splats.sh0
+
+
+def recolored(seed: int = 2) -> Splats:
+    """The scene with other colours of the object."""
+    noise = torch.randn(SCENE.sh0.shape, generator=torch.Generator().manual_seed(seed))
+    return replace(SCENE, sh0=SCENE.sh0 + noise * PICKED[:, None, None])
+
+
+def test_where_nothing_is_to_be_kept_nothing_is_added(
+    objective: Objective, views: list[ObjectView]
+):
+    for target in objective.targets(views, SCENE, None):
+        assert (target.form, target.content, target.shapes) == (None, None, None)
+        found = objective(target, recolored())
+        assert found.total == found.style > 0
+
+
+def test_each_setting_asks_for_its_own_part(objective: Objective, views: list[ObjectView]):
+    def parts(begun: Splats | None = None, **settings: float) -> tuple[bool, bool, bool]:
+        (target,) = with_settings(objective, **settings).targets(views[:1], SCENE, begun)
+        return target.form is not None, target.content is not None, target.shapes is not None
+
+    assert parts(form=0.5) == (True, False, False)
+    assert parts(content=0.5) == (False, True, False)
+    assert parts(begun=SCENE) == (False, False, True)
 
 
 def test_content_keeps_the_features(objective: Objective, views: list[ObjectView]):
     def change(sh0: torch.Tensor) -> float:
-        measure = replace(objective, config=replace(CONFIG, content=1.0))
-        losses = [measure(view, replace(SCENE, sh0=sh0)) for view in views]
-        return float(sum(loss.total - loss.style for loss in losses))
+        measure = with_settings(objective, content=1.0)
+        return sum(extra(measure, view, replace(SCENE, sh0=sh0)) for view in views)
 
     assert change(SCENE.sh0) == pytest.approx(0, abs=1e-6)  # bands are fixed with a rounding
     assert change(optimised(objective, views, content=1.0)) < 0.5 * change(
@@ -61,54 +113,71 @@ def test_content_keeps_the_features(objective: Objective, views: list[ObjectView
     )
 
 
-def test_content_compares_with_the_highlights_that_were_there(
+def test_form_keeps_the_luminance_that_stands_out(objective: Objective, views: list[ObjectView]):
+    def distance(sh0: torch.Tensor) -> float:
+        measure = with_settings(objective, form=1.0)
+        return sum(extra(measure, view, replace(SCENE, sh0=sh0)) for view in views)
+
+    free, kept, more = (
+        distance(optimised(objective, views, form=form)) for form in (0.0, 1.0, 1.5)
+    )
+    assert more < kept < 0.75 * free
+
+
+def test_content_and_form_compare_with_the_highlights_that_were_there(
     objective: Objective, views: list[ObjectView]
 ):
     """Even if they are painted over by then, and views are fixed to that."""
-    content = replace(objective, config=replace(CONFIG, content=1.0))
+    content = with_settings(objective, content=1.0, form=1.0)
     matte = replace(SCENE, shN=torch.zeros_like(SCENE.shN))
-    for view in views:
-        free, fixed = content(view, matte), content(view.with_fixed_bands(matte), matte)
+    for target in content.targets(views, SCENE, None):
+        free = content(target, matte)
+        fixed = content(replace(target, view=target.view.with_fixed_bands(matte)), matte)
         assert float(fixed.total) == pytest.approx(float(free.total), rel=1e-3)
         assert free.total > free.style + 1e-4
 
 
-def test_features_that_do_not_fit_are_not_remembered(objective: Objective, views: list[ObjectView]):
-    content = replace(objective, config=replace(CONFIG, content=1.0), wanted={})
-    without, styled = replace(content, room=0.0, wanted={}), replace(SCENE, sh0=-SCENE.sh0)
-    for view in views:
-        assert without(view, styled).total == content(view, styled).total
-    assert not without.wanted and len(content.wanted) == len(views)
+def test_large_shapes_stay_and_detail_is_free(objective: Objective, views: list[ObjectView]):
+    """Of the object; what lies outside of it has no say."""
+    view = views[0]
+    (target,) = objective.targets([view], SCENE, SCENE)
+    assert target.shapes is not None
+    assert extra(objective, view, SCENE, SCENE) == pytest.approx(0, abs=1e-6)
+    image = view.render(SCENE)
+    height, width = image.shape[:2]
+    waves = torch.tensor([0.1, -0.1]).repeat(SIDE // 2)
+    fine = waves.repeat(width // SIDE + 1)[:width].expand(height, width)[..., None]
 
+    def change(shown: torch.Tensor) -> float:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ObjectView, "render", lambda *_: shown)
+            found = objective(target, SCENE)
+        return float(found.total - found.style)
 
-def test_smoothness_lowers_the_variation(objective: Objective, views: list[ObjectView]):
-    def variation(sh0: torch.Tensor) -> float:
-        styled = replace(SCENE, sh0=sh0)
-        total = 0.0
-        for view in views:
-            mask = coverage(SCENE, view.camera, PICKED) > COVERED
-            total += float(total_variation(view.render(styled), mask))
-        return total
-
-    flat = variation(optimised(objective, views, smoothness=30.0))
-    assert flat < 0.9 * variation(optimised(objective, views))
-    assert flat < variation(SCENE.sh0)
+    everywhere = change(image + 0.1)
+    assert change(image + fine) < 0.2 * everywhere, "but for the contour"
+    assert change(torch.where(view.pixels[..., None], image, image + 0.1)) == pytest.approx(
+        0, abs=1e-6
+    )
 
 
 def test_the_parts_add_up(objective: Objective, views: list[ObjectView]):
-    def losses(**settings: float) -> tuple[float, float]:
-        found = replace(objective, config=replace(CONFIG, **settings))(views[0], styled)
-        return float(found.style), float(found.total)
-
-    generator = torch.Generator().manual_seed(2)
-    styled = replace(SCENE, sh0=SCENE.sh0 + torch.randn(SCENE.sh0.shape, generator=generator))
-    style, total = losses()
-    assert style == total
-    content, smooth = losses(content=1.0)[1] - style, losses(smoothness=1.0)[1] - style
-    assert content > 0 < smooth
-    both = losses(content=0.5, smoothness=3.0)
+    view, styled, begun = views[0], recolored(), recolored(3)
+    plain = losses(objective, view, styled)
+    assert plain.style == plain.total
+    content = extra(with_settings(objective, content=1.0), view, styled)
+    form = extra(with_settings(objective, form=1.0), view, styled)
+    shapes = extra(objective, view, styled, begun)
+    grey = torch.linspace(0, 1, 500)[:, None].expand(500, 3)
+    near = replace(objective, near=near_palette(grey))
+    colors = extra(near, view, styled)
+    assert min(content, form, shapes, colors) > 0
+    all_of_them = with_settings(near, content=0.5, form=1.5)
+    found = losses(all_of_them, view, styled, begun)
     weight = content_weight(0.5) / content_weight(1.0)
-    assert both == (style, pytest.approx(style + weight * content + 3 * smooth, rel=1e-4))
+    expected = weight * content + 1.5 * form + shapes + colors
+    assert found.style == plain.style
+    assert float(found.total - found.style) == pytest.approx(expected, rel=1e-4)
 
 
 def test_more_content_counts_for_more_up_to_1():
@@ -118,19 +187,8 @@ def test_more_content_counts_for_more_up_to_1():
     assert content_weight(2.0) == content_weight(1.0) < float("inf")
 
 
-def test_total_variation():
-    ramp = torch.arange(6.0)[None, :, None].expand(5, 6, 3) / 10
-    mask = torch.ones(5, 6, dtype=torch.bool)
-    # 4 * 6 vertical pairs of difference 0, 5 * 5 horizontal ones of 0.1
-    assert float(total_variation(ramp, mask)) == pytest.approx(0.1 * 25 / 49)
-    edge = ramp.clone()
-    edge[:, 3:] += 9
-    mask[:, 3] = False
-    assert float(total_variation(edge, mask)) == pytest.approx(0.1 * 15 / 35, abs=1e-6)  # of 9
-
-
 def test_the_background_stays_to_the_bit(objective: Objective, views: list[ObjectView]):
-    sh0 = optimised(objective, views, content=1.0, smoothness=1.0)
+    sh0 = optimised(objective, views, content=1.0, form=1.0)
     assert torch.equal(sh0[~PICKED], SCENE.sh0[~PICKED])
     assert (sh0[PICKED] != SCENE.sh0[PICKED]).any()
 
@@ -139,11 +197,13 @@ def test_linear_views_give_the_object_the_gradient_of_rendering_and_others_none(
     objective: Objective, network: FeatureNetwork
 ):
     """Others lie before or behind the object."""
-    full = replace(objective, config=replace(CONFIG, content=1.0, smoothness=1.0))
+    full = replace(objective, config=EVERYTHING)
     gradients = []
     for memory in (1e9, 0.0):
+        view = views_within(memory, network)[0]
+        (target,) = full.targets([view], recolored(), recolored(3))
         leaf = SCENE.sh0.clone().requires_grad_()
-        full(views_within(memory, network)[0], replace(SCENE, sh0=leaf)).total.backward()
+        full(target, replace(SCENE, sh0=leaf)).total.backward()
         assert leaf.grad is not None
         gradients.append(leaf.grad)
     linear, rendered = gradients
@@ -155,14 +215,15 @@ def test_linear_views_give_the_object_the_gradient_of_rendering_and_others_none(
 def test_what_is_far_from_the_object_has_no_say(
     objective: Objective, views: list[ObjectView], monkeypatch: pytest.MonkeyPatch
 ):
-    full = replace(objective, config=replace(CONFIG, content=1.0, smoothness=1.0))
+    full = replace(objective, config=EVERYTHING)
     view = views[0]
+    (target,) = full.targets([view], recolored(), recolored(3))
     image = rasterize(SCENE, view.camera)[0][0].requires_grad_()
     monkeypatch.setattr(ObjectView, "render", lambda *_, **__: image)
-    full(view, SCENE).total.backward()
+    full(target, SCENE).total.backward()
     assert image.grad is not None
     cells = view.cells[0].nonzero()
-    spanned = torch.zeros(image.shape[:2], dtype=torch.bool)
+    spanned = view.pixels.clone()
     for row, column in (cells * 2 - 4).clamp(min=0).tolist():
         spanned[row : row + 10, column : column + 10] = True
     assert not image.grad[~spanned].any()
@@ -173,7 +234,8 @@ def test_those_that_hardly_show_take_small_steps(views: list[ObjectView], object
     weights = sum(view.weights(SCENE, PICKED) for view in views)
     assert isinstance(weights, torch.Tensor)
     assert not weights[~PICKED].any()
-    *_, last = optimize_colors(SCENE, SCENE, PICKED.float(), views, objective, 1)
+    targets = objective.targets(views, SCENE, None)
+    *_, last = optimize_colors(SCENE, SCENE, PICKED.float(), targets, objective, 1)
     steps = (last.splats.sh0 - SCENE.sh0).abs().amax(dim=(1, 2))[PICKED] * SH_C0
     ranked = weights[PICKED].argsort()
     assert steps[ranked[:20]].mean() < 0.5 * steps[ranked[-20:]].mean()

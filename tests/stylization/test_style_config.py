@@ -4,9 +4,19 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.stages import FINEST, LEAST, PLANS, WINDOW, Quality, Stage
+from stylesplat.stylization.stages import (
+    FEW,
+    FINEST,
+    GROWTH,
+    LEAST,
+    MOST_GROWTH,
+    PLANS,
+    WINDOW,
+    Quality,
+    Stage,
+)
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import PRESETS, StyleConfig
+from stylesplat.stylization.style_config import PRESETS, SOFTENED, StyleConfig
 
 
 @pytest.mark.parametrize(
@@ -23,13 +33,13 @@ from stylesplat.stylization.style_config import PRESETS, StyleConfig
         ({"scale": float("inf")}, "with scale inf: use 10000 at most"),
         ({"rotate": float("nan")}, "with rotate nan"),
         ({"content": -0.1}, r"content -0\.1: use 0 or more"),
-        ({"smoothness": float("nan")}, "smoothness nan"),
         ({"object_size": 10**400}, "object_size 10+: use 10000 at most"),
         ({"steps": 10**7}, "steps 10000000 and seed 0: use 1e.06"),
         ({"seed": -(10**400)}, "seed -10+: use .* 1e.18 at most"),
         ({"max_growth": 0.5}, r"grow to 0\.5 times"),
-        ({"texture": 1.5}, r"texture 1\.5: use keep, soften, replace or 0 to 1"),
-        ({"texture": float("nan")}, "texture nan"),
+        ({"form": 1.6}, r"form 1\.6: use 0 to 1\.5"),
+        ({"form": -0.1}, r"form -0\.1: use 0 to 1\.5"),
+        ({"form": float("nan")}, "form nan"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], message: str):
@@ -44,9 +54,9 @@ PUBLISHED = {
     "max_growth": 1.0,  # section 3.4: all other properties of the Gaussians are frozen
     "hard": True,  # section 3.4: the Gaussians above the threshold, each alike
     "color": "free",  # section 3.4: the NNFM loss alone, no transfer of colours
-    "texture": "keep",  # section 3.4: fine-tuned from the coefficients as trained
+    "softened": 0.0,  # section 3.4: fine-tuned from the coefficients as trained
     "content": 0.0,  # section 3.4: no other loss
-    "smoothness": 0.0,
+    "form": 0.0,
     "intensity": 1.0,  # section 4, scale control: intensity is the learning rate
     "lr": 0.0025,  # the official code, which keeps 3D Gaussian splatting's feature_lr
     "final_lr": 1.0,  # and its schedule of colours: none
@@ -71,10 +81,10 @@ def test_the_papers_views_are_seen_whole_in_one_stage_with_vgg16():
     assert Style("wave.jpg").network == "compact"
 
 
-def test_textures_by_name_and_share():
-    textures = ("keep", 0.25, "soften", 0.75, "replace")
-    softened = [StyleConfig(texture=texture).softened for texture in textures]
-    assert softened == [0, 0.25, 0.5, 0.75, 1]
+def test_the_own_pattern_goes_as_far_as_content_is_not_kept():
+    shares = [StyleConfig(content=content).softened for content in (0.0, 0.25, 1.0, 2.0)]
+    assert shares == [SOFTENED, 0.75 * SOFTENED, 0, 0]
+    assert StyleConfig(color="free").softened == 0, "colours start where they are"
 
 
 @pytest.mark.parametrize("quality", ["draft", "normal", "high"])
@@ -90,28 +100,25 @@ def test_stages_use_up_the_steps_and_grow(quality: Quality, steps: int | None):
 
 def test_qualities_end_at_their_sizes():
     configs = [StyleConfig(quality=quality) for quality in PLANS]
-    ends = [config.stages(500.0)[-1].lengths for config in configs]
-    assert ends == [(160.0,), (250.0, 500.0), (250.0, 500.0)]
+    ends = [config.stages(500.0)[-1].lengths[-1] for config in configs]
+    assert ends == [160, 500, 500]
     steps = [config.all_steps for config in configs]
     assert steps == sorted(steps)
 
 
-def test_drafts_split_nothing_unless_asked():
-    growths = [StyleConfig(quality=quality).growth(20_000) for quality in PLANS]
-    assert growths == [1, 4, 4]
+def test_drafts_get_no_canvas_unless_asked():
+    growths = [StyleConfig(quality=quality).growth(100_000) for quality in PLANS]
+    assert growths == [1, GROWTH, GROWTH]
     assert StyleConfig(quality="draft", max_growth=2.0).growth(20_000) == 2
-    few = [StyleConfig().growth(gaussians) for gaussians in (10_000, 5_000, 1_000, 0)]
-    assert few == [4, 6, 16, 16], "small and smooth objects grow more"
+    few = [StyleConfig().growth(gaussians) for gaussians in (FEW, FEW // 5, 1_000, 0)]
+    assert few == [GROWTH, 6, MOST_GROWTH, MOST_GROWTH], "small and smooth objects grow more"
 
 
 @pytest.mark.parametrize(
-    ("photo_length", "lengths"),
-    [(100.0, (160.0, 160.0)), (200.0, (160.0, 200.0)), (4000.0, (FINEST / 2, FINEST))],
+    ("photo_length", "length"), [(100.0, 160.0), (200.0, 200.0), (4000.0, FINEST)]
 )
-def test_fine_stages_follow_the_photos_within_bounds(
-    photo_length: float, lengths: tuple[float, ...]
-):
-    assert StyleConfig(quality="high").stages(photo_length)[-1].lengths == lengths
+def test_fine_stages_follow_the_photos_within_bounds(photo_length: float, length: float):
+    assert StyleConfig(quality="high").stages(photo_length)[-1].lengths[-1] == length
 
 
 def test_an_object_size_is_the_largest():
@@ -123,24 +130,29 @@ def test_sizes_follow_the_scale():
     """Beside a style image of the same size: an object half as long shows strokes twice as large.
     Fine stages too, else they would add small strokes; sizes stay within the photos'."""
     usual, large, small = (
-        StyleConfig(scale=scale, canvas="own").stages(500.0) for scale in (2.0, 4.0, 1.0)
+        StyleConfig(scale=scale, max_growth=1.0).stages(500.0) for scale in (2.0, 4.0, 1.0)
     )
-    assert [stage.lengths for stage in usual] == [(96.0,), (160.0,), (250.0, 500.0)]
-    assert [stage.lengths for stage in large] == [(48.0,), (80.0,), (125.0, 250.0)]
-    assert [stage.lengths for stage in small] == [(192.0,), (320.0,), (320.0, 500.0)]
-    assert [stage.window for stage in usual] == [None, None, WINDOW]
-    assert [stage.window for stage in small] == [WINDOW] * 3, "no step costs more than usual"
-    assert [stage.anchored for stage in small] == [False, False, True]
+    usual_lengths, large_lengths, small_lengths = (
+        [length for stage in stages for length in stage.lengths] for stages in (usual, large, small)
+    )
+    assert large_lengths == [length / 2 for length in usual_lengths]
+    coarse = [2 * length for length in usual_lengths if length <= 160]
+    assert small_lengths[: len(coarse)] == coarse
+    assert usual_lengths[-1] == small_lengths[-1] == 500
+    assert small_lengths == sorted(small_lengths)
+    assert usual[0].window is None and usual[-1].window == WINDOW
+    assert {stage.window for stage in small} == {WINDOW}, "no step costs more than usual"
+    assert [stage.anchored for stage in (small[0], small[-1])] == [False, True]
 
 
 def test_what_waits_for_a_canvas_shows_strokes_before():
     first, then, *rest = StyleConfig().stages(500.0)
-    whole, *others = StyleConfig(canvas="own").stages(500.0)
+    whole, *others = StyleConfig(max_growth=1.0).stages(500.0)
     assert first.steps < then.steps
     assert replace(then, steps=first.steps + then.steps) == whole
     assert rest == others
-    for plain in (StyleConfig(quality="draft"), StyleConfig(max_growth=1.0)):
-        assert plain.stages(500.0) == replace(plain, canvas="own").stages(500.0)
+    draft = StyleConfig(quality="draft")
+    assert draft.stages(500.0) == replace(draft, max_growth=1.0).stages(500.0), "it has none"
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch.nn import functional as F
 
-from balls import CAMERAS, SPLATS
+from balls import CAMERAS
+from dense_ball import COUNT, LIGHT, PICKED, WAYS
+from dense_ball import dense_ball as ball
 from painted_balls import assert_same_splats
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
@@ -15,26 +16,10 @@ from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes
 from stylesplat.stylization.texture import soften
 
-COUNT = 1500  # Gaussians of a ball
 PATTERN = 0.25  # of its colours, up and down
-GENERATOR = torch.Generator().manual_seed(0)
-WAYS = F.normalize(torch.randn(COUNT, 3, generator=GENERATOR), dim=1)
+GENERATOR = torch.Generator().manual_seed(1)
 NOISE = PATTERN * (2 * torch.randint(2, (COUNT, 1), generator=GENERATOR) - 1)
-LIGHT = 0.5 + 0.2 * WAYS[:, 2:].expand(-1, 3)
 HALVES = torch.where(WAYS[:, :1] > 0, 0.15, -0.15) * torch.tensor([1.0, 0.0, -1.0])
-PICKED = torch.arange(len(SPLATS) + COUNT) >= len(SPLATS)
-
-
-def ball(colors: torch.Tensor) -> Splats:
-    """The still life with a ball of small Gaussians in its midst."""
-    rows = torch.arange(len(SPLATS)).repeat(4)[:COUNT]
-    tensors = SPLATS[rows].tensors() | {
-        "means": 0.4 * WAYS + torch.tensor([0.0, 0.0, 0.4]),
-        "scales": torch.full((COUNT, 3), 0.02).log(),
-        "sh0": sh0_from_rgb(colors)[:, None],
-    }
-    mine = {name: torch.cat([t, tensors[name]]) for name, t in SPLATS.tensors().items()}
-    return replace(SPLATS, **mine)
 
 
 def rgb(splats: Splats) -> torch.Tensor:

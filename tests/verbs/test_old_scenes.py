@@ -45,7 +45,7 @@ def as_of_old(folder: Path) -> None:
 def old(tmp_path: Path) -> tuple[Path, Scene]:
     """A painted scene of old on disk, and as it is."""
     wave, _ = write_pictures(tmp_path)
-    scene = painted(TRAINED, "red", wave, canvas="fresh", measured=False)
+    scene = painted(TRAINED, "red", wave, measured=False)
     scene_folder.save(scene, tmp_path / "old")
     as_of_old(tmp_path / "old")
     return tmp_path / "old", scene

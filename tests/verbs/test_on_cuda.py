@@ -31,7 +31,7 @@ def styled(wave: Path) -> Scene:
 
 
 def test_what_stylize_paints_is_undone(cuda: str, wave: Path):  # noqa: F811
-    styled = stylize(TRAINED, {"red": Style(wave, config=FAST, canvas="fresh")}, device=cuda)
+    styled = stylize(TRAINED, {"red": Style(wave, config=FAST)}, device=cuda)
     assert_same_splats(adjust(styled, undo=True).splats, TRAINED.splats)
 
 

@@ -53,7 +53,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def once(trained: Path, pictures: tuple[Path, Path]) -> Scene:
     """The red ball painted, on a canvas."""
-    scene = painted(scene_folder.open(trained), "red", pictures[0], canvas="fresh")
+    scene = painted(scene_folder.open(trained), "red", pictures[0])
     assert len(scene.splats) > len(SPLATS)
     return scene
 

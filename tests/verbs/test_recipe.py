@@ -134,6 +134,27 @@ def test_the_choices_of_a_recipe_are_those_of_the_code():
     assert set(get_args(get_args(SHARED["features"])[0])) == set(get_args(Network))
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("texture", "soften"), ("canvas", "own"), ("smoothness", 2.5)]
+)
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{{steps: 3, {name}: {value}, objects: {{a: {{style: wave.jpg}}}}}}",
+        "{{settings: {{steps: 3, {name}: {value}}}, objects: {{a: {{style: wave.jpg}}}}}}",
+        "{{objects: {{a: {{style: wave.jpg, steps: 3, {name}: {value}}}}}}}",
+    ],
+    ids=["of all", "of a scene", "of one"],
+)
+def test_settings_that_are_gone_are_read_and_told(
+    name: str, value: object, text: str, read: Read, said: list[str]
+):
+    """Recipes of before may have them; a name is told once, whatever else is asked for."""
+    assert config_of(read(text.format(name=name, value=value))) == replace(DEFAULTS, steps=3)
+    (line,) = [line for line in said if name in line]
+    assert "\n" not in line
+
+
 OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
 
 

@@ -104,10 +104,8 @@ def test_intensity_0_shows_the_colors_before_and_goes_back(folder: Path):
 
 
 def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_path: Path):
-    """Among more Gaussians, outliers of an id would be others than before."""
-    styled = painted(
-        opened(folder / "trained"), "3", folder / "wave.png", object_size=48, canvas="fresh"
-    )
+    """Among the Gaussians with a canvas, outliers of an id are others than before."""
+    styled = painted(opened(folder / "trained"), "3", folder / "wave.png", object_size=48)
     assert len(styled.splats) > len(SPLATS)
     save(styled, tmp_path / "styled")
     none = adjust(opened(tmp_path / "styled"), 0.0)

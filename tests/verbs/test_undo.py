@@ -110,14 +110,13 @@ def test_an_object_is_painted_anew_from_its_own_colours(folder: Path, said: list
 def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(folder: Path, tmp_path: Path):
     """In its place of the stack, as if it had been painted so from the first."""
     twice = adjust(opened(folder / "twice"), 0.3, objects="7")
-    anew = painted(twice, "red", folder / "night.png", canvas="fresh", max_growth=2.0)
+    anew = painted(twice, "red", folder / "night.png", max_growth=2.0)
     assert anew.painted_objects == ("red", "7")
     assert anew.layers[1] is twice.layers[1]
     alone = painted(
         opened(folder / "trained"),
         "red",
         folder / "night.png",
-        canvas="fresh",
         max_growth=2.0,
         measured=False,
     )
@@ -188,7 +187,7 @@ def test_names_are_known_before_anything_is_cleared_or_painted(folder: Path, sai
 def test_one_after_the_other_gives_what_was_before_both(folder: Path, first: str):
     """Without a folder in between, as in a program; each has a canvas."""
     trained = opened(folder / "trained")
-    style = Style(folder / "night.png", config=FAST, canvas="fresh")
+    style = Style(folder / "night.png", config=FAST)
     both = stylize_unmeasured(trained, {"red": style, "green": style}, device="cpu").scene
     assert all(len(layer.canvas) for layer in both.layers)
     other = "green" if first == "red" else "red"

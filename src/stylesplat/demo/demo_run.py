@@ -186,7 +186,7 @@ def _styling_story(capture: Path, outcome: Sequence[str], sheet: Path) -> tuple[
         Section(
             "4. Two styles",
             "The vase and the teapot each take on a painting, made by the package too. Their "
-            "Gaussians take on other colours, and those too large for strokes are split. "
+            "Gaussians take on other colours, and small discs laid on them carry the strokes. "
             + " ".join(f"{line[:1].upper()}{line[1:]}" for line in outcome),
             paintings,
         ),

@@ -1,0 +1,192 @@
+"""A canvas covers its object, shows nowhere else, and hides what lies beneath."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS, enlarged
+from stretched_balls import PICKED, ROWS, SCENE, UNSEEN
+from striped_balls import same
+from stylesplat.metrics.psnr import psnr
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import colors_and_coverage, coverage
+from stylesplat.scene.compose import UNSEEN as UNSEEN_LOGIT
+from stylesplat.scene.compose import compose
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.canvas import Canvas, confine_canvas, lay_canvas
+from stylesplat.stylization.evenly_spread import flattened, thinned
+from stylesplat.stylization.fit_canvas import fit_canvas
+from stylesplat.stylization.object_views import Box, find_boxes
+from stylesplat.stylization.paint_objects import layer_of
+from stylesplat.stylization.repaint import Repainted
+from stylesplat.stylization.strokes import LONG, align_to_strokes
+from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_job import StyleJob
+
+FINE = enlarged(CAMERAS, 4)
+LENGTH, ROOM = 60.0, 1500
+SOLID = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, 6.0))
+
+
+@pytest.fixture(scope="module")
+def boxes() -> list[Box]:
+    return find_boxes(SOLID, FINE, PICKED)
+
+
+def canvas_on(splats: Splats, boxes: list[Box], **changes) -> Canvas | None:
+    options = {"length": LENGTH, "room": ROOM, "seed": 0} | changes
+    return lay_canvas(splats, PICKED, boxes, **options)
+
+
+@pytest.fixture(scope="module")
+def fitted(boxes: list[Box]) -> Canvas:
+    """Laid and fitted, so that it may show beside the object."""
+    canvas = canvas_on(SOLID, boxes)
+    assert canvas is not None
+    return fit_canvas(SOLID, canvas, PICKED, boxes, seed=0)
+
+
+@pytest.fixture(scope="module")
+def laid(fitted: Canvas, boxes: list[Box]) -> Canvas:
+    return confine_canvas(SOLID, fitted, PICKED, boxes, FINE)[0]
+
+
+def painted_with_stripes(canvas: Canvas) -> Splats:
+    """Its discs in stripes, for strokes to turn along."""
+    level = (canvas.splats.means[:, 2] / (3 * canvas.distance)).sin()
+    sh0 = canvas.splats.sh0.clone()
+    sh0[canvas.discs] = level[canvas.discs, None, None]
+    return replace(canvas.splats, sh0=sh0)
+
+
+def spilled(canvas: Canvas) -> float:
+    """The most that an object covers where nothing of it showed before."""
+    shown = []
+    for index in range(len(FINE)):
+        nothing = coverage(SOLID, FINE[index], PICKED) == 0
+        shown.append(coverage(canvas.splats, FINE[index], PICKED[canvas.parents])[nothing].max())
+    return float(max(shown))
+
+
+def test_discs_cover_the_object_and_look_like_it(laid: Canvas):
+    for index in range(len(FINE)):
+        before, covered = colors_and_coverage(SOLID, FINE[index], PICKED)
+        after, _ = colors_and_coverage(laid.splats, FINE[index], laid.discs)
+        inside = covered[..., 0] > 0.98
+        assert coverage(laid.splats, FINE[index], laid.discs)[inside].mean() > 0.9
+        assert psnr(after[inside], before[inside]) > 25
+
+
+def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas, boxes: list[Box]):
+    """Discs that show there become smaller or go; most stay as they are."""
+    scales = fitted.splats.scales + math.log(1.6) * fitted.discs[:, None]
+    swollen = replace(fitted, splats=replace(fitted.splats, scales=scales))
+    assert spilled(swollen) > 100 * UNSEEN, "else the check is worth nothing"
+    confined, kept = confine_canvas(SOLID, swollen, PICKED, boxes, FINE)
+    assert spilled(confined) < UNSEEN
+    assert (~kept).sum() < 0.05 * fitted.discs.sum()
+    same_size = (confined.splats.scales == swollen.splats.scales[kept]).all(dim=1)
+    assert 0.8 < same_size.float().mean() < 1
+
+
+def test_nor_do_discs_along_strokes_show_there(fitted: Canvas, boxes: list[Box]):
+    along = painted_with_stripes(fitted)
+    turned, kept = confine_canvas(SOLID, fitted, PICKED, boxes, FINE, along=along)
+    free = align_to_strokes(along, fitted.discs, fitted.distance)
+    assert spilled(replace(fitted, splats=free)) > 100 * UNSEEN
+    assert spilled(turned) < UNSEEN
+    plain, discs = fitted.splats[kept][turned.discs], turned.splats[turned.discs]
+    longer = (discs.scales - plain.scales)[:, 0]
+    assert longer.median() > 0.3 and longer.max() < math.log(LONG) + 1e-4
+    assert not torch.equal(discs.quats, plain.quats)
+    assert torch.equal(turned.splats.sh0, fitted.splats.sh0[kept]), "paint is not the canvas's"
+
+
+def test_discs_that_are_dropped_are_told(fitted: Canvas, boxes: list[Box]):
+    """One that is far from the object shows there however small it becomes; no other goes then."""
+    canvas, kept = confine_canvas(SOLID, fitted, PICKED, boxes, FINE)
+    assert kept.shape == fitted.parents.shape and kept[: fitted.count].all()
+    assert torch.equal(canvas.parents, fitted.parents[kept])
+    assert torch.equal(canvas.splats.means, fitted.splats.means[kept])
+    assert torch.equal(canvas.splats.sh0, fitted.splats.sh0[kept])
+    means = fitted.splats.means.clone()
+    means[-1] = SOLID.means[PICKED].mean(dim=0) + torch.tensor([0.0, 0.0, 0.6])
+    astray = replace(fitted, splats=replace(fitted.splats, means=means))
+    _, left = confine_canvas(SOLID, astray, PICKED, boxes, FINE)
+    assert not left[-1]
+    assert torch.equal(left[:-1], kept[:-1])
+
+
+def test_others_stay_and_the_objects_rows_only_fade(laid: Canvas):
+    for name, before in SOLID.tensors().items():
+        after = laid.splats.tensors()[name][: len(SOLID)]
+        assert torch.equal(after[~PICKED], before[~PICKED]), name
+        assert torch.equal(after, before) == (name != "opacities"), name
+    opacities = laid.splats.opacities[: len(SOLID)]
+    assert (opacities <= SOLID.opacities + 1e-4).all()
+    assert torch.equal(laid.parents[: len(SOLID)], ROWS)
+    assert PICKED[laid.parents].sum() == PICKED.sum() + len(laid.parents) - len(SOLID)
+
+
+def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
+    count, new = len(SOLID), len(laid.splats) - len(SOLID)
+    laid_on = torch.cat([SOLID.opacities, torch.full((new,), UNSEEN_LOGIT)])
+    before = replace(laid.splats, opacities=laid_on)
+    sh0 = laid.splats.sh0.clone()
+    sh0[count:] = -sh0[count:]  # any other colours
+    after = replace(laid.splats, sh0=sh0)
+    state = Repainted(1, 1, 0.0, after, before, laid.parents, torch.zeros(len(after)))
+    layer = layer_of(state, StyleJob("ball", PICKED, (), StyleConfig()), ROWS)
+    for index in (0, 3):
+        first, last = (rasterize(s, FINE[index])[0][0] for s in (before, after))
+        assert torch.equal(first, rasterize(SOLID, FINE[index])[0][0])
+        whole = last - first
+        for share in (0.1, 0.25, 0.5, 0.75, 0.9, 1.0):
+            mixed = compose(SOLID, [replace(layer, strength=share)])
+            change = rasterize(mixed, FINE[index])[0][0] - first
+            assert (change * whole).sum() / whole.square().sum() == pytest.approx(share, abs=0.1)
+    beyond = compose(SOLID, [replace(layer, strength=1.5)])
+    torch.testing.assert_close(beyond.opacities, after.opacities, atol=1e-3, rtol=1e-4)
+    assert torch.equal(beyond.opacities[count:], after.opacities[count:])
+    torch.testing.assert_close(beyond.sh0[count:], -2 * laid.splats.sh0[count:])
+
+
+def test_the_room_is_kept_and_nearly_used(boxes: list[Box]):
+    canvas = canvas_on(SOLID, boxes, room=300)
+    assert canvas is not None
+    assert 150 < canvas.discs.sum() <= 300
+
+
+def test_the_same_seed_gives_the_same_canvas(fitted: Canvas, boxes: list[Box]):
+    again, other = canvas_on(SOLID, boxes), canvas_on(SOLID, boxes, seed=1)
+    assert again is not None and other is not None
+    assert not same(other.splats, again.splats)
+    once, twice, shuffled = (fit_canvas(SOLID, again, PICKED, boxes, seed=s) for s in (0, 0, 1))
+    assert same(once.splats, fitted.splats) and same(twice.splats, fitted.splats)
+    assert not same(shuffled.splats, fitted.splats)
+
+
+def test_smoke_has_no_surface(boxes: list[Box]):
+    smoke = replace(SCENE, opacities=torch.full_like(SCENE.opacities, -3.0))
+    assert canvas_on(smoke, boxes) is None
+
+
+def test_thinned_points_keep_their_distance():
+    points = torch.rand(3000, 3, generator=torch.Generator().manual_seed(0))
+    rows = thinned(points, 0.1, seed=0)
+    distances = torch.cdist(points, points[rows])
+    own = distances[rows].fill_diagonal_(1.0)
+    assert own.min() > 0.1
+    assert distances.amin(dim=1).max() <= 0.1, "every point is close to one that is left"
+
+
+def test_flattened_points_lie_on_their_plane():
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(2000, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.02])
+    normals = torch.tensor([0.0, 0.0, 1.0]).expand(2000, 3)
+    rows = torch.arange(0, 2000, 7)
+    flat, up = flattened(points, normals, rows)
+    assert flat[:, 2].std() < 0.4 * points[rows, 2].std()
+    torch.testing.assert_close(up, normals[rows])

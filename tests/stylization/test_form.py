@@ -1,0 +1,185 @@
+"""What counts as form: luminance detail that stands out; a pattern all over does not."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from balls import CAMERAS, enlarged
+from dense_ball import LIGHT, PICKED, WAYS, dense_ball
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import coverage
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.form import (
+    Form,
+    form_distance,
+    form_relief,
+    luminance_bands,
+    measure_form,
+)
+from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
+from stylesplat.stylization.paint_objects import paint
+from stylesplat.stylization.style_config import StyleConfig
+
+LENGTH = 120.0  # longer side of the object, in pixels
+SIDE = 140
+YS, XS = (
+    axis + 0.5 - SIDE / 2 for axis in torch.meshgrid(*[torch.arange(SIDE)] * 2, indexing="ij")
+)
+MASK = (XS.square() + YS.square()).sqrt() < LENGTH / 2
+EYE = (14.0, -12.0)  # centre of a spot
+RADIUS = 4.0
+
+
+def grey(luminance: Tensor) -> Tensor:
+    return luminance[..., None].expand(SIDE, SIDE, 3).contiguous()
+
+
+def spot(x: float, y: float, radius: float = RADIUS) -> Tensor:
+    """1 inside a spot with a soft border, 0 elsewhere."""
+    return (radius - ((XS - x).square() + (YS - y).square()).sqrt() + 0.5).clamp(0, 1)
+
+
+PLAIN = 0.5 + 0.2 * YS / SIDE  # a ball in soft light
+WITH_EYE = grey(PLAIN - 0.3 * spot(*EYE))
+DOTS = sum(spot(12.0 * i, 12.0 * j, 3.0) for i in range(-6, 7) for j in range(-6, 7))
+DOTTED = grey(PLAIN - 0.3 * torch.as_tensor(DOTS))
+LUMA = torch.tensor([0.2126, 0.7152, 0.0722])  # Rec. 709
+SOME = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(0))
+NEAR_EYE = spot(*EYE, RADIUS + 2) > 0
+FAR = MASK & (spot(*EYE, 5 * RADIUS) == 0) & (XS.square() + YS.square() < (0.4 * LENGTH) ** 2)
+
+
+def form_of(image: Tensor) -> Form:
+    return measure_form(image, MASK, LENGTH)
+
+
+def distance(image: Tensor, form: Form) -> float:
+    return float(form_distance(image, MASK, LENGTH, form))
+
+
+def test_an_eye_stands_out_of_a_plain_ball():
+    form = form_of(WITH_EYE)
+    assert max(form.shares) == 1, "it counts in full"
+    for detail, weight in zip(form.details, form.weights, strict=True):
+        assert detail[NEAR_EYE].abs().max() > 10 * detail[FAR].abs().max()
+        assert weight[NEAR_EYE].mean() > 1.5 * weight[FAR].mean()
+
+
+def test_dots_all_over_do_not_stand_out():
+    """But for the outline, where there are fewer of them around."""
+    dots, eye = form_of(DOTTED), form_of(WITH_EYE)
+    assert max(dots.shares) < 0.3 * max(eye.shares)
+    inside = XS.square() + YS.square() < (0.35 * LENGTH) ** 2
+    shown, energy = dots.details, luminance_bands(DOTTED, MASK, LENGTH)
+    for detail, band in zip(shown, energy, strict=True):
+        assert detail[inside].square().sum() < 0.1 * band[inside].square().sum()
+
+
+def test_an_eye_stands_out_among_faint_dots():
+    form = form_of(grey(PLAIN - 0.05 * torch.as_tensor(DOTS) - 0.3 * spot(*EYE)))
+    strong = max(form.details, key=lambda detail: float(detail.abs().max()))
+    assert NEAR_EYE.flatten()[strong.abs().argmax()]
+    assert strong[NEAR_EYE].abs().max() > 10 * strong[FAR].abs().max()
+
+
+def test_the_unpainted_view_is_nearest_to_itself():
+    form = form_of(WITH_EYE)
+    least = distance(WITH_EYE, form)
+    moved = grey(PLAIN - 0.3 * spot(-EYE[0], EYE[1]))
+    inverted = grey(PLAIN + 0.3 * spot(*EYE))
+    for other in (grey(PLAIN), moved, inverted, SOME, DOTTED):
+        assert distance(other, form) > least + 0.3
+    assert distance(inverted, form) > distance(grey(PLAIN), form), "white for black is worse"
+    mixtures = [WITH_EYE.lerp(SOME, share) for share in (0.0, 0.1, 0.3, 0.6, 1.0)]
+    distances = [distance(mixture, form) for mixture in mixtures]
+    assert distances == sorted(distances)
+
+
+@pytest.mark.parametrize("image", [WITH_EYE, SOME], ids=["itself", "noise"])
+def test_brightness_and_contrast_do_not_matter(image: Tensor):
+    form = form_of(WITH_EYE)
+    for factor, offset in ((1.0, 0.3), (0.4, 0.0), (0.2, 0.6)):
+        changed = distance(factor * image + offset, form)
+        assert changed == pytest.approx(distance(image, form), abs=0.02)
+
+
+def test_colours_of_one_luminance_do_not_matter():
+    form = form_of(WITH_EYE)
+    hue = torch.tensor([0.3, 0.0, 0.0]) - 0.3 * LUMA[0] / LUMA.square().sum() * LUMA
+    colored = WITH_EYE + 0.5 * SOME[..., :1] * hue
+    assert distance(colored, form) == pytest.approx(distance(WITH_EYE, form), abs=1e-3)
+
+
+def test_what_lies_outside_does_not_matter():
+    def beside(image: Tensor) -> Tensor:
+        return torch.where(MASK[..., None], image, SOME)
+
+    form, other = form_of(WITH_EYE), form_of(beside(WITH_EYE))
+    pairs = zip(form.details, other.details, strict=True)
+    assert all(torch.equal(one, two) for one, two in pairs) and form.shares == other.shares
+    image = beside(SOME.flip(0)).requires_grad_()
+    form_distance(image, MASK, LENGTH, form).backward()
+    assert image.grad is not None
+    assert not image.grad[~MASK].any() and image.grad[MASK].any()
+
+
+def test_a_flat_object_has_no_form():
+    flat = form_of(grey(torch.full((SIDE, SIDE), 0.5)))
+    assert max(flat.shares) < 1e-3
+    assert distance(SOME, flat) < 1e-2, "so that it asks for nothing"
+
+
+def test_sizes_follow_the_object():
+    """Twice as large in twice as many pixels, it has the same form."""
+    soft = grey(PLAIN - 0.3 * (-((XS - 14).square() + (YS + 12).square()) / 50).exp())
+    double, mask = (each.repeat_interleave(2, 0).repeat_interleave(2, 1) for each in (soft, MASK))
+    large, small = measure_form(double, mask, 2 * LENGTH), form_of(soft)
+    assert large.shares == pytest.approx(small.shares, abs=0.1)
+    for one, other in zip(large.details, small.details, strict=True):
+        shrunk = one.reshape(SIDE, 2, SIDE, 2).mean(dim=(1, 3))
+        assert (shrunk - other).abs().max() < 0.15 * other.abs().max() + 0.01
+
+
+FINE = enlarged(CAMERAS, 4)
+TO_EYE = torch.nn.functional.normalize(FINE.positions[0], dim=0)  # from the ball, nearly
+AROUND_EYE = WAYS @ TO_EYE > math.cos(math.radians(25))
+ON_EYE = WAYS @ TO_EYE > math.cos(math.radians(9))
+FAST = StyleConfig(steps=40, layers=(2,), scale=1.0, object_size=60, max_growth=1.0, lr=0.2)
+BALL = dense_ball(LIGHT - 0.35 * ON_EYE[:, None])
+
+
+def luminance(splats: Splats) -> Tensor:
+    """Of the side with the eye, around it."""
+    window = torch.zeros_like(PICKED)
+    window[PICKED] = AROUND_EYE
+    seen = coverage(BALL, FINE[0], window) > 0.9
+    assert seen.sum() > 100
+    return (rasterize(splats, FINE[0])[0][0] @ LUMA)[seen]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_painted_objects_keep_their_eyes_if_their_form_is_kept(
+    seed: int, network: FeatureNetwork, stripes: Tensor
+):
+    def kept(form: float) -> float:
+        config = replace(FAST, form=form, seed=seed)
+        painted = paint(BALL, FINE, PICKED, stripes, config=config, network=network)
+        return float(torch.corrcoef(torch.stack([luminance(BALL), luminance(painted)]))[0, 1])
+
+    assert kept(1.0) > max(kept(0.0) + 0.15, 0.45)
+
+
+def test_relief_is_where_the_form_is(network: FeatureNetwork):
+    """Darker on the eye than around it, faint elsewhere, nothing on what is not picked."""
+    boxes = find_boxes(BALL, FINE, PICKED)
+    views = cut_views(BALL, boxes, PICKED, [network.cells(2)], zoom=1.0, max_memory=1e9)
+    relief = form_relief(BALL, PICKED, views, typical_length(boxes))
+    assert not relief[~PICKED].any()
+    own, sides = relief[PICKED], WAYS @ TO_EYE
+    ring = AROUND_EYE & ~ON_EYE & (sides > math.cos(math.radians(13)))
+    assert own[ON_EYE].mean() < -0.05 < 0 < own[ring].mean()
+    assert own[(sides < 0) & (WAYS[:, 2] > 0)].abs().mean() < 0.1 * own[ON_EYE].abs().mean()
