@@ -120,10 +120,10 @@ def test_together_is_the_two_alone_or_it_is_seen(subject: Subject):
     assert outcome.numbers["changed_elsewhere"] == 0
     assert outcome.numbers["rows"] == outcome.numbers["expected_rows"] == len(SPLATS)
     nobody = torch.arange(len(SPLATS))
-    one = figure5.Styled(SPLATS, SPLATS, SPLATS, nobody)
+    one = figure5.Styled(SPLATS, ())
     sh0 = SPLATS.sh0.clone()
     sh0[SPLATS.sh0.shape[0] - 1] += 1e-6
-    other = replace(one, splats=replace(SPLATS, sh0=sh0))
+    other = figure5.Styled(replace(SPLATS, sh0=sh0), ())
     last = {1: nobody == len(SPLATS) - 1, 2: nobody == 0}
     assert figure5._differing(one, other, 1, last) == 1
     assert figure5._differing(one, other, 2, last) == 0
