@@ -1,4 +1,4 @@
-"""Figure 5: two objects in two styles, each alone and both together."""
+"""Figure 5: two objects in two styles, each alone and the layers of both together."""
 
 from functools import partial
 
@@ -28,7 +28,7 @@ def _both(subject: Subject, way: str) -> Outcome:
     pictures = [*subject.styles.values()][:2]
     styles, config = dict(zip((one, other), pictures, strict=True)), WAYS[way](subject)
     alone = {id: painted(subject, {id: style}, config) for id, style in styles.items()}
-    together = painted(subject, styles, config)
+    together = Styled(subject.splats, tuple(each for a in alone.values() for each in a.layers))
     picked = {id: subject.picked(id) for id in styles}
     numbers = {
         "objects": [subject.called(id) for id in styles],

@@ -27,6 +27,7 @@ from stylesplat.io.label_maps import match_label_maps
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import with_layers
 from stylesplat.training import checkpoint, keeper, loop
 from stylesplat.training.state import first_state
 from stylesplat.training.train_config import TrainConfig
@@ -137,7 +138,7 @@ def save_second(folder: Path) -> None:
 
 def revise(folder: Path) -> None:
     scene = scene_folder.open(folder / "scene")
-    changed = replace(scene, splats=plain_scene().splats, painted=None, metrics={"psnr": 2.0})
+    changed = replace(with_layers(scene, ()), splats=plain_scene().splats, metrics={"psnr": 2.0})
     scene_folder.revise(scene, changed, folder / "scene")
 
 
