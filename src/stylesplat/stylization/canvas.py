@@ -101,7 +101,7 @@ def confine_canvas(
     cameras: Cameras,
     *,
     along: Splats | None = None,
-) -> tuple[Canvas, Bool[Tensor, " N"]]:
+) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Let a canvas show nowhere beside the object, its discs turned along strokes first.
 
     Args:

@@ -16,7 +16,6 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
 Untouched = tuple[Cameras, Tensor]  # one camera, and some of its pixels [H, W]
-FAINT = 0.01  # coverage by the object below which it does not show: haze around it
 NONE = torch.zeros(0, dtype=torch.long)
 
 
@@ -34,7 +33,7 @@ def untouched(
     bare = without_looks(splats)
 
     def look(camera: Cameras) -> Untouched:
-        return camera, coverage(bare, camera, picked) < FAINT
+        return camera, coverage(bare, camera, picked) == 0
 
     return [*track(at_once(look, cameras), "looking where nothing shows", total=len(cameras))]
 
