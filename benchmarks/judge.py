@@ -33,6 +33,9 @@ BLOCK = 3  # of the networks
 MOST = 3000  # features of a view, evenly chosen, that stand for all
 MARGIN = 20  # pixels around the object in a crop
 FINE, COARSE = 0.01, 0.08  # of the object's extent: a feature of it is larger and smaller
+NEAR = 0.05  # of the extent: what lies around a place
+PLAIN = 0.02  # standard deviation of the luminance: a place with as much counts half
+TINY = 1e-6
 SEEN = 0.25  # of the area in the view that shows most of the object: less is no view of it
 SMALL = 200  # pixels: the longer side at which these areas are measured
 CHANGED, UNCHANGED = 0.05, 0.02  # of a channel's range
@@ -89,29 +92,48 @@ def _sight(splats: Splats, camera: Cameras, picked: Tensor) -> Sight:
 
 
 @torch.no_grad()
-def features_kept(sights: Sequence[Sight], images: Sequence[Tensor]) -> float:
+def features_kept(
+    sights: Sequence[Sight], images: Sequence[Float[Tensor, "H W 3"]]
+) -> tuple[float, float]:
     """The correlation of the object's luminance before and after, in a band of sizes.
 
     Between 1 and 8 % of the object's extent lie eyes and mouths; strokes are finer, light and the
-    palette coarser. The mean over views.
+    palette coarser.
+
+    Returns:
+        The correlation over all of the object, and the mean of those around each place that is
+        not plain: the first goes by what has most contrast, such as a dark frame around a sign,
+        the other by faint features, too. Both are means over views.
     """
     found = []
     for sight, image in zip(sights, images, strict=True):
-        mask = sight.mask.float()
-        pair = [_band(each, mask, sight.extent)[sight.mask] for each in (sight.before, image)]
-        one, other = (band - band.mean() for band in pair)
-        norm = float(one.norm() * other.norm())
-        found.append(float((one * other).sum()) / norm if norm else 0.0)
-    return mean(found)
+        mask, extent = sight.mask.float(), sight.extent
+        one, other = (_band(each, mask, extent) for each in (sight.before, image))
+
+        def around(values: Tensor, mask: Tensor = mask, extent: int = extent) -> Tensor:
+            return _mean_around(values, mask, NEAR * extent)
+
+        means = around(one), around(other)
+        squares = around(one * one) - means[0] ** 2, around(other * other) - means[1] ** 2
+        old, new = (each.clamp(min=0).sqrt()[sight.mask] for each in squares)
+        local = (around(one * other) - means[0] * means[1])[sight.mask] / (old * new + TINY)
+        whole = torch.stack([one[sight.mask], other[sight.mask]])
+        correlation = float(whole.corrcoef()[0, 1].nan_to_num())
+        weights = old**2 / (old**2 + PLAIN**2)
+        found.append((correlation, float((local * weights).sum() / (weights.sum() + TINY))))
+    whole, local = (mean(column) for column in zip(*found, strict=True))
+    return whole, local
 
 
 def _band(image: Tensor, mask: Tensor, extent: int) -> Tensor:
     grey = image @ image.new_tensor(LUMA)
-    fine, coarse = (
-        _blurred(grey * mask, size * extent) / _blurred(mask, size * extent).clamp(min=1e-3)
-        for size in (FINE, COARSE)
-    )
+    fine, coarse = (_mean_around(grey, mask, size * extent) for size in (FINE, COARSE))
     return fine - coarse
+
+
+def _mean_around(values: Tensor, mask: Tensor, deviation: float) -> Tensor:
+    """Of what lies in the mask, weighted by a Gaussian."""
+    return _blurred(values * mask, deviation) / _blurred(mask, deviation).clamp(min=1e-3)
 
 
 def _blurred(image: Tensor, deviation: float) -> Tensor:
@@ -229,7 +251,8 @@ def judge(
         cameras: Views in the order of the photos, for their consistency.
         networks: By name, those that NNFM goes by.
     """
-    found = {"kept": features_kept(sights, images)}
+    kept, local = features_kept(sights, images)
+    found = {"kept": kept, "kept local": local}
     for name, network in networks.items():
         for size, share in SIZES.items():
             losses = nnfm_of_views(sights, images, painting, network, share)

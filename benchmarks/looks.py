@@ -11,7 +11,7 @@ is not kept. Scenes are made once, into `benchmarks/out/test_objects`.
 The figures (`judge.py`):
 
 - kept: features kept, the correlation inside the object of the luminance between 1 and 8 % of its
-  extent, painted against unpainted; 1 is all
+  extent, painted against unpainted; 1 is all. Local: the mean of the correlations around each place
 - compact, vgg19 full, half: exact NNFM by that network at the photos' size and half of it
 - SSIM: of the luminance, painted against unpainted
 - spill, missed %: against outlines by hand (fox) or exact label maps (demo, face, sign)
@@ -61,6 +61,7 @@ from stylesplat.drawing.compositing import to_uint8
 from stylesplat.evaluation.stains import largest_stain
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import write_json
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
@@ -68,7 +69,16 @@ from stylesplat.selection.choose import find_object
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.style_images import read_style
 
-COLUMNS = ("kept", "compact full", "compact half", "vgg19 full", "vgg19 half", "SSIM", "spill %")
+COLUMNS = (
+    "kept",
+    "kept local",
+    "compact full",
+    "compact half",
+    "vgg19 full",
+    "vgg19 half",
+    "SSIM",
+    "spill %",
+)
 COLUMNS += ("missed %", "stain px", "near ratio", "way full", "way half", "s", "call s", "CPU s")
 KEYS = ("object", "painting", "quality", "seed", "settings")
 TARGET_SIZES = (1.0, 0.5, 0.25)  # of the photos
@@ -155,9 +165,8 @@ def main(options: Options) -> None:
         )
         for cell in missing:
             print(_title(cell), flush=True)
-            figures = painted(subject, cell, options, settings, networks)
-            write_json({**cell, "commit": commit(), "machine": machine(), "figures": figures},
-                       _file(options, cell))  # fmt: skip
+            found = painted(subject, cell, options, settings, networks)
+            write_json({**cell, **found}, _file(options, cell))
             write_page(options.output)
     write_page(options.output)
     print(f"\n{(options.output / 'table.md').read_text()}\n{options.output / 'index.html'}")
@@ -195,7 +204,7 @@ def painted(
     options: Options,
     settings: Mapping[str, Any],
     networks: Networks,
-) -> Figures:
+) -> dict[str, Any]:
     """Paint an object, keep its crops, and judge them."""
     file = find_painting(cell["painting"], options.output / "paintings")
     style = ss.Style(file, quality=options.quality, seed=cell["seed"], **settings)
@@ -210,18 +219,31 @@ def painted(
     images = [sight.shows(after.splats) for sight in subject.sights]
     write_image(strip(images), options.output / "crops" / f"{_slug(cell)}.png")
     training, held_out = subject.scene.working_views()
-    views = held_out or training
-    figures = judge(
-        before, after.splats, subject.picked, subject.sights, images, picture, views, networks
-    )
+    rest = (images, picture, held_out or training, networks)
+    figures = judge(before, after.splats, subject.picked, subject.sights, *rest)
     if subject.outlines is not None:
         figures |= outline_figures(before, after.splats, *subject.outlines)
-    if subject.capture is not None:
-        stain = largest_stain(subject.scene, after, [subject.name], subject.capture, before.device)
-        figures |= {"stain px": int(stain["stain_pixels"])} if stain else {}
+    place = options.output / "crops" / f"{_slug(cell)}_stain.png"
+    place.unlink(missing_ok=True)
+    figures |= stain(subject, after, place)
     if options.target_steps:
         figures |= way(subject, cell["painting"], images, picture, options, networks)
-    return figures | spent
+    return {"commit": commit(), "machine": machine(), "figures": figures | spent}
+
+
+def stain(subject: Subject, after: Scene, place: Path) -> Figures:
+    """How large the largest stain is; where there is one, its view before and after is kept."""
+    if subject.capture is None:
+        return {}
+    before = subject.scene
+    device = before.splats.device
+    found = largest_stain(before, after, [subject.name], subject.capture, device)
+    if "stain_view" in found:
+        cameras = before.cameras.downscale(before.downscale)
+        camera = cameras[cameras.index(str(found["stain_view"]))]
+        pair = [render(each.splats, camera)[0].clamp(0, 1) for each in (before, after)]
+        write_image(strip(pair), place)
+    return {"stain px": int(found["stain_pixels"])} if found else {}
 
 
 def way(
@@ -334,6 +356,9 @@ def _cell_parts(folder: Path, cell: Mapping[str, Any]) -> Iterator[str]:
     yield f"<p>{escape(cell['commit'])}; {escape(cell['machine'])}</p>"
     yield f'<div class="row">{_image(_thumbnail(folder, cell["painting"]))}</div>'
     yield f'<div class="row">{_image(f"crops/{_slug(cell)}.png")}</div>'
+    place = f"crops/{_slug(cell)}_stain.png"
+    if (folder / place).is_file():
+        yield f'<p>The view with the largest stain:</p><div class="row">{_image(place)}</div>'
 
 
 def _thumbnail(folder: Path, painting: str) -> str:

@@ -13,6 +13,7 @@ from stylesplat.stylization.nnfm import nnfm_loss
 
 RATE, LAST_RATE = 0.02, 0.1  # of Adam on colours in 0..1; the last one as a share of the first
 MOST = 8192  # of the painting's features at a size, evenly chosen: all take minutes a view
+OWN = 2048  # of the object's features at a size, other ones in each step
 TINY = 1e-6  # least variance of a colour
 
 
@@ -38,14 +39,17 @@ def target_2d(
     share = sight.share[..., None]
     few = [(size, feats[:: 1 + len(feats) // MOST].float()) for size, feats in targets]
     leaf = _matched(sight, sight.before, palette).requires_grad_()
+    generator = torch.Generator().manual_seed(0)
     optimizer = torch.optim.Adam([leaf], lr=RATE)
     scheduler = torch.optim.lr_scheduler.ExponentialLR(optimizer, LAST_RATE ** (1 / steps))
     for _ in track(range(steps), "painting the pixels"):
         optimizer.zero_grad()
         shown = sight.before.lerp(leaf, share)
-        losses = [
-            nnfm_loss(own_features(sight, shown, network, size), feats) for size, feats in few
-        ]
+        losses = []
+        for size, feats in few:
+            own = own_features(sight, shown, network, size)
+            drawn = torch.randperm(len(own), generator=generator)[:OWN]
+            losses.append(nnfm_loss(own[drawn], feats))
         torch.stack(losses).sum().backward()
         optimizer.step()
         scheduler.step()

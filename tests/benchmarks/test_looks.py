@@ -63,7 +63,6 @@ def test_an_object_is_painted_judged_and_shown_once(tmp_path: Path):
         objects=("doll",),
         paintings=("flat",),
         quality="draft",
-        settings='{"steps": 2}',
         views=2,
         scenes=tmp_path / "scenes",
     )
