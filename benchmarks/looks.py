@@ -53,7 +53,7 @@ from judge import (
 )
 from paintings import DRAWN, SHIPPED, find_painting
 from target_2d import target_2d
-from test_objects import OBJECTS, Outlines, find_outlines, find_scene, photos_of
+from test_objects import OBJECTS, Name, Outlines, find_outlines, find_scene, photos_of
 from torch import Tensor
 
 import stylesplat as ss
@@ -99,8 +99,8 @@ class Options:
     """Folder of the page."""
     all: bool = False
     """All objects and paintings that are not narrowed down."""
-    objects: tuple[str, ...] = ()
-    """Some of fox, plaque, bottle, keyboard, doll, vase, teapot, face, sign; by default fox."""
+    objects: tuple[Name, ...] = ()
+    """By default fox."""
     paintings: tuple[str, ...] = ()
     """Some of night, kandinsky, hassam, monet, raiko, lines, dots, flat, or files; by default
     night."""
@@ -126,7 +126,7 @@ class Options:
 class Subject:
     """An object to paint, opened."""
 
-    key: str
+    key: Name
     """One of `OBJECTS`."""
     scene: Scene
     """Nothing in it is painted."""
@@ -178,7 +178,7 @@ def judges() -> Networks:
     return networks | ({"vgg19": load_weights("vgg19", VGG19)} if VGG19.is_file() else {})
 
 
-def wanted(key: str, options: Options, settings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def wanted(key: Name, options: Options, settings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """What is to be on the page of an object."""
     names = options.paintings or ((*SHIPPED, *DRAWN) if options.all else ("night",))
     more = " ".join(f"{name}={value}" for name, value in settings.items())
@@ -188,7 +188,7 @@ def wanted(key: str, options: Options, settings: Mapping[str, Any]) -> Iterator[
             yield dict(zip(KEYS, values, strict=True))
 
 
-def opened(key: str, options: Options) -> Subject:
+def opened(key: Name, options: Options) -> Subject:
     """An object of a test scene, which is made if it has to be."""
     scene = find_scene(OBJECTS[key].scene, options.scenes)
     picked = find_object(scene, OBJECTS[key].name)

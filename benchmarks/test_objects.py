@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from bench import DATA
@@ -42,7 +43,8 @@ class TestObject:
     """What it is called there: a name, or a label id."""
 
 
-OBJECTS: Mapping[str, TestObject] = {
+Name = Literal["fox", "plaque", "bottle", "keyboard", "doll", "vase", "teapot", "face", "sign"]
+OBJECTS: Mapping[Name, TestObject] = {
     "fox": TestObject("fox", "1"),
     "plaque": TestObject("fox", "2"),
     "bottle": TestObject("desk", "1"),
@@ -78,7 +80,7 @@ def photos_of(scene: Scene) -> Capture | None:
         return None
 
 
-def find_outlines(key: str, scene: Scene, capture: Capture | None) -> Outlines | None:
+def find_outlines(key: Name, scene: Scene, capture: Capture | None) -> Outlines | None:
     """Where an object exactly is, in some views; None if nobody knows."""
     test = OBJECTS[key]
     training, held_out = scene.working_views()
