@@ -84,6 +84,7 @@ KEYS = ("object", "painting", "quality", "seed", "settings")
 TARGET_SIZES = (1.0, 0.5, 0.25)  # of the photos
 THUMBNAIL = 300  # pixels
 GAP = 6  # pixels between crops
+PAGE = 0x22 / 0xFF  # its background
 HEAD = """<!doctype html><meta charset="utf-8"><title>Looks</title><style>
 body{font:15px sans-serif;margin:1em;background:#222;color:#ddd} img{vertical-align:top}
 table{border-collapse:collapse;font-size:13px} td,th{padding:2px 8px;text-align:right}
@@ -298,7 +299,7 @@ def strip(images: Sequence[Tensor]) -> Tensor:
     height = max(len(image) for image in images)
     parts = []
     for image in images:
-        part = torch.zeros(height, image.shape[1] + GAP, 3)
+        part = torch.full((height, image.shape[1] + GAP, 3), PAGE)
         part[: len(image), : image.shape[1]] = image
         parts.append(part)
     return to_uint8(torch.cat(parts, dim=1))

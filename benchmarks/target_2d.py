@@ -14,6 +14,7 @@ from stylesplat.stylization.nnfm import nnfm_loss
 RATE, LAST_RATE = 0.02, 0.1  # of Adam on colours in 0..1; the last one as a share of the first
 MOST = 8192  # of the painting's features at a size, evenly chosen: all take minutes a view
 OWN = 2048  # of the object's features at a size, other ones in each step
+PULL, COLORS = 10.0, 256  # weight of the squared way to the nearest of so many of its colours
 TINY = 1e-6  # least variance of a colour
 
 
@@ -26,8 +27,9 @@ def target_2d(
 ) -> Float[Tensor, "H W 3"]:
     """The view with the object's pixels as free as can be.
 
-    They start from the palette's mean and covariance, and end there. Every step adds the losses at
-    all sizes. What the object covers in part is blended with what is there.
+    They start from the palette's mean and covariance, and end there; on the way they are pulled
+    to its colours, without which the networks are content with grain. Every step adds the losses
+    at all sizes. What the object covers in part is blended with what is there.
 
     Args:
         sight: The view.
@@ -50,11 +52,21 @@ def target_2d(
             own = own_features(sight, shown, network, size)
             drawn = torch.randperm(len(own), generator=generator)[:OWN]
             losses.append(nnfm_loss(own[drawn], feats))
+        losses.append(PULL * _far_from(palette, leaf[sight.mask]))
         torch.stack(losses).sum().backward()
         optimizer.step()
         scheduler.step()
         leaf.data.clamp_(0, 1)
     return sight.before.lerp(_matched(sight, leaf.detach(), palette), share)
+
+
+def _far_from(palette: Float[Tensor, "Q 3"], colors: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:
+    """The mean squared distance from the nearest of the palette's colours."""
+    few = palette[:: 1 + len(palette) // COLORS]
+    nearest = torch.cat(
+        [torch.cdist(part, few).argmin(dim=1) for part in colors.detach().split(OWN)]
+    )
+    return (colors - few[nearest]).square().sum(dim=1).mean()
 
 
 def _matched(sight: Sight, image: Tensor, palette: Tensor) -> Tensor:

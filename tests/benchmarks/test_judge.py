@@ -89,7 +89,7 @@ def test_features_are_those_of_the_object_alone(compact: FeatureNetwork):
 
 def test_free_pixels_come_closer_and_leave_the_rest(compact: FeatureNetwork):
     targets = [(1.0, painting_features([SIGHT], STRIPES, compact, 1.0))]
-    found = target_2d(SIGHT, STRIPES.reshape(-1, 3), targets, compact, 10)
+    found = target_2d(SIGHT, STRIPES.reshape(-1, 3), targets, compact, 30)
     assert torch.equal(found[SHARE == 0], BEFORE[SHARE == 0])
     before, after = (
         nnfm_of_views([SIGHT], [image], STRIPES, compact, 1.0)[0] for image in (BEFORE, found)
