@@ -24,7 +24,11 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import load_vgg
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+ABOVE = Path(__file__).resolve().parents[2:]  # of the repository, which may be a worktree
+DATA = next(
+    (p for p in (up / "shared" / "data" for up in ABOVE) if p.is_dir()),
+    ABOVE[0] / "shared" / "data",
+)
 STYLES = DATA / "styles"
 VGG19 = DATA.parent / "weights" / "vgg19_conv1_1-conv3_4.safetensors"
 OUT = Path(__file__).resolve().parent / "out"

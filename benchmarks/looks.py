@@ -1,270 +1,405 @@
-"""How good are the pictures? Objects and paintings against what could be had, on one page.
+"""How good are the pictures? Test objects in test paintings, on one page, with figures beside them.
 
-    .venv/bin/python benchmarks/looks.py --demo DEMO
+    .venv/bin/python benchmarks/looks.py --all -o DIR
+    .venv/bin/python benchmarks/looks.py -o DIR --objects fox face --paintings night lines
 
-The best that any 3D result could do in a held-out view is what its pixels become when they are
-optimised with the same loss (`target_2d.py`). For each object and painting the table says, judged
-by VGG19 (all style features, float32), NNFM at the photo's full, half and quarter size and how far
-that is on the way from before to the best; how much detail there is, by octave, as a share of the
-best's; how far the palette is from the painting's (sliced Wasserstein distance in Lab, and the
-share of pixels farther than 10 from all its colours); how far views are from each other (RMSE of
-neighbours, and of views farther apart); the band around the object, which should be 0. The
-published method takes long: `--paper-steps 500` adds it. Fox and desk are trained once; the demo's
-scene is the `scene` folder that `stylesplat demo -o DEMO` makes. The page, with pictures at full
-size, is `benchmarks/out/looks/index.html`.
+`DIR/index.html` has full-size crops of every object before and after, in held-out views; each row
+of them is a picture in `DIR/crops`, too. `DIR/table.md` is the table. What is done is kept in
+`DIR/cells`, so that a page can be extended, and is not done again (`--again` does); a painted scene
+is not kept. Scenes are made once, into `benchmarks/out/test_objects`.
+
+The figures (`judge.py`):
+
+- kept: features kept, the correlation inside the object of the luminance between 1 and 8 % of its
+  extent, painted against unpainted; 1 is all. Local: the mean of the correlations around each place
+- compact, vgg19 full, half: exact NNFM by that network at the photos' size and half of it
+- SSIM: of the luminance, painted against unpainted
+- spill, missed %: against outlines by hand (fox) or exact label maps (demo, face, sign)
+- stain px: the largest changed place beside the object, by the capture's label maps
+- near ratio: how far neighbouring views are from each other, painted over unpainted
+- way full, half: with `--target-steps 150`, the share of the way from before to the best that any
+  3D result could do in a view, its pixels optimised for the same loss (`target_2d.py`); by the last
+  network, and slow: minutes for each object and painting, once
+- s: of painting alone, by the clock; call s, CPU s: of the whole call, measuring included
 """
 
-import math
+import json
+import re
+import subprocess
 import time
-from base64 import b64encode
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from statistics import mean
-from typing import Literal
+from typing import Annotated, Any
+from urllib.parse import quote
 
-import cv2
+import numpy as np
 import torch
 import tyro
-from bench import OUT, STYLES, machine, style_network, table, trained_scene
-from octaves import octaves
-from target_2d import Sight, canvas, target_2d
+from bench import OUT, VGG19, machine, processor_seconds, table
+from judge import (
+    SIZES,
+    Figures,
+    Networks,
+    Sight,
+    find_sights,
+    judge,
+    nnfm_of_views,
+    outline_figures,
+    painting_features,
+    resized,
+)
+from paintings import DRAWN, SHIPPED, find_painting
+from target_2d import target_2d
+from test_objects import OBJECTS, Name, Outlines, find_outlines, find_scene, photos_of
 from torch import Tensor
 
 import stylesplat as ss
 from stylesplat.drawing.compositing import to_uint8
-from stylesplat.evaluation.consistency import view_consistency
-from stylesplat.evaluation.measure import changes, view_loss
-from stylesplat.evaluation.palette import off_palette, palette_distance
-from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.evaluation.stains import largest_stain
+from stylesplat.io.images import write_image
+from stylesplat.io.json_files import write_json
+from stylesplat.rendering.one_view import render
+from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import pick
-from stylesplat.stylization.looking import object_views
-from stylesplat.stylization.matching import build_index
-from stylesplat.stylization.near_palette import near_palette
-from stylesplat.stylization.object_views import find_boxes, typical_length
-from stylesplat.stylization.objective import Objective
-from stylesplat.stylization.paint_objects import open_studio, paint
-from stylesplat.stylization.repaint import target_features
-from stylesplat.stylization.style_config import PRESETS
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.choose import find_object
+from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.style_images import read_style
-from stylesplat.stylization.style_job import Studio, StyleJob
 
-PAINTINGS = ("van_gogh_starry_night_1024", "kandinsky_composition_vii_1071")
-PAINTINGS += ("hassam_south_ledges_1070",)
-SIZES = {"full": 1.0, "half": 0.5, "quarter": 0.25}  # of the photo
+COLUMNS = (
+    "kept",
+    "kept local",
+    "compact full",
+    "compact half",
+    "vgg19 full",
+    "vgg19 half",
+    "SSIM",
+    "spill %",
+)
+COLUMNS += ("missed %", "stain px", "near ratio", "way full", "way half", "s", "call s", "CPU s")
+KEYS = ("object", "painting", "quality", "seed", "settings")
+TARGET_SIZES = (1.0, 0.5, 0.25)  # of the photos
+THUMBNAIL = 300  # pixels
+GAP = 6  # pixels between crops
+PAGE = 0x22 / 0xFF  # its background
 HEAD = """<!doctype html><meta charset="utf-8"><title>Looks</title><style>
-body{font:15px sans-serif;margin:2em;background:#222;color:#ddd} pre{font-size:14px}
-.row{display:flex;gap:6px;overflow-x:auto} figure{margin:0} img{height:900px}</style>"""
-
-Numbers = Mapping[str, Mapping[str, float]]
-"""By what was done, what was measured."""
+body{font:15px sans-serif;margin:1em;background:#222;color:#ddd} img{vertical-align:top}
+table{border-collapse:collapse;font-size:13px} td,th{padding:2px 8px;text-align:right}
+td:first-child,td:nth-child(2){text-align:left} tr:nth-child(even){background:#2c2c2c}
+.row{overflow-x:auto;white-space:nowrap} a{color:#9cf}</style><h1>Looks</h1>"""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to paint."""
+    """What to paint, and how."""
 
-    demo: Path | None = None
-    """Folder that `stylesplat demo` made; without it its scene is left out."""
-    scenes: tuple[Literal["fox", "desk", "demo"], ...] = ("fox", "desk", "demo")
-    """Whose objects of label 1."""
-    paintings: tuple[Path, ...] = tuple(STYLES / f"{name}.jpg" for name in PAINTINGS)
-    """Pictures."""
-    views: int = 2
-    """Held-out views that are painted pixel by pixel."""
-    target_steps: int = 150
-    """Steps for their pixels."""
-    own: bool = False
-    """Paint on the object's own Gaussians, too, without a fresh canvas."""
-    paper_steps: int = 0
-    """Steps of the paper's preset, which has 500; 0 leaves it out."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of the page."""
+    all: bool = False
+    """All objects and paintings that are not narrowed down."""
+    objects: tuple[Name, ...] = ()
+    """By default fox."""
+    paintings: tuple[str, ...] = ()
+    """Some of night, kandinsky, hassam, monet, raiko, lines, dots, flat, or files; by default
+    night."""
+    seeds: tuple[int, ...] = (0,)
+    """Each paints every object."""
+    quality: str = "normal"
+    """Of `stylize`."""
+    settings: str = "{}"
+    """More settings of the style, as JSON: '{"content": 0.5}'."""
+    views: int = 4
+    """Held-out views that are judged and shown."""
+    target_steps: int = 0
+    """Steps for the pixels of the best picture; 0 leaves `way` out."""
+    target_views: int = 2
+    """Views that it is made in."""
+    again: bool = False
+    """Paint again what is in the folder."""
+    scenes: Path = OUT / "test_objects"
+    """Folder of the test scenes."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """An object and a painting."""
+class Subject:
+    """An object to paint, opened."""
 
-    studio: Studio
-    """The scene, its held-out views, and the judge's network."""
-    job: StyleJob
-    """The object and the painting, with the default settings."""
-    length: float
-    """Of the object in the photos."""
+    key: Name
+    """One of `OBJECTS`."""
+    scene: Scene
+    """Nothing in it is painted."""
+    picked: Tensor
+    """The object's Gaussians."""
     sights: list[Sight]
-    """The object in some of the views."""
+    """Where it is judged."""
+    capture: Capture | None
+    """The photos."""
+    outlines: Outlines | None
+    """Where it exactly is."""
 
-    def palette(self) -> Tensor:
-        """The painting's colours."""
-        return self.job.styles[0].reshape(-1, 3)
-
-    def targets(self, size: float) -> list[Tensor]:
-        """The painting's features for an object that is smaller than in the photos."""
-        return target_features(self.studio, self.job.config, self.job.styles, size * self.length)
+    @property
+    def name(self) -> str:
+        """What the scene calls it."""
+        return OBJECTS[self.key].name
 
 
 def main(options: Options) -> None:
-    """Paint, measure, write the page."""
-    parts = [HEAD, f"<p>{escape(machine())}</p>"]
-    for name, folder in scenes(options).items():
-        for painting in options.paintings:
-            start = time.perf_counter()
-            pictures, numbers = compared(folder, painting, options)
-            heads = ("", *next(iter(numbers.values())))
-            rows = [(what, *map(digits, row.values())) for what, row in numbers.items()]
-            title = f"{name}, {painting.stem}: {time.perf_counter() - start:.0f} s"
-            print(f"\n{title}\n\n{table(heads, rows)}", flush=True)
-            parts += [
-                f"<h2>{escape(title)}</h2>",
-                *map(figures, zip(*pictures.values(), strict=True)),
-            ]
-            parts.append(f"<p>{', '.join(pictures)}</p><pre>{escape(table(heads, rows))}</pre>")
-            write_page(parts)
+    """Paint, judge, write the page."""
+    settings = json.loads(options.settings)
+    networks = judges()
+    for key in options.objects or (tuple(OBJECTS) if options.all else ("fox",)):
+        cells = list(wanted(key, options, settings))
+        missing = [cell for cell in cells if options.again or not _file(options, cell).is_file()]
+        if not missing:
+            continue
+        try:
+            subject = opened(key, options)
+        except FileNotFoundError as error:
+            print(f"{key} is left out: {error}.")
+            continue
+        write_image(
+            strip([sight.before for sight in subject.sights]),
+            options.output / "crops" / f"{key}_before.png",
+        )
+        for cell in missing:
+            print(_title(cell), flush=True)
+            found = painted(subject, cell, options, settings, networks)
+            write_json({**cell, **found}, _file(options, cell))
+            write_page(options.output)
+    write_page(options.output)
+    print(f"\n{(options.output / 'table.md').read_text()}\n{options.output / 'index.html'}")
 
 
-def scenes(options: Options) -> dict[str, Path]:
-    """The folders of the scenes."""
+def judges() -> Networks:
+    """The networks that NNFM goes by: VGG19 only where its weights are."""
+    networks = {"compact": load_weights("compact", depth=3)}
+    return networks | ({"vgg19": load_weights("vgg19", VGG19)} if VGG19.is_file() else {})
+
+
+def wanted(key: Name, options: Options, settings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """What is to be on the page of an object."""
+    names = options.paintings or ((*SHIPPED, *DRAWN) if options.all else ("night",))
+    more = " ".join(f"{name}={value}" for name, value in settings.items())
+    for painting in names:
+        for seed in options.seeds:
+            values = (key, painting, options.quality, seed, more)
+            yield dict(zip(KEYS, values, strict=True))
+
+
+def opened(key: Name, options: Options) -> Subject:
+    """An object of a test scene, which is made if it has to be."""
+    scene = find_scene(OBJECTS[key].scene, options.scenes)
+    picked = find_object(scene, OBJECTS[key].name)
+    training, held_out = scene.working_views()
+    sights = find_sights(scene.splats, held_out or training, picked, options.views)
+    capture = photos_of(scene)
+    return Subject(key, scene, picked, sights, capture, find_outlines(key, scene, capture))
+
+
+def painted(
+    subject: Subject,
+    cell: Mapping[str, Any],
+    options: Options,
+    settings: Mapping[str, Any],
+    networks: Networks,
+) -> dict[str, Any]:
+    """Paint an object, keep its crops, and judge them."""
+    file = find_painting(cell["painting"], options.output / "paintings")
+    style = ss.Style(file, quality=options.quality, seed=cell["seed"], **settings)
+    start, processor = time.perf_counter(), processor_seconds()
+    after = ss.stylize(subject.scene, {subject.name: style})
+    spent = {
+        "s": after.metrics["seconds"],
+        "call s": time.perf_counter() - start,
+        "CPU s": processor_seconds() - processor,
+    }
+    before, picture = subject.scene.splats, read_style(file)
+    images = [sight.shows(after.splats) for sight in subject.sights]
+    write_image(strip(images), options.output / "crops" / f"{_slug(cell)}.png")
+    training, held_out = subject.scene.working_views()
+    rest = (images, picture, held_out or training, networks)
+    figures = judge(before, after.splats, subject.picked, subject.sights, *rest)
+    if subject.outlines is not None:
+        figures |= outline_figures(before, after.splats, *subject.outlines)
+    place = options.output / "crops" / f"{_slug(cell)}_stain.png"
+    place.unlink(missing_ok=True)
+    figures |= stain(subject, after, place)
+    if options.target_steps:
+        figures |= way(subject, cell["painting"], images, picture, options, networks)
+    return {"commit": commit(), "machine": machine(), "figures": figures | spent}
+
+
+def stain(subject: Subject, after: Scene, place: Path) -> Figures:
+    """How large the largest stain is; where there is one, its view before and after is kept."""
+    if subject.capture is None:
+        return {}
+    before = subject.scene
+    device = before.splats.device
+    found = largest_stain(before, after, [subject.name], subject.capture, device)
+    if "stain_view" in found:
+        cameras = before.cameras.downscale(before.downscale)
+        camera = cameras[cameras.index(str(found["stain_view"]))]
+        pair = [render(each.splats, camera)[0].clamp(0, 1) for each in (before, after)]
+        write_image(strip(pair), place)
+    return {"stain px": int(found["stain_pixels"])} if found else {}
+
+
+def way(
+    subject: Subject,
+    painting: str,
+    images: Sequence[Tensor],
+    picture: Tensor,
+    options: Options,
+    networks: Networks,
+) -> Figures:
+    """The share of the way from before to the best pixels that is done, at each size."""
+    network = list(networks.values())[-1]
+    rows = evenly(range(len(subject.sights)), options.target_views)
+    sights = [subject.sights[row] for row in rows]
+    best = targets(subject, painting, sights, picture, options, networks)
     found = {}
-    if "fox" in options.scenes:
-        found["fox"] = trained_scene("fox", downscale=1, gaussians=100_000)
-    if "desk" in options.scenes:
-        found["desk"] = trained_scene("desk", downscale=2, gaussians=80_000)
-    if "demo" in options.scenes and options.demo:
-        found["demo"] = options.demo / "scene"
+    for size, share in SIZES.items():
+        before, after, there = (
+            mean(nnfm_of_views(sights, shown, picture, network, share))
+            for shown in ([s.before for s in sights], [images[row] for row in rows], best)
+        )
+        found[f"way {size}"] = (before - after) / (before - there)
     return found
 
 
-def compared(
-    folder: Path, painting: Path, options: Options
-) -> tuple[dict[str, list[Tensor]], Numbers]:
-    """Pictures of what was done, one per view, and the numbers."""
-    scene = ss.open(folder)
-    training, held_out = scene.working_views()
-    picked = pick(scene.splats, object_id=1)
-    studio = open_studio(scene.splats, held_out or training, style_network())
-    job = StyleJob(folder.name, picked, (read_style(painting),), PRESETS["default"])
-    case = seen(studio, job, options.views)
-    done = {"before": scene.splats}
-    done["ours"] = paint(scene.splats, training, picked, job.styles[0], config=job.config)
-    if options.own:
-        own = replace(job.config, canvas="own")
-        done["own"] = paint(scene.splats, training, picked, job.styles[0], config=own)
-    if options.paper_steps:
-        paper = replace(PRESETS["paper"], steps=options.paper_steps)
-        done["paper"] = paint(
-            scene.splats, training, picked, job.styles[0], config=paper, network=studio.network
-        )
-    pictures = {
-        what: [rasterize(splats, s.camera)[0][0].clamp(0, 1) for s in case.sights]
-        for what, splats in done.items()
-    }
-    pictures["best"] = best(case, options.target_steps)
-    return pictures, measured(case, pictures, done)
+def targets(
+    subject: Subject,
+    painting: str,
+    sights: Sequence[Sight],
+    picture: Tensor,
+    options: Options,
+    networks: Networks,
+) -> list[Tensor]:
+    """The best pixels of some views, which are kept beside the scenes: they cost minutes."""
+    name, network = list(networks.items())[-1]
+    found = []
+    for number, sight in enumerate(sights):
+        stem = f"{subject.key}_{Path(painting).stem}_{name}_{options.target_steps}_{number}"
+        path = OUT / "targets" / f"{stem}.npy"
+        if not path.is_file():
+            sizes = [(z, painting_features(sights, picture, network, z)) for z in TARGET_SIZES]
+            palette = resized(picture, min(1.0, 200 / max(picture.shape[:2]))).reshape(-1, 3)
+            pixels = target_2d(sight, palette, sizes, network, options.target_steps)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.save(path, pixels.half().numpy())
+        found.append(torch.from_numpy(np.load(path)).float())
+    return found
 
 
-def seen(studio: Studio, job: StyleJob, count: int) -> Case:
-    """The object in some of the studio's views."""
-    boxes = find_boxes(studio.splats, studio.cameras, job.picked)
-    length = typical_length(boxes)
-    views = evenly(object_views(studio, job, boxes, SIZES["full"]), count)
-    sights = [
-        Sight(
-            view.camera,
-            coverage(studio.splats, view.camera, job.picked).clamp(0, 1)[..., None],
-            rasterize(studio.splats, view.camera)[0][0].clamp(0, 1),
-        )
-        for view in views
-    ]
-    return Case(studio, job, length, sights)
-
-
-def best(case: Case, steps: int) -> list[Tensor]:
-    """The views painted pixel by pixel."""
-    studio, palette = case.studio, case.palette()
-    rest = {"original": studio.splats, "config": case.job.config, "near": near_palette(palette)}
-    network = studio.network.to(studio.splats.device, studio.precision)
-    objectives = []
-    for size in SIZES.values():
-        styles = [build_index(each, studio.precision) for each in case.targets(size)]
-        objectives.append((size, Objective(network=network, styles=styles, **rest)))
-    return [target_2d(sight, palette, objectives, steps) for sight in case.sights]
-
-
-def measured(
-    case: Case, pictures: Mapping[str, list[Tensor]], done: Mapping[str, Splats]
-) -> dict[str, dict[str, float]]:
-    """The rows of the table."""
-    studio, numbers = case.studio, {what: {} for what in pictures}
-    masks = [sight.share[..., 0] > COVERED for sight in case.sights]
-    layers = case.job.config.layers
-    for size, share in SIZES.items():
-        targets = case.targets(share)
-        cells = [studio.network.cells(block) for block in layers]
-        for what, images in pictures.items():
-            canvases = [
-                canvas(s, image, share, cells) for s, image in zip(case.sights, images, strict=True)
-            ]
-            with torch.no_grad():
-                losses = [
-                    view_loss(c.render(studio.splats), c, targets, studio.network, layers)
-                    for c in canvases
-                ]
-            numbers[what][size] = mean(map(float, losses))
-        before, there = (numbers[what][size] for what in ("before", "best"))
-        for row in numbers.values():
-            row[f"way {size}"] = (before - row[size]) / (before - there)
-    detail = {what: details(images, masks) for what, images in pictures.items()}
-    for what, images in pictures.items():
-        pixels = torch.cat([i[mask] for i, mask in zip(images, masks, strict=True)])
-        for octave, (have, wanted) in enumerate(zip(detail[what], detail["best"], strict=True)):
-            numbers[what][f"{2**octave} px"] = have / wanted
-        numbers[what]["palette"] = palette_distance(pixels, case.palette())
-        numbers[what]["off %"] = 100 * off_palette(pixels, case.palette())
-        numbers[what] |= in_space(case, done.get(what))
-    return numbers
-
-
-def details(images: list[Tensor], masks: list[Tensor]) -> list[float]:
-    """What each octave adds, on average over views."""
-    found = [octaves(image, mask) for image, mask in zip(images, masks, strict=True)]
-    return [mean(each) for each in zip(*found, strict=True)]
-
-
-def in_space(case: Case, splats: Splats | None) -> dict[str, float]:
-    """Whether views agree, and what changed around; of a single picture that cannot be said."""
-    names = {"short_range_rmse": "near", "long_range_rmse": "far", "rim_error": "rim"}
-    if splats is None:
-        return dict.fromkeys(names.values(), math.nan)
-    base, views = case.studio.splats, case.studio.cameras
-    found = view_consistency(base, splats, views, case.job.picked)
-    found |= changes(base, splats, views[evenly(range(len(views)), 4)], case.job.picked)
-    return {short: found.get(name, math.nan) for name, short in names.items()}
-
-
-def digits(value: float) -> str:
-    """What is not known is left empty."""
-    return "" if math.isnan(value) else f"{value:.3g}"
-
-
-def figures(images: tuple[Tensor, ...]) -> str:
-    """Pictures of a view beside each other, their bytes within."""
-    row = []
+def strip(images: Sequence[Tensor]) -> Tensor:
+    """Pictures beside each other, as bytes."""
+    height = max(len(image) for image in images)
+    parts = []
     for image in images:
-        pixels = cv2.cvtColor(to_uint8(image).numpy(), cv2.COLOR_RGB2BGR)
-        data = b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
-        row.append(f'<figure><img src="data:image/png;base64,{data}"></figure>')
-    return f'<div class="row">{"".join(row)}</div>'
+        part = torch.full((height, image.shape[1] + GAP, 3), PAGE)
+        part[: len(image), : image.shape[1]] = image
+        parts.append(part)
+    return to_uint8(torch.cat(parts, dim=1))
 
 
-def write_page(parts: list[str]) -> None:
-    """Write what there is so far."""
-    path = OUT / "looks" / "index.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(parts), encoding="utf-8")
-    print(path, flush=True)
+def commit() -> str:
+    """What of the program this is."""
+    command = ["git", "describe", "--always", "--dirty"]
+    found = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True)
+    return found.stdout.strip()
+
+
+def write_page(folder: Path) -> None:
+    """Write the page and the table of all that the folder has."""
+    files = sorted((folder / "cells").glob("*.json"))
+    cells = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+    order = {key: number for number, key in enumerate(OBJECTS)}
+    cells.sort(key=lambda cell: (order.get(cell["object"], len(order)), *map(str, _key(cell))))
+    heads, rows = columns(cells)
+    (folder / "table.md").write_text(table(heads, rows) + "\n", encoding="utf-8")
+    parts = [HEAD, _html_table(heads, rows)]
+    for key in dict.fromkeys(cell["object"] for cell in cells):
+        parts.append(
+            f'<h2>{escape(key)}</h2><div class="row">{_image(f"crops/{key}_before.png")}</div>'
+        )
+        for cell in cells:
+            if cell["object"] == key:
+                parts += [*_cell_parts(folder, cell)]
+    (folder / "index.html").write_text("\n".join(parts), encoding="utf-8")
+
+
+def columns(cells: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """The table's heads and rows, without what no cell says; the last row has the means."""
+    keys = [k for k in KEYS if k in KEYS[:2] or len({cell[k] for cell in cells}) > 1]
+    names = [n for n in COLUMNS if any(n in cell["figures"] for cell in cells)]
+    rows = [
+        [*(str(cell[k]) for k in keys), *(digits(cell["figures"].get(n)) for n in names)]
+        for cell in cells
+    ]
+    if len(cells) > 1:
+        known = [[c["figures"][n] for c in cells if n in c["figures"]] for n in names]
+        rows.append(["mean", *[""] * (len(keys) - 1), *(digits(mean(each)) for each in known)])
+    return [*keys, *names], rows
+
+
+def digits(value: float | None) -> str:
+    """Three digits; what is not known is left empty."""
+    return "" if value is None else f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+
+
+def _cell_parts(folder: Path, cell: Mapping[str, Any]) -> Iterator[str]:
+    """What the page says of one painted object."""
+    heads, rows = columns([cell])
+    yield f"<h3>{escape(_title(cell))}</h3>{_html_table(heads[2:], [row[2:] for row in rows])}"
+    yield f"<p>{escape(cell['commit'])}; {escape(cell['machine'])}</p>"
+    yield f'<div class="row">{_image(_thumbnail(folder, cell["painting"]))}</div>'
+    yield f'<div class="row">{_image(f"crops/{_slug(cell)}.png")}</div>'
+    place = f"crops/{_slug(cell)}_stain.png"
+    if (folder / place).is_file():
+        yield f'<p>The view with the largest stain:</p><div class="row">{_image(place)}</div>'
+
+
+def _thumbnail(folder: Path, painting: str) -> str:
+    """The place in the folder of a small picture of a painting."""
+    place = f"paintings/{Path(painting).stem}_small.png"
+    if not (folder / place).is_file():
+        picture = read_style(find_painting(painting, folder / "paintings"))
+        small = resized(picture, min(1.0, THUMBNAIL / max(picture.shape[:2])))
+        write_image(to_uint8(small), folder / place)
+    return place
+
+
+def _image(place: str) -> str:
+    return f'<img loading="lazy" src="{quote(place)}">'
+
+
+def _html_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
+    lines += ["".join(f"<td>{escape(value)}</td>" for value in row) for row in rows]
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+
+
+def _key(cell: Mapping[str, Any]) -> list[Any]:
+    return [cell[key] for key in KEYS]
+
+
+def _title(cell: Mapping[str, Any]) -> str:
+    return f"{cell['object']}, {cell['painting']}, {cell['quality']}, seed {cell['seed']}" + (
+        f", {cell['settings']}" if cell["settings"] else ""
+    )
+
+
+def _slug(cell: Mapping[str, Any]) -> str:
+    """A file's name that tells the cell from others."""
+    words = [Path(cell["painting"]).stem if k == "painting" else str(cell[k]) for k in KEYS]
+    return re.sub(r"[^\w.-]+", "-", "_".join(filter(None, words)))
+
+
+def _file(options: Options, cell: Mapping[str, Any]) -> Path:
+    return options.output / "cells" / f"{_slug(cell)}.json"
 
 
 if __name__ == "__main__":

@@ -17,12 +17,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mean
 
-import cv2
-import numpy as np
-import torch
 import tyro
 from bench import DATA, STYLES, machine, table, trained_scene
 from fox_outlines import FOX, outline_mask
+from judge import distances, spill_and_missed
 from torch import Tensor
 
 import stylesplat as ss
@@ -37,8 +35,6 @@ from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.stylization.style_images import read_style
 from stylesplat.stylization.style_job import StyleJob
 
-CHANGED = 0.05
-UNCHANGED = 0.02
 RIM = 6.0  # pixels
 DEMO_REACH, FOX_REACH = 2.0, 6.0  # pixels: exact label maps, outlines by hand
 SOME = 6  # training views of the demo
@@ -72,12 +68,8 @@ class View:
 
 def measure(before: Tensor, after: Tensor, view: View, reach: float) -> list[float]:
     """Spill, missed, and how many decibels the two rims lose."""
-    difference = (after - before).abs().amax(dim=-1)
-    outside, deep = _distances(~view.inside), _distances(view.inside) > reach
-    found = [
-        float(((outside > reach) & (difference > CHANGED)).sum() / view.inside.sum()),
-        float((deep & (difference <= UNCHANGED)).sum() / deep.sum()),
-    ]
+    found = [*spill_and_missed(before, after, view.inside, reach)]
+    outside = distances(~view.inside)
     if view.photo is None:
         return found
     for low in (reach, 0.0):
@@ -85,12 +77,6 @@ def measure(before: Tensor, after: Tensor, view: View, reach: float) -> list[flo
         pair = (decibels((image - view.photo)[rim].square().mean()) for image in (before, after))
         found.append(float(next(pair) - next(pair)))
     return found
-
-
-def _distances(mask: Tensor) -> Tensor:
-    """How far each pixel of a mask lies from the others."""
-    found = cv2.distanceTransform(mask.numpy().astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return torch.from_numpy(found)
 
 
 def painted(scene: Scene, names: Sequence[str], style: Path, config: StyleConfig) -> ss.Splats:

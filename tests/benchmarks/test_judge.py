@@ -1,0 +1,98 @@
+"""The figures of `benchmarks/looks.py`, on pictures for which they are known."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from judge import (
+    Sight,
+    features_kept,
+    nnfm_of_views,
+    own_features,
+    painting_features,
+    spill_and_missed,
+)
+from target_2d import target_2d
+
+from balls import CAMERAS
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.weights import load_weights
+
+SIZE = 96
+SHARE = torch.zeros(SIZE, SIZE)
+SHARE[8:-8, 8:-8] = 1
+BEFORE = torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(0))
+SIGHT = Sight(CAMERAS[0], (slice(0, SIZE), slice(0, SIZE)), BEFORE, SHARE, 80)
+YS, XS = torch.meshgrid(torch.arange(160), torch.arange(160), indexing="ij")
+PALETTE = torch.tensor([[0.9, 0.8, 0.1], [0.1, 0.1, 0.6], [0.8, 0.2, 0.1]])
+STRIPES = PALETTE[(XS + 2 * YS) // 9 % 3]  # of the size at which it is compared: 2 x 80
+
+
+@pytest.fixture(scope="module")
+def compact() -> FeatureNetwork:
+    return load_weights("compact", depth=3)
+
+
+def kept(image: torch.Tensor) -> tuple[float, float]:
+    return features_kept([SIGHT], [image])
+
+
+def test_features_are_kept_in_other_colours_and_lost_in_other_shapes():
+    grey = 0.2 + 0.5 * BEFORE.mean(dim=-1, keepdim=True).expand(-1, -1, 3)
+    assert kept(BEFORE) == pytest.approx((1, 1), abs=0.01)
+    assert kept(0.1 + 0.3 * BEFORE) == pytest.approx((1, 1), abs=0.02)
+    assert min(kept(grey)) > 0.7  # luminance weighs green more
+    assert max(map(abs, kept(BEFORE.flip(0)))) < 0.2
+    assert kept(torch.full_like(BEFORE, 0.5)) == pytest.approx((0, 0), abs=0.01)
+
+
+def test_what_is_beside_the_object_keeps_no_features():
+    other = torch.where(SHARE[..., None] > 0, BEFORE, torch.ones(3))
+    assert kept(other) == pytest.approx((1, 1), abs=0.01)
+
+
+def test_what_has_most_contrast_does_not_speak_for_all_places():
+    before = 0.5 + 0.05 * (BEFORE - 0.5)
+    before[:, 48:] += (XS[:SIZE, 48:SIZE, None] // 6 % 2) * 0.4
+    after = before.clone()
+    after[:, :46] = before[:, :46].flip(0)
+    sight = replace(SIGHT, before=before)
+    whole, local = features_kept([sight], [after])
+    assert whole > 0.95
+    assert local < whole - 0.02
+
+
+def test_paint_beside_an_outline_is_spill_and_bare_places_are_missed():
+    inside = SHARE > 0
+    after = torch.where(inside[..., None], 1 - BEFORE, BEFORE)
+    assert spill_and_missed(BEFORE, after, inside, 2.0) == (0, pytest.approx(0, abs=0.01))
+    after[:, :4] = 1 - BEFORE[:, :4]  # 4 to 8 pixels beside
+    after[20:40, 20:40] = BEFORE[20:40, 20:40]
+    spill, missed = spill_and_missed(BEFORE, after, inside, 2.0)
+    assert spill == pytest.approx(4 * SIZE / 80**2, rel=0.1)
+    assert missed == pytest.approx(400 / 76**2, rel=0.1)
+
+
+def test_a_cut_out_of_the_painting_is_near_to_it(compact: FeatureNetwork):
+    cut = STRIPES[:SIZE, :SIZE]
+    for size in (1.0, 0.5):
+        (own,) = nnfm_of_views([SIGHT], [cut], STRIPES, compact, size)
+        (noise,) = nnfm_of_views([SIGHT], [BEFORE], STRIPES, compact, size)
+        assert own < 0.3 * noise
+
+
+def test_features_are_those_of_the_object_alone(compact: FeatureNetwork):
+    full, half = (own_features(SIGHT, BEFORE, compact, size) for size in (1.0, 0.5))
+    assert len(full) == pytest.approx(4 * len(half), rel=0.2)
+    assert len(full) < (SIZE / compact.cells(3).stride) ** 2
+
+
+def test_free_pixels_come_closer_and_leave_the_rest(compact: FeatureNetwork):
+    targets = [(1.0, painting_features([SIGHT], STRIPES, compact, 1.0))]
+    found = target_2d(SIGHT, STRIPES.reshape(-1, 3), targets, compact, 30)
+    assert torch.equal(found[SHARE == 0], BEFORE[SHARE == 0])
+    before, after = (
+        nnfm_of_views([SIGHT], [image], STRIPES, compact, 1.0)[0] for image in (BEFORE, found)
+    )
+    assert after < 0.8 * before
+    assert found[SHARE > 0].mean(dim=0) == pytest.approx(STRIPES.mean(dim=(0, 1)), abs=0.1)
