@@ -14,6 +14,7 @@ from stylesplat.cli.posed import earlier_capture, is_under_way, place_of, posed,
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
+from stylesplat.verbs.load import load
 from stylesplat.verbs.sfm import digest_of
 from tiny_captures import save_noise, write_capture
 
@@ -114,6 +115,33 @@ def test_a_damaged_record(photos: Path):
     (place / "sfm.json").write_text('{"source": 3}')
     with pytest.raises(StyleSplatError, match=r"Cannot read .*sfm\.json"):
         earlier_capture(photos, beside=photos)
+
+
+@pytest.mark.parametrize(
+    ("box", "facts"),
+    [
+        ("dozer=lost.png:1,2,30,40", ("'lost.png'", "0.png, 1.png, 2.png")),
+        ("dozer=1.png:1,2,3000,40", ("3000", "1.png", "pixels")),
+    ],
+)
+def test_boxes_in_no_photo_are_refused_before_poses_are_found(
+    box: str, facts: tuple[str, ...], photos: Path, capsys: pytest.CaptureFixture[str]
+):
+    line = complaint(capsys, "mask", photos, "--box", box)
+    assert all(fact in line for fact in facts) and ".jpg" not in line
+    assert [path.name for path in photos.parent.iterdir()] == [photos.name], "nothing was begun"
+
+
+def test_photos_are_named_as_the_user_has_them(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    place = write_record(write_capture(place_of(photos, beside=photos)), photos)
+    record = read_sfm(place)
+    assert record is not None
+    record.origins = {name: f"own {name}.png" for name in load(place).cameras.names}
+    write_sfm(record, place)
+    line = complaint(capsys, "mask", photos, "--box", "dozer=lost.png:1,2,30,40")
+    assert "Views: own " in line
 
 
 def test_an_interrupted_run_is_known_by_its_folder(photos: Path):

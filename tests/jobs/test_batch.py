@@ -123,13 +123,18 @@ def test_a_killed_job_costs_one_job(begun, scene: Path):
 
 
 def test_masks_are_made_on_a_copy(capture: Path, tmp_path: Path, capsys):
-    """The photos' own folder stays as it is."""
+    """The photos' own folder stays as it is, also if another program edits the copy in place."""
     maps = (capture / "object_mask").rename(tmp_path / "maps")
     path = tmp_path / "jobs.yaml"
     path.write_text(f"scenes: {{balls: {capture}}}\njobs: [{{mask: {{from: {maps}}}}}]\n")
     before = {p: p.stat().st_mtime_ns for p in capture.rglob("*")}
+    photos = {p.relative_to(capture): p.read_bytes() for p in capture.rglob("*.jpg")}
     found = result(capsys, "batch", path, "-o", tmp_path / "out")
     assert [each["status"] for each in found["jobs"]] == ["done"], found
     assert {p: p.stat().st_mtime_ns for p in capture.rglob("*")} == before
     made = tmp_path / "out" / "balls-mask"
     assert (made / "object_mask" / "0001.png").is_file() and (made / "transforms.json").is_file()
+    for name, photo in photos.items():
+        assert (made / name).read_bytes() == photo
+        (made / name).write_bytes(b"edited")
+        assert (capture / name).read_bytes() == photo

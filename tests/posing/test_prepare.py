@@ -25,7 +25,10 @@ def test_plain_photos_are_taken_as_they_are(tmp_path: Path):
     assert prepared.origins == {name: name for name in prepared.names}
     assert all(0.5 < sharp < 2 for sharp in prepared.sharpness.values())
     for name in prepared.names:
-        assert (tmp_path / "out" / name).read_bytes() == (source / name).read_bytes()
+        copy, photo = tmp_path / "out" / name, (source / name).read_bytes()
+        assert copy.read_bytes() == photo
+        copy.write_bytes(b"edited in place")
+        assert (source / name).read_bytes() == photo
 
 
 def test_rotated_photos_become_upright_and_keep_their_focal_length(tmp_path: Path):

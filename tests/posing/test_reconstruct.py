@@ -22,10 +22,12 @@ from small_files import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.likeness import alike
+from stylesplat.posing.match_table import MatchTable
 from stylesplat.posing.pairs import most_alike
 from stylesplat.posing.reconstruct import Reconstruction, reconstruct
 from stylesplat.posing.sfm_config import SfmConfig
 from stylesplat.posing.undistort import write_colmap
+from stylesplat.posing.unregistered import why_unregistered
 from stylesplat.posing.workplace import open_workplace
 from stylesplat.progress import Silence, observed
 
@@ -110,6 +112,20 @@ def test_photos_without_a_pose_are_told_apart(result: Reconstruction):
     assert reasons[BLANK] == "too little texture: 0 features"
     assert reasons[OTHER] == "too far from the others: it matches none of them"
     assert reasons[BLURRED] == "blurred: 20% as sharp as its neighbours"
+
+
+@pytest.mark.parametrize(
+    ("shared", "reason"),
+    [(12, "shares more than 12 features with it, 30 are needed"), (852, "no camera position fits")],
+)
+def test_shared_features_without_a_pose(shared: int, reason: str, result: Reconstruction, prepared):
+    """More of them than a pose needs are no reason, so that something else is."""
+    posed = prepared.names[0]
+    matches = {("new.jpg", posed): shared, (posed, "new.jpg"): shared}
+    reasons = why_unregistered(
+        [result.model], {"new.jpg": 1000}, {}, MatchTable(COUNT, matches, 0), [posed, "new.jpg"]
+    )
+    assert reasons.keys() == {"new.jpg"} and reason in reasons["new.jpg"]
 
 
 def test_the_capture_is_one_of_pinhole_photos(result: Reconstruction, photos: Path, tmp_path: Path):
@@ -215,6 +231,7 @@ import stylesplat
 from stylesplat.progress import Silence, listen
 from stylesplat.posing.prepared import Prepared
 from stylesplat.posing.likeness import alike
+from stylesplat.posing.match_table import MatchTable
 from stylesplat.posing.pairs import most_alike
 from stylesplat.posing.reconstruct import reconstruct
 from stylesplat.posing.sfm_config import SfmConfig

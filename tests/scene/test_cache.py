@@ -1,6 +1,9 @@
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from threading import Barrier, BrokenBarrierError
 from typing import NamedTuple
 
 import pytest
@@ -89,6 +92,20 @@ def test_items_may_be_made_of_other_items():
 
     cache.get("half", half)
     assert cache.used == 15
+
+
+def test_threads_that_ask_for_the_same_item_share_it():
+    cache: Cache[int] = Cache(100)
+    both = Barrier(2)
+
+    def make() -> tuple[torch.Tensor]:
+        with suppress(BrokenBarrierError):  # one thread alone may make it
+            both.wait(timeout=1)
+        return item(10)
+
+    with ThreadPoolExecutor(2) as pool:
+        one, other = pool.map(lambda _: cache.get(0, make)[0], range(2))
+    assert one is other and cache.used == 10
 
 
 class Pair(NamedTuple):

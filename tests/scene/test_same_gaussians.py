@@ -70,6 +70,13 @@ def test_formats_that_round(suffix: str, tmp_path: Path):
         assert len(match.parts) == 1
 
 
+def test_many_copies_at_one_place(tmp_path: Path):
+    copies = KNOWN[torch.cat([torch.arange(600), torch.full((40,), 7)])]
+    write_splats(copies, tmp_path / "a.glb")
+    rows = match_gaussians(read_splats(tmp_path / "a.glb"), copies).rows
+    assert torch.equal(rows.sort().values, torch.arange(640))
+
+
 def test_another_splat_has_none_of_them():
     other = replace(random_splats(300, seed=5), identities=None)
     assert not match_gaussians(other, KNOWN).parts

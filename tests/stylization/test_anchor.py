@@ -40,6 +40,13 @@ def test_what_was_there_is_remembered_by_view(view: ObjectView):
     assert len(anchor.known) == 2
 
 
+def test_what_does_not_fit_is_not_remembered(view: ObjectView):
+    image = view.render(SPLATS) + 0.1
+    without, free = Anchor(SPLATS, room=0.0), Anchor(SPLATS)
+    assert without.distance(view, image) == free.distance(view, image)
+    assert not without.known and len(free.known) == 1
+
+
 def test_parts_from_one_corner_on_are_told_apart(view: ObjectView):
     """As windows at a photo's border are, of which one may be smaller."""
     anchor, (width, height) = Anchor(SPLATS), view.camera.size

@@ -73,6 +73,14 @@ def test_content_compares_with_the_highlights_that_were_there(
         assert free.total > free.style + 1e-4
 
 
+def test_features_that_do_not_fit_are_not_remembered(objective: Objective, views: list[ObjectView]):
+    content = replace(objective, config=replace(CONFIG, content=1.0), wanted={})
+    without, styled = replace(content, room=0.0, wanted={}), replace(SCENE, sh0=-SCENE.sh0)
+    for view in views:
+        assert without(view, styled).total == content(view, styled).total
+    assert not without.wanted and len(content.wanted) == len(views)
+
+
 def test_smoothness_lowers_the_variation(objective: Objective, views: list[ObjectView]):
     def variation(sh0: torch.Tensor) -> float:
         styled = replace(SCENE, sh0=sh0)

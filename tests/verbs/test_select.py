@@ -119,9 +119,9 @@ def test_several_shapes_are_united():
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ({"point": (1.0, 2.0)}, r"Cannot select by point=\(1.0, 2.0\)\. Give the name of a view"),
+        ({"point": (1.0, 2.0)}, r"Cannot use point=\(1.0, 2.0\)\. Give the name of a view"),
         ({"point": [(VIEW, 1.0)]}, "a view and 2 numbers"),
-        ({"not_point": (VIEW, 1, 2, 3)}, "Cannot select by not_point="),
+        ({"not_point": (VIEW, 1, 2, 3)}, "Cannot use not_point="),
         ({"box": (VIEW, 1, 2, 3)}, "a view and 4 numbers"),
         ({"sphere": (1.0, 2.0, 3.0)}, "Cannot select by sphere="),
         ({"sphere": [(1.0, 2.0, 3.0, 4.0), (1.0,)]}, r"Cannot select by sphere=\(1.0,\)"),
@@ -276,3 +276,18 @@ def test_names_that_can_be_kept_come_back(name: str, tmp_path: Path):
     scene_folder.save(select(SCENE, name, id=3), tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")
     assert torch.equal(picked(found, name), pick(SPLATS, object_id=3))
+
+
+@pytest.mark.parametrize(
+    ("place", "fact"),
+    [
+        ({"point": ("lost.jpg", 1, 2)}, "lost.jpg"),
+        ({"not_point": ("lost.jpg", 1, 2)}, "lost.jpg"),
+        ({"box": (VIEW, 0, 0, 9999, 9)}, "9999"),
+    ],
+)
+def test_places_are_checked_before_a_model_is_loaded(
+    place: dict[str, Any], fact: str, tmp_path: Path
+):
+    with pytest.raises(StyleSplatError, match=fact):
+        select(SCENE, "it", text="owl", model=str(tmp_path / "no model"), **place)

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 import stylesplat as ss
-from corner_photos import corner, places_around, write_photos
+from corner_photos import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.posing.frame import working_frame
 from stylesplat.progress import Silence, Task, observed
@@ -88,6 +88,26 @@ class InterruptedAt(Silence):
         if what == self.stage:
             raise KeyboardInterrupt
         yield self
+
+
+class Lines(Silence):
+    """Keeps what is said."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def test_each_photo_without_a_pose_is_named_once(tmp_path: Path):
+    elsewhere = photograph_corner(towards(places_around(COUNT))[3], seed=9)
+    write_photos(tmp_path / "photos", corner(COUNT) | {"elsewhere.jpg": elsewhere})
+    with observed(lines := Lines()):
+        ss.sfm(tmp_path / "photos", tmp_path / "capture")
+    (line,) = [line for line in lines.lines if "elsewhere.jpg" in line]
+    assert line.startswith("Not posed: ")
+    assert any(line.startswith("Take more photos between") for line in lines.lines)
 
 
 def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path):

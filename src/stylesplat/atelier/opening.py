@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.atelier.easel import Easel
 from stylesplat.atelier.gallery import MOST_BYTES, Gallery, too_large
 from stylesplat.atelier.keeping import Place
@@ -92,6 +93,7 @@ class Studio:
             return False
 
 
+@check_arguments
 def studio(
     scene: Scene | Path | str,
     *,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.cli.options import CONTINUES, Json, Output, Verbose
 from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError, some
@@ -56,6 +57,7 @@ class Batch:
         yield f"Page: {result['page']}"
 
 
+@check_arguments
 def batch(
     jobs: Path | str, output: Path | str, *, workers: int = 1, ray: str | None = None
 ) -> "Done":

@@ -65,8 +65,8 @@ class Mask:
     """What another program made: a folder with pictures of ids named like the photos (DEVA,
     Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
     box: UseAppendAction[tuple[str, ...]] = ()
-    """NAME=VIEW:x0,y0,x1,y1 around an object, in photo pixels. May be repeated, for other objects
-    and for other photos of the same; one photo often suffices."""
+    """NAME=VIEW:x0,y0,x1,y1 around an object, in pixels of the photo itself, at its full size. May
+    be repeated, for other objects and for other photos of the same; one photo often suffices."""
     stroke: UseAppendAction[tuple[str, ...]] = ()
     """NAME=VIEW:x,y,x,y,... along a line over an object that has a box there, where the cut took
     it for background. May be repeated."""
@@ -109,7 +109,9 @@ class Mask:
             return mask_scene(self, method, self._boxes(None), self._strokes(None))
         refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
         scene = self._scene()
-        folder = posed(self.capture, beside=self.capture)
+        lines = ((view, None) for view, _ in chain(*self._strokes(None).values()))
+        drawn = chain(*self._boxes(None).values(), lines)
+        folder = posed(self.capture, beside=self.capture, drawn=drawn)
         output = folder / OBJECT_MASK
         progress = None if method in REFUSED else partial_of(output)
         refuse_occupied(output, marker="", overwrite=True)  # label maps there are told later
@@ -146,12 +148,15 @@ class Mask:
     ) -> dict[str, Any]:
         from stylesplat.io.captures.label_folder import refuse_label_maps
         from stylesplat.io.captures.sfm_file import read_sfm
+        from stylesplat.scene.cameras import row_called
         from stylesplat.verbs.mask import mask
 
         record = read_sfm(output.parent)
         boxes, strokes = self._boxes(record), self._strokes(record)
+        names = capture.cameras.names
+        own = [record.origins.get(name, name) for name in names] if record else names
         for view, _ in chain(*boxes.values(), *strokes.values()):
-            capture.cameras.index(view)  # which raises, before label maps are said to be there
+            row_called(view, names, told=own)  # raises before label maps are said to be there
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         masked = mask(
             capture,

@@ -1,5 +1,6 @@
 """Photos or a video where a capture is asked for: their poses are found first, once."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,15 +12,22 @@ if TYPE_CHECKING:
 SUFFIX = "-capture"  # what the capture of photos is called after their folder
 
 
-def posed(given: Path, *, beside: Path) -> Path:
+def posed(
+    given: Path, *, beside: Path, drawn: Iterable[tuple[str, Sequence[float] | None]] = ()
+) -> Path:
     """The capture that was given, or that of the photos or the video that were.
 
     A capture that an earlier command made of them is taken, where it lies beside them or beside
     `beside`; else `sfm` makes one beside `beside`.
 
+    Args:
+        given: A capture, photos or a video.
+        beside: Where a capture of photos is made.
+        drawn: Names of photos, and boxes drawn in them: checked before poses are found.
+
     Raises:
-        StyleSplatError: If poses cannot be found, the photos have changed since they were, or the
-            place of the capture is taken.
+        StyleSplatError: If poses cannot be found, what is drawn is in no photo, the photos have
+            changed since their poses were found, or the place of the capture is taken.
     """
     from stylesplat.io.captures.capture_folder import is_posed
     from stylesplat.io.kinds import kind_of, no_capture, refuse_other_than_photos
@@ -48,9 +56,25 @@ def posed(given: Path, *, beside: Path) -> Path:
             f"else. Find them with `stylesplat sfm {given} -o CAPTURE`, and name that in its place."
         )
     check_source(given)
+    _check_drawn(given, drawn)
     say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
     sfm(given, output)
     return output
+
+
+def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]]) -> None:
+    """Raise a StyleSplatError for what is drawn in no photo; frames of a video get names later."""
+    from stylesplat.io.captures.photos import photo_sizes
+    from stylesplat.io.folders import partial_of
+    from stylesplat.posing.photo_folder import find_sources
+    from stylesplat.scene.cameras import row_called
+    from stylesplat.scene.drawn_boxes import check_box
+
+    photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()
+    for view, box in drawn if photos else ():
+        name = photos[row_called(view, photos)]
+        if box is not None:
+            check_box(box, photo_sizes(given / name)[1], name)
 
 
 def place_of(given: Path, *, beside: Path) -> Path:

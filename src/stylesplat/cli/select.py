@@ -51,7 +51,8 @@ class Select:
     id: tuple[int, ...] = ()
     """Label ids, as `objects` lists them, several or one at a time."""
     box: UseAppendAction[tuple[str, ...]] = ()
-    """VIEW:x0,y0,x1,y1 in photo pixels: the object that shows most inside. May be repeated."""
+    """VIEW:x0,y0,x1,y1 in the photo's pixels at full size: the object that shows most inside. May
+    be repeated."""
     point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
     not_point: UseAppendAction[tuple[str, ...]] = ()

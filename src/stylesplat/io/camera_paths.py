@@ -11,6 +11,7 @@ from jaxtyping import Float
 from msgspec import Meta
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import MAX_JSON, fitting, read_json
 from stylesplat.scene.cameras import Cameras
@@ -76,6 +77,7 @@ class CameraPath:
     """Frames a second."""
 
 
+@check_arguments
 def read_camera_path(
     path: Path | str,
     views: Cameras,

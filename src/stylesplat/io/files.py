@@ -4,6 +4,8 @@ import errno
 import hashlib
 import os
 import re
+import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,6 +14,7 @@ from uuid import uuid4
 
 from stylesplat.errors import StyleSplatError, brief
 
+FICLONE = 0x40049409  # of Linux's <linux/fs.h>: a file that shares another's disk blocks
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 ELSEWHERE = " Choose another place."
 REPLACING = "`--overwrite` (in Python overwrite=True)"  # how one says that it may be replaced
@@ -49,6 +52,29 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def copy_file(source: Path | str, target: Path | str) -> None:
+    """Copy the bytes of a file; where the file system can, both share the disk until one changes.
+
+    Raises:
+        OSError: If the source cannot be read or the target not be written.
+    """
+    if not _cloned(Path(source), Path(target)):
+        shutil.copyfile(source, target)
+
+
+def _cloned(source: Path, target: Path) -> bool:
+    if sys.platform != "linux":
+        return False
+    from fcntl import ioctl
+
+    with source.open("rb") as old, target.open("wb") as new:
+        try:
+            ioctl(new.fileno(), FICLONE, old.fileno())
+        except OSError:  # not on ext4, nor between file systems
+            return False
+    return True
 
 
 def inside(folder: Path, name: str) -> Path:

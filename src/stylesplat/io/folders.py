@@ -59,6 +59,7 @@ def revised_directory(path: Path | str) -> Iterator[Path]:
     """A copy of a folder to change, which takes its place if the block succeeds, else vanishes.
 
     Files are linked, not copied, so replace them (as `atomic_path` does) and never write into one.
+    The folder's earlier version is deleted, so no link is left.
 
     Raises:
         StyleSplatError: If the disk is full, the place cannot be written to, or another process
@@ -67,7 +68,7 @@ def revised_directory(path: Path | str) -> Iterator[Path]:
     path = Path(path).resolve()
     with changing(path), _place_for(path) as new:
         ignore = shutil.ignore_patterns(JOURNAL + "*")
-        shutil.copytree(path, new, symlinks=True, ignore=ignore, copy_function=link_file)
+        shutil.copytree(path, new, symlinks=True, ignore=ignore, copy_function=_link)
         yield new
         _put(new, path, whole=True)
 
@@ -125,7 +126,7 @@ def _entries(path: Path) -> Iterator[Path]:
     return (entry for entry in path.iterdir() if not entry.name.startswith(JOURNAL))
 
 
-def link_file(source: str | Path, target: str | Path) -> None:
+def _link(source: str | Path, target: str | Path) -> None:
     """Give a file another name, or copy it where it cannot have one."""
     try:
         os.link(source, target)

@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.cameras_file import read_cameras, write_cameras
 from stylesplat.io.declared import PICKED
@@ -81,6 +82,7 @@ class _Metrics(msgspec.Struct):
     train: dict[str, Any] = {}
 
 
+@check_arguments
 def save(scene: Scene, path: Path | str, *, overwrite: bool = False) -> None:
     """Write a scene, whole or not at all.
 
@@ -112,6 +114,7 @@ def revise(before: Scene, after: Scene, path: Path | str) -> None:
         _write(after, folder, Path(path), before)
 
 
+@check_arguments
 def open(path: Path | str) -> Scene:
     """Read a scene.
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from stylesplat.errors import printable
-from stylesplat.io.folders import PARTIAL, link_file
+from stylesplat.io.files import copy_file
+from stylesplat.io.folders import PARTIAL
 from stylesplat.jobs import end_with_parent
 from stylesplat.jobs.batch_plan import Job
 
@@ -186,10 +187,9 @@ def _environment(threads: int) -> dict[str, str]:
 
 
 def _copy_capture(source: Path, target: Path) -> None:
-    """Give a capture's files another name each, or copies where that cannot be."""
     shutil.rmtree(target, ignore_errors=True)
     aside = shutil.ignore_patterns(".*", f"*{PARTIAL}")
-    shutil.copytree(source, target, ignore=aside, copy_function=link_file)
+    shutil.copytree(source, target, ignore=aside, copy_function=copy_file)
 
 
 def _outcome(log: Path, stdout: Path, status: int, seconds: float, memory: float | None) -> Outcome:

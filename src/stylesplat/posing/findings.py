@@ -69,7 +69,10 @@ def on_posed(posed: int, unposed: Mapping[str, str], left_out: int) -> Finding:
     says = f"{posed} of {counted(total, 'photo')} have a pose"
     says += f", not {some(why)}" if why else ""
     says += f"; {left_out} more were left out" if left_out else ""
-    advice = "Take more photos between these and the others, in small steps, and pose them again."
+    advice = (
+        "Take more photos between those without a pose and the rest, in small steps, and pose "
+        "them again."
+    )
     return _plain("posed", verdict, posed / total, says, advice)
 
 

@@ -1,7 +1,5 @@
 """Photos as structure from motion gets them: upright, in JPEG or PNG, with their focal length."""
 
-import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +8,13 @@ from PIL import Image
 
 from stylesplat.io.captures.decoding import opened
 from stylesplat.io.captures.photos import plain_suffix, read_image
-from stylesplat.io.files import atomic_path
+from stylesplat.io.files import atomic_path, copy_file
 from stylesplat.io.images import QUALITY
 from stylesplat.posing.exif import lens_exif
 
 
 def write_photo(source: Path, target: Path) -> None:
-    """Write a photo as it is if that serves, else decoded and upright as JPEG.
+    """Copy a photo if that serves, else write it decoded and upright as JPEG.
 
     Raises:
         StyleSplatError: If the photo is unreadable, the disk is full or the place cannot be
@@ -24,7 +22,7 @@ def write_photo(source: Path, target: Path) -> None:
     """
     if plain_suffix(source):
         with atomic_path(target) as temporary:
-            _link(source.resolve(), temporary)
+            copy_file(source, temporary)
         return
     pixels, profile = read_image(source).numpy(), color_profile(source)
     write_jpeg(pixels, target, exif=lens_exif(source), icc_profile=profile)
@@ -56,13 +54,3 @@ def write_jpeg(
         Image.fromarray(pixels).save(
             temporary, "JPEG", quality=QUALITY, subsampling=0, exif=exif, icc_profile=icc_profile
         )
-
-
-def _link(source: Path, target: Path) -> None:
-    """Without a copy where the system can do that and the file may be opened to be synced."""
-    try:
-        if not os.access(source, os.W_OK):
-            raise PermissionError
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)

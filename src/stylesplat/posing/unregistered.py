@@ -6,7 +6,9 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.posing.mapper import registered
 from stylesplat.posing.match_table import MatchTable
 from stylesplat.posing.sharpness import SOFT
+from stylesplat.scene.one_line import counted
 
+POINTS = 30  # that a pose needs to fit, COLMAP's abs_pose_min_num_inliers
 FEW_FEATURES = 150  # such a photo is nearly a blank wall; ordinary ones have over a thousand
 
 
@@ -56,4 +58,12 @@ def _place(name: str, groups: Sequence[set[str]], table: MatchTable) -> str:
         return "too far from the others: it matches none of them"
     if not shared:
         return "sees another place than the rest: it matches none of the photos with a pose"
-    return f"too far from the others: it shares {shared} features with the nearest at most"
+    if shared < POINTS:
+        return (
+            "too far from the others: no photo with a pose shares more than "
+            f"{counted(shared, 'feature')} with it, {POINTS} are needed"
+        )
+    return (
+        f"no camera position fits, though it shares {shared} features with a photo that has a "
+        "pose: things that repeat or moved mislead, or the camera only turned"
+    )

@@ -12,8 +12,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import cannot_write, inside
-from stylesplat.io.folders import link_file
+from stylesplat.io.files import cannot_write, copy_file, inside
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.posing.long_calls import FATAL, is_full, run_stage
 from stylesplat.posing.photo_groups import PhotoGroup, group_photos
@@ -43,7 +42,7 @@ class Workplace:
 
     @property
     def photos(self) -> Path:
-        """Links to the photos, or copies."""
+        """Copies of the photos."""
         return self.folder / "numbered"
 
     @property
@@ -154,7 +153,7 @@ def _begin(place: Workplace, photos: Path, basis: dict[str, Any]) -> None:
             shutil.rmtree(place.photos)
         place.photos.mkdir(parents=True)
         for name, file in zip(place.names, place.files, strict=True):
-            link_file(inside(photos, name), place.photos / file)
+            copy_file(inside(photos, name), place.photos / file)
     except OSError as error:
         raise cannot_write(place.folder, error) from error
     groups = [

@@ -3,6 +3,7 @@
 import mmap
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from threading import RLock
 from typing import Generic, TypeVar
 
 import torch
@@ -20,7 +21,7 @@ TIDY_EVERY = 2**26  # bytes kept; the steps' own buffers then have to be mapped 
 class Cache(Generic[Key]):
     """Tuples of tensors by key, as many as fit; what was used longest ago is forgotten first.
 
-    What is kept are copies on the CPU.
+    What is kept are copies on the CPU. Threads may share it.
     """
 
     def __init__(self, budget: int) -> None:
@@ -33,6 +34,7 @@ class Cache(Generic[Key]):
         self._budget = budget
         self._used = 0
         self._since_tidied = 0
+        self._lock = RLock()
 
     @property
     def used(self) -> int:
@@ -41,26 +43,39 @@ class Cache(Generic[Key]):
 
     def get(self, key: Key, make: Callable[[], T]) -> T:
         """What is kept under a key, or what `make` gives, which is then kept."""
-        if key in self._items:
-            self._items.move_to_end(key)
-            return self._items[key]  # pyright: ignore[reportReturnType]
-        item = make()
-        if size_of(item) <= self._budget:
-            item = _apart(item)
+        if (kept := self._recent(key)) is not None:
+            return kept  # pyright: ignore[reportReturnType]
+        item = make()  # without the lock, so that threads decode several at a time
+        if size_of(item) > self._budget:
+            return item
+        item = _apart(item)
+        with self._lock:
+            if (kept := self._recent(key)) is not None:  # of another thread
+                return kept  # pyright: ignore[reportReturnType]
             self._items[key] = item
             self._used += size_of(item)
             self._since_tidied += size_of(item)
-        while self._used > self._budget:
-            self._drop(next(iter(self._items)))
-        if self._since_tidied > TIDY_EVERY:
-            self._since_tidied = 0
+            while self._used > self._budget:
+                self._drop(next(iter(self._items)))
+            tidy = self._since_tidied > TIDY_EVERY
+            if tidy:
+                self._since_tidied = 0
+        if tidy:
             tidy_heap()  # heads of kept tensors lie in what decoding freed: 6 MB a photo are lost
         return item
 
+    def _recent(self, key: Key) -> tuple[Tensor | None, ...] | None:
+        """What is kept under a key, which is now the one used last."""
+        with self._lock:
+            if key in self._items:
+                self._items.move_to_end(key)
+            return self._items.get(key)
+
     def forget(self, unwanted: Callable[[Key], bool]) -> None:
         """Drop the items whose keys are unwanted."""
-        for key in [key for key in self._items if unwanted(key)]:
-            self._drop(key)
+        with self._lock:
+            for key in [key for key in self._items if unwanted(key)]:
+                self._drop(key)
 
     def _drop(self, key: Key) -> None:
         self._used -= size_of(self._items.pop(key))

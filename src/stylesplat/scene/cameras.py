@@ -80,18 +80,7 @@ class Cameras:
         Raises:
             StyleSplatError: If no camera, or more than one, has that name.
         """
-        if name in self.names:
-            return self.names.index(name)
-        stems = [n.rsplit(".", 1)[0] for n in self.names]
-        bare = [stem.rsplit("/", 1)[-1] for stem in stems]
-        for known in (stems, bare):
-            for stem in (name, name.rsplit(".", 1)[0]):
-                if known.count(stem) == 1:
-                    return known.index(stem)
-        raise StyleSplatError(
-            f"No view is called {name!r}. Views: {', '.join(self.names[:8])}"
-            f"{', ...' if len(self) > 8 else '.'}"
-        )
+        return row_called(name, self.names)
 
     def downscale(self, factor: float | int) -> "Cameras":
         """The same cameras for images `factor` times smaller, sizes rounded to whole pixels.
@@ -134,3 +123,29 @@ class Cameras:
     def to(self, device: torch.device | str) -> "Cameras":
         """The same cameras on another device; `sizes` stay on the CPU."""
         return replace(self, viewmats=self.viewmats.to(device), Ks=self.Ks.to(device))
+
+
+def row_called(name: str, names: Sequence[str], *, told: Sequence[str] | None = None) -> int:
+    """The place of a name among those of photos; see `Cameras.index`.
+
+    Args:
+        name: As the user has it.
+        names: What there is.
+        told: What the user calls these, if otherwise, for the message.
+
+    Raises:
+        StyleSplatError: If no photo, or more than one, has that name.
+    """
+    if name in names:
+        return names.index(name)
+    stems = [n.rsplit(".", 1)[0] for n in names]
+    bare = [stem.rsplit("/", 1)[-1] for stem in stems]
+    for known in (stems, bare):
+        for stem in (name, name.rsplit(".", 1)[0]):
+            if known.count(stem) == 1:
+                return known.index(stem)
+    told = names if told is None else told
+    raise StyleSplatError(
+        f"No view is called {name!r}. Views: {', '.join(told[:8])}"
+        f"{', ...' if len(told) > 8 else '.'}"
+    )

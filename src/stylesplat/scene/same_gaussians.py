@@ -118,12 +118,19 @@ def _join(parts: list[Part], new: _Try, found: Splats) -> None:
 
 def _matched(found: Splats, known: Splats, rows: Rows, frame: Frame) -> _Try:
     """Which of those that are free are the same if the scene was moved so."""
-    mine, theirs = np.flatnonzero(rows < 0), _free(rows, len(known))
-    costs, partners = _candidates(found[torch.from_numpy(mine)], known, theirs, frame)
-    chosen = _assigned(costs, partners, len(known))
-    there = chosen >= 0
-    cost = np.where(partners == chosen[:, None], costs, np.inf).min(axis=1)
-    return _Try(frame, mine[there], chosen[there], np.exp(-cost[there]))
+    rows, before, sureness = rows.copy(), rows >= 0, np.zeros(len(rows))
+    while len(mine := np.flatnonzero(rows < 0)) and len(theirs := _free(rows, len(known))):
+        costs, partners = _candidates(found[torch.from_numpy(mine)], known, theirs, frame)
+        chosen = _assigned(costs, partners, len(known))
+        there = chosen >= 0
+        if not there.any():
+            break
+        cost = np.where(partners == chosen[:, None], costs, np.inf).min(axis=1)
+        rows[mine[there]] = chosen[there]
+        sureness[mine[there]] = np.exp(-cost[there])
+        # Again: growth leaves copies at one place, which may be more than CANDIDATES
+    new = np.flatnonzero((rows >= 0) & ~before)
+    return _Try(frame, new, rows[new], sureness[new])
 
 
 def _candidates(

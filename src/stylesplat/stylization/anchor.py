@@ -1,5 +1,6 @@
 """Keeping the large shapes that coarse stages found while fine ones give strokes their edges."""
 
+import math
 from dataclasses import dataclass, field
 
 import torch
@@ -21,13 +22,17 @@ class Anchor:
     """In the colours that it had then."""
     known: dict[ViewKey, Tensor] = field(default_factory=dict)
     """The large shapes of the views seen so far."""
+    room: float = math.inf
+    """Bytes that these may take; what does not fit is computed in every step."""
 
     def distance(self, view: ObjectView, image: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
         """The mean squared change of the object's large shapes in one view."""
         before = self.known.get(view.key)
         if before is None:
             with torch.no_grad():
-                before = self.known[view.key] = _shapes(view.render(self.splats), view)
+                before = _shapes(view.render(self.splats), view)
+            if sum(each.nbytes for each in self.known.values()) + before.nbytes <= self.room:
+                self.known[view.key] = before
         # both hold 0 outside the object
         return (_shapes(image, view) - before).square().sum() * SIDE**2 / view.pixels.sum()
 

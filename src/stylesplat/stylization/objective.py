@@ -1,5 +1,6 @@
 """What an object's colours are optimised for: style, and as much content and calm as wanted."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -7,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stylesplat.scene.cache import size_of
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.anchor import Anchor
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -50,6 +52,8 @@ class Objective:
     """The large shapes to keep; None leaves them free."""
     wanted: dict[ViewKey, list[Tensor]] = field(default_factory=dict)
     """The original's features in the pictures seen so far, for `content`."""
+    room: float = math.inf
+    """Bytes that these may take; what does not fit is computed in every step."""
 
     def __call__(self, view: ObjectView, splats: Splats) -> Losses:
         """The losses of splats in one view."""
@@ -84,7 +88,10 @@ class Objective:
             with torch.no_grad():
                 as_it_was = view.with_fixed_bands(self.original)  # the view may have others
                 image = as_it_was.render(self.original)
-                wanted = self.wanted[key] = self._features(view, image)
+                wanted = self._features(view, image)
+            used = sum(size_of(tuple(each)) for each in self.wanted.values())
+            if used + size_of(tuple(wanted)) <= self.room:
+                self.wanted[key] = wanted
         changes = [
             (own.float() - other.float()).square().mean() / other.float().square().mean()
             for own, other in zip(feats, wanted, strict=True)

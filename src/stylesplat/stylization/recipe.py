@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
@@ -56,6 +57,7 @@ class Base:
     """Where it lies."""
 
 
+@check_arguments
 def read_recipe(
     path: Path | str, *, preset: Preset = "default", defaults: StyleConfig | None = None
 ) -> Recipe:

@@ -32,6 +32,7 @@ STYLE_FEATURES = 4096  # at random, of fine ones, of which there are many
 COLOR_VIEWS = 8  # whose pixels tell an object's colours
 CALM = 0.5  # factor of the rate on a fresh canvas: a pixel shows few discs, and more looks grainy
 FINER_AT = 1  # the stage: Gaussians are fine enough for the one before
+REMEMBERED = 0.25  # of the memory for views, for features to compare with, and for shapes
 
 
 @dataclass(frozen=True)
@@ -238,13 +239,16 @@ def _objective(ground: Ground, aim: Aim, stage: Stage, plain: Splats, current: S
     if fine:
         generator = torch.Generator().manual_seed(config.seed)
         features = [_some(group, generator) for group in features]
+    room = studio.max_memory * REMEMBERED
+    before = mixed_colors(studio.splats, current, ground.shares) if fine else None
     return Objective(
         network=studio.network.to(studio.splats.device, studio.precision),
         styles=[build_index(group, studio.precision) for group in features],
         original=plain,
         config=replace(config, lr=stage.rate * (1.0 if ground.bare is None else CALM) * config.lr),
         near=aim.near,
-        anchor=Anchor(mixed_colors(ground.studio.splats, current, ground.shares)) if fine else None,
+        anchor=None if before is None else Anchor(before, room=room),
+        room=room,
     )
 
 

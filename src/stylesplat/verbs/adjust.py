@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.compose import require_painted, with_strengths, without_layers
 from stylesplat.scene.intensity import check_form, check_intensity
 from stylesplat.scene.scene import Scene
 
 
+@check_arguments
 def adjust(
     scene: Scene,
     intensity: float | None = None,

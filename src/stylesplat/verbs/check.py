@@ -1,7 +1,10 @@
 """`check`: whether photos and poses will make a good scene, and what to do if not."""
 
+from collections.abc import Collection
+
 import torch
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.io.captures.model_figures import ModelFigures, read_figures
 from stylesplat.io.captures.unposed import unposed_photos
 from stylesplat.posing import findings
@@ -14,6 +17,7 @@ from stylesplat.posing.photo_looks import photo_looks
 from stylesplat.scene.capture import Capture
 
 
+@check_arguments
 def check(capture: Capture) -> CaptureReport:
     """Look at a capture: its photos, each once, its poses, points and reconstruction.
 
@@ -49,10 +53,19 @@ def check(capture: Capture) -> CaptureReport:
     )
 
 
-def advices(report: CaptureReport) -> list[str]:
-    """What is not good and what to do about it, a line each, the worst first."""
+def advices(report: CaptureReport, *, known: Collection[str] = ()) -> list[str]:
+    """What is not good and what to do about it, a line each, the worst first.
+
+    Args:
+        report: What `check` found.
+        known: Findings of which the user knows the fact; their lines hold the advice alone.
+    """
     lines = {
-        verdict: [each.line for each in report.findings if each.verdict == verdict]
+        verdict: [
+            each.advice if each.what in known else each.line
+            for each in report.findings
+            if each.verdict == verdict
+        ]
         for verdict in ("poor", "fair")
     }
     return [line[:1].upper() + line[1:] for line in lines["poor"] + lines["fair"]]

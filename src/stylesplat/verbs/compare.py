@@ -8,6 +8,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.pictures import render_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.differences import differences, picture_differences
@@ -74,6 +75,7 @@ class Comparison:
         return {"schema": SCHEMA, "views": self.views, "scenes": scenes, "notes": self.notes}
 
 
+@check_arguments
 @torch.no_grad()
 def compare(
     scenes: Mapping[str, Scene],

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.progress import say
 from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.naming import require_named
 
 
+@check_arguments
 def delete(scene: Scene, name: str) -> Scene:
     """Forget a named object of a scene. Its Gaussians stay, and so does what is painted on them.
 

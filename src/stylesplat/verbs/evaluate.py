@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.half_fits import fits_of
 from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
@@ -37,6 +38,7 @@ from stylesplat.verbs.stylize import flat_metrics
 SCHEMA = "stylesplat-evaluation-1"  # of what is measured; `compare` has it for each scene
 
 
+@check_arguments
 def evaluate(
     scene: Scene, capture: Capture | None = None, *, device: str = "auto"
 ) -> dict[str, Any]:

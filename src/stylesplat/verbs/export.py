@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.web_page import SUFFIX, write_page
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.folders import claim_directory
@@ -24,6 +25,7 @@ from stylesplat.stylization.scene_parts import cut_out, every_part, rows_of_part
 LABEL, SHARE = "label", "share"  # columns of a .ply; the first is one that `import` reads
 
 
+@check_arguments
 def export(
     what: Scene | Splats,
     path: Path | str,

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
 from stylesplat.io.object_files import read_objects
@@ -36,6 +37,7 @@ Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 WORKING_SIZE = 960  # pixels of the longer side at which labels are lifted and styles matched
 
 
+@check_arguments
 def import_(
     splat: Path | str | Splats,
     capture: Capture | None = None,

@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.io.captures.capture_folder import Masks, open_capture
 from stylesplat.scene.capture import Capture
 
 
+@check_arguments
 def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
     """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
 

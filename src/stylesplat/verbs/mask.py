@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.captures.label_folder import with_drawn_maps
 from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
@@ -24,6 +25,7 @@ TAKES = {"files": {"source"}, "grabcut": {"boxes", "strokes", "scene"}}
 MODELS_TAKE = {"model", "scene", "progress"}
 
 
+@check_arguments
 def mask(
     capture: Photos,
     *,
@@ -42,14 +44,14 @@ def mask(
     they show is lifted onto its Gaussians. Objects from boxes join those that it has, or replace
     those of the same names; others replace all that were chosen by label.
 
-    Boxes and strokes are in the pixels of the capture's photos as they are: the photos' own if it
-    was loaded at full size, those of the smaller ones if it was loaded with a `downscale`.
+    Boxes and strokes are in pixels of the photos at full size, also where the capture was loaded
+    with a `downscale`.
 
     Args:
         capture: Posed photos; what label maps they have does not matter. Or a scene that was
             imported without photos.
-        boxes: By object's name a view and a rectangle around the object, x0, y0, x1, y1; several
-            in a list. One view often suffices.
+        boxes: By object's name a view and a rectangle around the object, `(view, x0, y0, x1, y1)`
+            or `(view, (x0, y0, x1, y1))`; several in a list. One view often suffices.
         strokes: By object's name a view that has a box, and a line over the object or over what
             is not; several in a list.
         source: Masks of another program: a folder of id pictures named like the photos or with a

@@ -5,6 +5,7 @@ from typing import Any
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.progress import track
 from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
@@ -14,6 +15,7 @@ from stylesplat.selection.own_shares import OwnShares
 from stylesplat.selection.pick import each_object
 
 
+@check_arguments
 def objects(scene: Scene) -> list[dict[str, Any]]:
     """List the objects that a scene's label maps named.
 

@@ -1,5 +1,6 @@
 """`orbit`: cameras of a round trip."""
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.round_trips import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, object_content
@@ -10,6 +11,7 @@ from stylesplat.selection.choose import find_object
 FRAMES, FPS = 180, 30  # six seconds
 
 
+@check_arguments
 def orbit(
     scene: Scene,
     *,

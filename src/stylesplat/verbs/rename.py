@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.naming import require_named
 
 
+@check_arguments
 def rename(scene: Scene, old: str, new: str) -> Scene:
     """Call an object of a scene, and its layer of paint, something else.
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.pictures import depth_step, render_pictures
 from stylesplat.errors import some
 from stylesplat.io.images import ViewPicture
@@ -40,6 +41,7 @@ class Views:
         return zip(self.names, self.pictures, strict=True)
 
 
+@check_arguments
 def render(
     scene: Scene,
     views: Which | Names | Cameras = "all",

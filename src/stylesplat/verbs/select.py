@@ -7,20 +7,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.row_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
+from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, Rules, choose
 from stylesplat.selection.detector import load_detector
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
 
-Place = tuple[Any, ...]  # a view's name and numbers, or numbers alone
-Places = Place | list[Place]
 
-
+@check_arguments
 def select(
     scene: Scene,
     name: str,
@@ -46,7 +46,8 @@ def select(
 ) -> Scene:
     """Name an object by label id, places in photos, words, or a shape in the world.
 
-    What is named is united. Pixels are those of the photos at full size.
+    What is named is united. Pixels are those of the photos at full size; places in views are
+    written as in `mask`, `(view, x, y)` or `(view, (x, y))`.
 
     Args:
         scene: Where it is.
@@ -84,9 +85,9 @@ def select(
     texts = (text,) if isinstance(text, str) else tuple(text or ())
     choice = Choice(
         ids=(id,) if isinstance(id, int) else tuple(id),
-        boxes=_in_views(box, 4, "box"),
-        points=_in_views(point, 2, "point"),
-        not_points=_in_views(not_point, 2, "not_point"),
+        boxes=parse_places(box, 4, "box"),
+        points=parse_places(point, 2, "point"),
+        not_points=parse_places(not_point, 2, "not_point"),
         text=texts,
         box3d=tuple(map(_box3d, _several(box3d))),
         sphere=tuple(map(_sphere, _several(sphere))),
@@ -98,8 +99,12 @@ def select(
         grow=grow,
         shrink=shrink,
     )
+    for view, _ in (*choice.points, *choice.not_points):
+        scene.cameras.index(view)
+    for view, edges in choice.boxes:
+        check_box(edges, scene.cameras[scene.cameras.index(view)].size, view)
     detector = None
-    if texts:
+    if texts:  # places are checked before a model is downloaded
         object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
         detector = load_detector(model, pick_device(device))
     rules = Rules(threshold, remove_outliers)
@@ -108,20 +113,6 @@ def select(
         before = int(scene.objects[name].picked.sum())
         say(f"{name!r} meant {before:,} Gaussians before.")
     return scene.with_object(name, found)
-
-
-def _in_views(places: Places, count: int, what: str) -> Any:
-    """Places as the views' names and their numbers apart."""
-    several = places if isinstance(places, list) else [places] if places else []
-    found = []
-    for place in several:
-        view, *numbers = place
-        if not isinstance(view, str) or len(numbers) != count:
-            raise StyleSplatError(
-                f"Cannot select by {what}={place!r}. Give the name of a view and {count} numbers."
-            )
-        found.append((view, tuple(map(float, numbers))))
-    return tuple(found)
 
 
 def _listed(
@@ -154,7 +145,7 @@ def _box3d(corners: Sequence[float]) -> tuple[float, ...]:
     return tuple(map(float, corners))
 
 
-def _sphere(place: Place) -> tuple[str, tuple[float, ...]]:
+def _sphere(place: Sequence[Any]) -> tuple[str, tuple[float, ...]]:
     view, numbers = (place[0], place[1:]) if isinstance(place[0], str) else ("", place)
     if len(numbers) != (3 if view else 4):
         raise StyleSplatError(

@@ -12,6 +12,7 @@ from typing import Any
 import av
 import cv2
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.capture_picture import capture_picture
 from stylesplat.errors import StyleSplatError, check_choice, printable, some
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
@@ -40,6 +41,7 @@ PICTURE = "check.jpg"  # of cameras and points, in the capture
 LISTED = 8  # photos that a line names
 
 
+@check_arguments
 def sfm(
     source: Path | str,
     output: Path | str,
@@ -96,7 +98,7 @@ def sfm(
             _keep_label_maps(output, new)
         _forget(work)
     _say_result(record)
-    for line in advices(report):
+    for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
 

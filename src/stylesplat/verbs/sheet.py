@@ -9,6 +9,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.compositing import to_uint8
 from stylesplat.drawing.grid import draw_grid
 from stylesplat.drawing.object_sheet import close_up
@@ -49,6 +50,7 @@ class Sheet:
         return one_line(self, counted(self.cells, "cell"), f"{width}x{height}", f"from {self.view}")
 
 
+@check_arguments
 def sheet(
     scene: Scene,
     name: str,

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import measure_painted
@@ -103,6 +104,7 @@ class Studios:
         )
 
 
+@check_arguments
 def stylize(
     scene: Scene,
     styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe,

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.compose import beneath, compose, family
 from stylesplat.scene.layer import Layer
@@ -55,6 +56,7 @@ class Live:
         return with_layer(self.before, self.place, self.layer)
 
 
+@check_arguments
 def stylize_live(
     scene: Scene,
     name: str,

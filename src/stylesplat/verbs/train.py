@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.half_fits import Fits
 from stylesplat.evaluation.photo_metrics import evaluate_views
@@ -35,6 +36,7 @@ from stylesplat.training.training_views import split_views
 LIBRARIES = ("stylesplat", "torch", "numba")
 
 
+@check_arguments
 def train(
     capture: Capture,
     config: TrainConfig | None = None,

@@ -1,11 +1,13 @@
 """`view`: look at a scene in the browser."""
 
+from stylesplat.argument_kinds import check_arguments
 from stylesplat.drawing.browser import serve
 from stylesplat.drawing.private_server import PrivateServer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
 
+@check_arguments
 def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> PrivateServer:
     """Show a scene in a browser: in mean colours, and as it is as soon as the camera rests.
 

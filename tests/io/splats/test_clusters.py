@@ -31,6 +31,13 @@ def test_a_tree_is_nearly_as_good_as_comparing_with_all(monkeypatch: pytest.Monk
     assert tree < 0.2 * values.var()
 
 
+def test_many_equal_rows_take_few_entries():
+    """As painted objects have them, whose higher bands are all 0."""
+    values = np.concatenate([rows(2000), np.zeros((20000, 9), np.float32)])
+    entries, labels = clustered(values, 16384)
+    assert len(entries) < 2400 and error(values, entries, labels) < 1e-4
+
+
 def test_each_entry_is_the_middle_of_its_rows():
     values = rows(2000)
     entries, labels = clustered(values, 512)

@@ -74,11 +74,12 @@ def test_boxes_of_one_object_in_two_photos(balls: Capture):
     assert min(agreement(masked, 1, 3)) > 0.7  # measured: 0.76
 
 
-def test_boxes_are_in_pixels_of_the_capture(photos: Path):
-    """Of one that was loaded at half the photos' size, in whole numbers."""
-    view, (left, top, right, bottom) = VASE
-    halved = (view, (round(left / 2), round(top / 2), round(right / 2), round(bottom / 2)))
-    masked = mask(load(photos, downscale=2.0), boxes={"vase": halved}, scene=BALLS, device="cpu")
+@pytest.mark.parametrize("flat", [False, True])
+def test_boxes_are_in_pixels_of_the_photos_themselves(photos: Path, flat: bool):
+    """Whatever size they are loaded at; written like the boxes of `select`, too."""
+    view, edges = VASE
+    vase = (view, *edges) if flat else (view, edges)
+    masked = mask(load(photos, downscale=2.0), boxes={"vase": vase}, scene=BALLS, device="cpu")
     assert masked.label_maps is not None and masked.cameras.size == HALF.size
     assert min(agreement(masked, 1, 3)) > 0.8
 

@@ -6,6 +6,7 @@ from scipy.sparse import csr_array
 
 FIRST = 64  # groups that all rows are parted in; more are found within these
 GROWTH = 32  # entries to one of the groups before
+MOST = 256  # entries of one group: more would be compared with all of its rows, which are many
 SAMPLE = 2**16  # rows that show how to part them first
 ROUNDS = 3  # of k-means; more change little
 AT_ONCE = 2**14  # rows whose distances from all entries are in memory
@@ -39,7 +40,7 @@ def clustered(rows: Rows, most: int, *, seed: int = 0) -> tuple[Entries, Labels]
         sizes = np.bincount(labels, minlength=len(entries))
         errors = ((rows - entries[labels]) ** 2).sum(axis=1)
         errors = np.bincount(labels, errors, len(entries))
-        counts = _shares(errors, sizes, min(most, GROWTH * len(entries)))
+        counts = _shares(errors, np.minimum(sizes, MOST), min(most, GROWTH * len(entries)))
         if counts.sum() <= len(entries):
             break
         entries, labels = _parted(rows, sizes, counts)

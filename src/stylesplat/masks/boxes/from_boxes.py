@@ -1,9 +1,9 @@
 """`mask --method grabcut`: label maps of objects that the user drew boxes around."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import cast
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.boxes.grabcut import Box, Stroke, refuse_box
@@ -12,18 +12,16 @@ from stylesplat.masks.foreign import overlaid
 from stylesplat.masks.quick_splat import with_maps, with_splat
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.drawn_boxes import cut_to_picture
+from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene, check_name
 
 SIZE = 480  # pixels of the longer side at which objects are cut out
 
-SeenBox = tuple[str, Box]
-"""A view's name, and left, top, right, bottom in its pixels."""
 SeenStroke = tuple[str, Stroke]
-"""A view's name, and a line in its pixels."""
-Boxes = Mapping[str, SeenBox | Sequence[SeenBox]]
-"""By object's name."""
+"""A view's name, and a line in pixels of its photo at full size."""
+Boxes = Mapping[str, Places]
+"""By object's name views, and left, top, right, bottom in pixels of the photo at full size."""
 Strokes = Mapping[str, SeenStroke | Sequence[SeenStroke]]
 """By object's name."""
 
@@ -38,15 +36,16 @@ def mask_boxes(
             stands out, a stroke has no box, or an object cannot be called so.
     """
     refuse_without_box(boxes)
-    full, small = capture.cameras, at_most(capture, SIZE)
+    full, small = capture.full_cameras, at_most(capture, SIZE)
     placed = [
         (name, row := full.index(view), _scaled(box, full[row], small.cameras[row]))
-        for name, view, box in _each(boxes)
+        for name, places in boxes.items()
+        for view, box in parse_places(places, 4, "boxes")
     ]
     _refuse_twice(placed, full.names)
     drawn = [
         (name, row := full.index(view), _scaled_stroke(stroke, full[row], small.cameras[row]))
-        for name, view, stroke in _each(strokes)
+        for name, view, stroke in _each_stroke(strokes)
     ]
     _refuse_alone(drawn, placed, full.names)
     working = with_splat(small, scene, device)
@@ -79,15 +78,17 @@ def refuse_without_box(boxes: Boxes) -> None:
         check_name(name)
 
 
-def _each(drawn: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
-    """An object's name, a view's, and what was drawn there, for each thing that was drawn."""
-    for name in drawn:
+def _each_stroke(strokes: Strokes) -> Iterator[tuple[str, str, Stroke]]:
+    """An object's name, a view's, and what was drawn there."""
+    for name, places in strokes.items():
         check_name(name)
-    several = {
-        name: [places] if places and isinstance(places[0], str) else places
-        for name, places in drawn.items()
-    }
-    return [(name, view, what) for name, places in several.items() for view, what in places]
+        several = [places] if places and isinstance(places[0], str) else places
+        for place in cast("Sequence[SeenStroke]", several):
+            if len(place) != 2 or not isinstance(place[1], Stroke):
+                raise StyleSplatError(
+                    f"Cannot use strokes={place!r}. Give the name of a view and a Stroke."
+                )
+            yield name, *place
 
 
 def _refuse_twice(placed: Sequence[tuple[str, int, Box]], views: Sequence[str]) -> None:
@@ -131,14 +132,8 @@ def _scaled_stroke(stroke: Stroke, camera: Cameras, small: Cameras) -> Stroke:
 
 def _scaled(box: Box, camera: Cameras, small: Cameras) -> Box:
     """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
-    (width, height), (name,) = camera.size, camera.names
-    inside = cut_to_picture(box, camera.size)
-    if inside is None:
-        raise StyleSplatError(
-            f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
-            f"which is {width}x{height} pixels. Give x0,y0,x1,y1 in pixels of the photo."
-        )
-    x0, y0, x1, y1 = inside
+    (name,) = camera.names
+    x0, y0, x1, y1 = check_box(box, camera.size, name)
     across, down = _shrinkage(camera, small)
     scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
     refuse_box(scaled, small.size, name)
