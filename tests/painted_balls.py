@@ -64,7 +64,7 @@ def painted(
 def write_painted(
     folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
 ) -> Path:
-    """The balls; red painted on a canvas; a second one upon that; and two pictures.
+    """The balls; red painted on a canvas, a second one on its own Gaussians; and two pictures.
 
     Args:
         folder: Gets `trained`, `once`, `twice` and the pictures.
@@ -76,7 +76,8 @@ def write_painted(
     rest = {"measured": False}
     once = painted(opened(folder / "trained"), "red", wave, **rest)
     scene_folder.save(once, folder / "once")
-    twice = painted(opened(folder / "once"), second, pictures(wave, night), **rest)
+    pictured = pictures(wave, night)
+    twice = painted(opened(folder / "once"), second, pictured, max_growth=1.0, **rest)
     scene_folder.save(twice, folder / "twice")
     return folder
 

@@ -20,7 +20,7 @@ from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.compose import strengths_of
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.scene import SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.paint_objects import paint
@@ -42,10 +42,10 @@ def said(session: Session) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def wanted() -> Splats:
+def wanted(tmp_path_factory: pytest.TempPathFactory) -> Splats:
     """What painting gives without a studio."""
-    picked = find_object(Scene(SPLATS, CAMERAS), "3")
-    return paint(SPLATS, CAMERAS, picked, stripes(), config=QUICK)
+    scene = session_in(tmp_path_factory.mktemp("wanted")).state.scene  # of degree 3, as files are
+    return paint(scene.splats, CAMERAS, find_object(scene, "3"), stripes(), config=QUICK)
 
 
 def painted(session: Session, *names: str) -> Easel:

@@ -58,10 +58,10 @@ def test_form_is_adjusted_by_itself(styled: Path, capsys):
     before = ss.open(styled).splats
     capsys.readouterr()
     shown = result(capsys, "adjust", styled, "--form", 0.7, "--object", 3)
-    assert shown["form"] == {"3": 0.7, "7": 0.0}
+    assert shown["form"] == {"3": 0.7, "7": 1.0}
     assert shown["intensity"] == {"3": 0.5, "7": 0.5}
     found = ss.open(styled)
-    assert [layer.form for layer in found.layers] == [0.7, 0.0]
+    assert [layer.form for layer in found.layers] == [0.7, 1.0]
     assert found.layers[0].relief.any() or torch.equal(found.splats.sh0, before.sh0)
     assert "use 0 to 1.5" in complaint(capsys, "adjust", styled, "--form", 2)
     assert "--form F" in complaint(capsys, "adjust", styled)

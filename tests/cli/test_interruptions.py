@@ -18,6 +18,7 @@ import pytest
 import stylesplat
 from command_line import QUICK, run
 from stylesplat.cli.options import CONTINUES
+from stylesplat.cli.train import FINISHES
 from stylesplat.signals import WHOLE
 from waits import wait_until
 
@@ -99,7 +100,7 @@ def test_a_training_is_kept_and_goes_on(number: signal.Signals, capture: Path, t
     options = ("--device", "cpu", "--max-seconds", 3)
     begun = Begun(tmp_path, "train", capture, "-o", out, *options)
     begun.wait_for(lambda begun: begun.says("Gaussians"))
-    assert begun.ended_by(number) == CONTINUES
+    assert begun.ended_by(number) == f"{CONTINUES} {FINISHES}"
     assert [p.name for p in (tmp_path / "out.partial").iterdir()] == ["checkpoint_lift.pt"]
     assert run("train", capture, "-o", out, *options) == 0
     assert not (tmp_path / "out.partial").exists()

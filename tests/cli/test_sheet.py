@@ -74,8 +74,8 @@ def test_intensities_are_blends_of_one_result(draw, style: Path):
     before, none, half, full = (cell(sheet, 0, column) for column in range(4))
     assert torch.equal(before, none), "a fresh canvas fades with the paint that is on it"
     assert (full - none).abs().mean() > 6
-    # Half of it if no blend; colours that leave their range and are clamped make it more than 0
-    assert (half - (none + full) / 2).abs().mean() < 0.2 * (full - none).abs().mean()
+    # Half of it if no blend; what shows through a fading canvas and clamped colours make it more
+    assert (half - (none + full) / 2).abs().mean() < 0.35 * (full - none).abs().mean()
 
 
 def test_what_is_painted_is_painted_anew(
