@@ -71,7 +71,7 @@ def test_what_changed_around_is_said():
 
 def test_how_many_gaussians_were_painted():
     counts = {"painted_gaussians": 20_000, "changed_gaussians": 87_936, "changed_outside": 0}
-    assert painted_gaussians(counts, 60_000) == "20,000 of 60,000, split into 87,936"
+    assert painted_gaussians(counts, 60_000) == "20,000 of 60,000, and a canvas of 67,936"
     counts["changed_gaussians"] = 20_000
     assert painted_gaussians(counts, 60_000) == "20,000 of 60,000"
 

@@ -53,7 +53,7 @@ def around(metrics: Mapping[str, Any]) -> str:
 
 
 def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:
-    """How many Gaussians were painted, and what splitting made of them.
+    """How many Gaussians were painted, and how many a canvas added.
 
     Args:
         metrics: As `stylize` reports them.
@@ -61,8 +61,8 @@ def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:
     """
     painted = metrics["painted_gaussians"]
     after = metrics["changed_gaussians"] - metrics["changed_outside"]
-    split = f", split into {after:,}" if after > painted else ""
-    return f"{painted:,} of {total:,}{split}"
+    canvas = f", and a canvas of {after - painted:,}" if after > painted else ""
+    return f"{painted:,} of {total:,}{canvas}"
 
 
 def _way(metrics: Mapping[str, Any], name: str) -> str:

@@ -43,7 +43,7 @@ class Row:
     """Factor of the learning rate."""
 
 
-GROWTH = 4.0  # times as many Gaussians by splitting
+GROWTH = 4.0  # times as many Gaussians with a canvas
 MOST_GROWTH = 16.0  # of objects that have few
 FEW = 60_000  # Gaussians: fewer show no strokes, be they as many times as many as usual
 COARSE = 0.6  # of the pattern's size: where the large shapes are found
@@ -71,10 +71,10 @@ def usual_steps(quality: Quality) -> int:
 
 
 def usual_growth(quality: Quality, gaussians: int) -> float:
-    """How many times as many Gaussians an object may get by splitting, if nothing else is asked.
+    """How many times its Gaussians an object may have with its canvas, if nothing else is asked.
 
-    For a draft, splitting and fitting what was split would take longer than all else. Smooth
-    objects are made of few Gaussians, all of them too large for strokes.
+    For a draft, laying a canvas would take longer than all else. Smooth objects are made of few
+    Gaussians, and need more discs than a multiple of these.
 
     Args:
         quality: How fine the painting is to be.

@@ -37,7 +37,7 @@ class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
     quality: Quality = "normal"
-    """How fine, and how many steps: draft takes few and splits nothing, normal ends at the photos'
+    """How fine, and how many steps: draft takes few and lays no canvas, normal ends at the photos'
     size, which gives strokes their edges, and high goes on there."""
     steps: int | None = None
     """Optimiser steps per object, one view each; None leaves it to quality."""
@@ -77,10 +77,10 @@ class StyleConfig:
     """What becomes of highlights and reflections: painted over, kept, or trained too, which leaves
     colours out of range where they end up there."""
     max_growth: float | None = None
-    """How many times as many Gaussians the object may get, be it on a fresh canvas or by splits.
+    """Maximum growth: with its canvas the object may have this many times its Gaussians.
 
-    1 adds none, so that it is painted on its own. None leaves it to quality and object: 1 for
-    draft, else 4, and up to 16 for an object of few Gaussians.
+    1 lays no canvas: the object's own Gaussians are painted. None leaves it to quality and object:
+    1 for draft, else 4, and up to 16 for an object of few Gaussians.
     """
     lr: float = 0.1
     """Adam's step for the constant colour band."""
@@ -130,7 +130,7 @@ class StyleConfig:
         if self.max_growth is not None and not self.max_growth >= 1:
             raise StyleSplatError(
                 f"Cannot let an object grow to {self.max_growth} times its Gaussians: use 1 (no "
-                "splitting) or more."
+                "canvas) or more."
             )
 
     @property
