@@ -89,7 +89,7 @@ def form_relief(
         length: The object's longer side in these views, in pixels.
 
     Returns:
-        In 0..1 units; 0 for Gaussians that are not picked or hardly show.
+        In -1..1; 0 for Gaussians that are not picked or hardly show.
     """
     matte = replace(splats, shN=splats.shN.masked_fill(picked[:, None, None], 0))
     total, weights = torch.zeros_like(splats.opacities), torch.zeros_like(splats.opacities)
@@ -101,7 +101,8 @@ def form_relief(
         sums = view.carried(matte, image)
         total += sums[:, 0, 0]
         weights += sums[:, 0, 1]
-    return torch.where(picked & (weights > HIDDEN), total / weights.clamp(min=HIDDEN), 0)
+    relief = (total / weights.clamp(min=HIDDEN)).clamp(-1, 1)  # renders may be brighter than 1
+    return torch.where(picked & (weights > HIDDEN), relief, 0)
 
 
 def luminance_bands(

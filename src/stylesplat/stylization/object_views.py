@@ -28,9 +28,6 @@ HIDDEN = 1e-3  # pixels that a Gaussian paints in all views: fewer tell no colou
 MIN_CELLS = 16  # views that show fewer features of the object are skipped
 
 
-ViewKey = tuple[float, ...]
-
-
 @dataclass(frozen=True)
 class Box:
     """Where an object lies in one camera's image."""
@@ -62,13 +59,6 @@ class ObjectView:
     """Which pixels are the object's."""
     linear: Contributions | None = None
     """The image as a function of the object's colours; None if it is rasterised every time."""
-
-    @property
-    def key(self) -> ViewKey:
-        """What tells it from others, which may see parts of the same photo from one corner on."""
-        camera = self.camera
-        numbers = camera.viewmats, camera.Ks, camera.sizes
-        return tuple(float(number) for each in numbers for number in each.flatten().tolist())
 
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """The view of splats that differ from the scene at most in the object's colours."""
