@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import stylesplat as ss
 from studio_tab import Tab, center_of, studio_tab, until
-from stylesplat.atelier.easel import styled
-from stylesplat.atelier.opening import Studio
-from stylesplat.atelier.studio_state import names_in
+from stylesplat.studio_app.easel import styled
+from stylesplat.studio_app.opening import Studio
+from stylesplat.studio_app.studio_state import names_in
 
 SIZE = 1344, 540  # the picture beside the panel has 960x540
 WIDTH = "Math.max(...[...document.querySelectorAll('canvas')].map(e => e.width))"

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from PIL import Image
 
-from stylesplat.posing.prepared import Prepared
 from stylesplat.scene.poses import look_at
+from stylesplat.structure_from_motion.prepared import Prepared
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 330.0
 TEXTURE = 512  # pixels a side

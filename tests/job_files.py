@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from textwrap import dedent
 
+from stylesplat.batch_jobs.batch_plan import Job, plan_batch
+from stylesplat.batch_jobs.orders import Outcome
 from stylesplat.cli.batch_verbs import batch_verbs
-from stylesplat.jobs.batch_plan import Job, plan_batch
-from stylesplat.jobs.orders import Outcome
 
 VERBS = batch_verbs()
 

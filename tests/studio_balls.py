@@ -5,9 +5,9 @@ from pathlib import Path
 import torch
 
 from balls import CAMERAS, SPLATS
-from stylesplat.atelier.session import Session
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.session import Session
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 

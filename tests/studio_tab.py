@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from chromium import Page, launched
-from stylesplat.atelier.opening import Studio
-from stylesplat.drawing.at_rest import camera_of
+from stylesplat.figures.at_rest import camera_of
 from stylesplat.rendering.shares import coverage
+from stylesplat.studio_app.opening import Studio
 
 T = TypeVar("T")
 

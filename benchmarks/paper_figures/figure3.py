@@ -13,7 +13,7 @@ from paper_figures.figure2 import with_errors
 from paper_figures.painting import default_config, painted
 from paper_figures.story import Block, Figure, Row, Table, Text, digits
 from paper_figures.subject import Subject, cut, each, shot
-from stylesplat.drawing.pictures import label_colors, render_pictures
+from stylesplat.figures.pictures import label_colors, render_pictures
 from stylesplat.metrics.iou import object_iou
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.labels import BACKGROUND

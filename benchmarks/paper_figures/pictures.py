@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from stylesplat.drawing.grid import Row, draw_grid
+from stylesplat.figures.grid import Row, draw_grid
 
 HEIGHT = 195  # pixels of a strip
 GAP = 4  # pixels between its pictures

@@ -20,8 +20,8 @@ from paper_figures.book import Cell, Outcome, Results
 from paper_figures.figure3 import by_selection
 from paper_figures.story import Block, Figure, Row, Table, Text, digits
 from paper_figures.subject import Subject, cut, each
-from stylesplat.drawing.pictures import label_colors
 from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.figures.pictures import label_colors
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels

@@ -1,4 +1,3 @@
-from .atelier.opening import studio as studio
 from .cli.batch import batch as batch
 from .errors import StyleSplatError as StyleSplatError
 from .io.camera_paths import read_camera_path as read_camera_path
@@ -9,6 +8,7 @@ from .scene.cameras import Cameras as Cameras
 from .scene.capture import Capture as Capture
 from .scene.scene import Scene as Scene
 from .scene.splats import Splats as Splats
+from .studio_app.opening import studio as studio
 from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust

@@ -9,10 +9,10 @@ from PIL import Image
 
 from balls import CAMERAS
 from command_line import QUICK, complaint, run
-from stylesplat.drawing.grid import CAPTION, HEAD
-from stylesplat.drawing.object_sheet import CELL, MARGIN
-from stylesplat.drawing.style_sheet import plan_sheet
 from stylesplat.errors import StyleSplatError
+from stylesplat.figures.grid import CAPTION, HEAD
+from stylesplat.figures.object_sheet import CELL, MARGIN
+from stylesplat.figures.style_sheet import plan_sheet
 from stylesplat.io.captures.photos import read_image
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.stylization.style_config import PRESETS

@@ -112,7 +112,7 @@ def test_a_scene_is_there_without_its_picture(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("stylesplat.drawing.side_by_side.one_view", fail)
+    monkeypatch.setattr("stylesplat.figures.side_by_side.one_view", fail)
     lines = said("import", scene / "splats.ply", "-o", tmp_path / "alone", "--device", "cpu")
     assert any(f"There is no picture: {said_of_it}" in line for line in lines)
     assert not any(line.startswith("Picture:") for line in lines)

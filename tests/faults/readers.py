@@ -21,11 +21,11 @@ from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.files import inside
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.masks.models.found_so_far import open_progress
-from stylesplat.posing.prepare import prepare
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.style_images import read_style
 from stylesplat.training.loop import fit

@@ -24,10 +24,10 @@ from stylesplat.io.object_files import SUFFIXES, write_objects
 from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State
-from stylesplat.posing.prepare import prepare
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.listed import Listed, ListedObjects
 from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.stylization.features.weights import PACKAGED
 from stylesplat.training.loop import fit
 from stylesplat.training.train_config import TrainConfig

@@ -8,13 +8,13 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS, enlarged
 from plain_layers import plain_layer
 from sfm_records import sfm_record
-from stylesplat.posing.capture_report import CaptureReport
-from stylesplat.posing.coverage import Coverage
-from stylesplat.posing.findings import Finding
 from stylesplat.scene.frames import SAME
 from stylesplat.scene.layer import Source
 from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import SceneObject
+from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.coverage import Coverage
+from stylesplat.structure_from_motion.findings import Finding
 from stylesplat.stylization.style import Recipe, StyledObject
 from stylesplat.verbs.render import Views
 from stylesplat.verbs.sheet import Sheet

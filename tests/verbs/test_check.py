@@ -11,7 +11,7 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS
 from sfm_records import sfm_record
 from stylesplat.io.captures.sfm_file import write_sfm
-from stylesplat.posing.capture_report import CaptureReport
+from stylesplat.structure_from_motion.capture_report import CaptureReport
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 from tiny_captures import save_noise, write_capture

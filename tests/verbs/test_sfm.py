@@ -13,9 +13,9 @@ from PIL import Image
 import stylesplat as ss
 from corner_photos import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.sfm_file import read_sfm
-from stylesplat.posing.frame import working_frame
 from stylesplat.progress import Silence, Task, observed
 from stylesplat.scene.frames import seen_from
+from stylesplat.structure_from_motion.frame import working_frame
 
 COUNT = 8
 

@@ -13,7 +13,7 @@ from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError, some
 
 if TYPE_CHECKING:
-    from stylesplat.jobs.run_batch import Batch as Done
+    from stylesplat.batch_jobs.run_batch import Batch as Done
 
 NAMED = 5  # failed jobs that are told of at the end; the table and the page have all
 
@@ -79,9 +79,9 @@ def batch(
         StyleSplatError: If the file is wrong, or names what is not there; if the folder holds
             something else; or if the cluster cannot be reached, or is unfit.
     """
+    from stylesplat.batch_jobs.batch_plan import plan_batch
+    from stylesplat.batch_jobs.run_batch import run_batch
     from stylesplat.cli.batch_verbs import batch_verbs
-    from stylesplat.jobs.batch_plan import plan_batch
-    from stylesplat.jobs.run_batch import run_batch
 
     planned = plan_batch(Path(jobs), batch_verbs())
     return run_batch(planned, Path(output), workers=workers, ray=ray)

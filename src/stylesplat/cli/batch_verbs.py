@@ -8,6 +8,7 @@ from typing import get_args
 
 from tyro.conf import Positional, UseAppendAction
 
+from stylesplat.batch_jobs.job_verbs import Content, JobOption, JobVerb
 from stylesplat.cli.arguments import CALLED, known, read_command
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
@@ -18,7 +19,6 @@ from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.wrong_usage import WrongUsage
-from stylesplat.jobs.job_verbs import Content, JobOption, JobVerb
 
 # What a batch itself says
 OURS = ("json", "verbose", "overwrite", "restart", "finish", "output", "file")

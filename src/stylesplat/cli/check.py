@@ -12,8 +12,8 @@ from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose, ref
 from stylesplat.cli.posed import earlier_capture
 
 if TYPE_CHECKING:
-    from stylesplat.posing.capture_report import CaptureReport
     from stylesplat.scene.capture import Capture
+    from stylesplat.structure_from_motion.capture_report import CaptureReport
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Check:
         """Do it."""
         from stylesplat.io.captures.capture_folder import is_posed, open_capture
         from stylesplat.io.kinds import kind_of, no_capture
-        from stylesplat.posing.sharpness import SIDE
+        from stylesplat.structure_from_motion.sharpness import SIDE
         from stylesplat.verbs.check import check
 
         if self.output is not None:
@@ -66,7 +66,7 @@ class Check:
         yield from next_lines(train if masked else mask_command(self.capture))
 
     def _draw(self, capture: "Capture", report: "CaptureReport") -> Path:
-        from stylesplat.drawing.capture_picture import capture_picture
+        from stylesplat.figures.capture_picture import capture_picture
         from stylesplat.io.images import write_image
         from stylesplat.io.recovery import changing
 

@@ -37,8 +37,8 @@ def posed(
     refuse_other_than_photos(given)
     if kind_of(given) == "part of a capture":
         raise no_capture(given)
-    from stylesplat.posing.prepare import check_source
     from stylesplat.progress import say
+    from stylesplat.structure_from_motion.prepare import check_source
     from stylesplat.verbs.sfm import sfm
 
     output = place_of(given, beside=beside)
@@ -66,9 +66,9 @@ def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]
     """Raise a StyleSplatError for what is drawn in no photo; frames of a video get names later."""
     from stylesplat.io.captures.photos import photo_sizes
     from stylesplat.io.folders import partial_of
-    from stylesplat.posing.photo_folder import find_sources
     from stylesplat.scene.cameras import row_called
     from stylesplat.scene.drawn_boxes import check_box
+    from stylesplat.structure_from_motion.photo_folder import find_sources
 
     photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()
     for view, box in drawn if photos else ():

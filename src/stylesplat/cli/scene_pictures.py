@@ -20,7 +20,7 @@ VIEW = "view.png"
 
 def write_before_after(scene: "Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:
     """Draw what was painted on a scene; where, and in which view, see `before_after`."""
-    from stylesplat.drawing.side_by_side import before_after
+    from stylesplat.figures.side_by_side import before_after
 
     views = list[str]()
 
@@ -60,7 +60,7 @@ def write_look(
 
     Without photos the view alone.
     """
-    from stylesplat.drawing.side_by_side import beside_photo, one_view
+    from stylesplat.figures.side_by_side import beside_photo, one_view
 
     names = scene.held_out or scene.cameras.names
     name = names[len(names) // 2]

@@ -13,7 +13,7 @@ def serve(start: Callable[[], Callable[[], None]], hint: str) -> NoReturn:
         start: Starts it, and gives what stops it.
         hint: What to say then.
     """
-    from stylesplat.drawing.browser import until_interrupted
+    from stylesplat.figures.browser import until_interrupted
     from stylesplat.progress import say
 
     stop = start()

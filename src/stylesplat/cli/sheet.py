@@ -128,7 +128,7 @@ class Sheet:
     def _by_cells(self, name: str, styles: list[tuple[Path, ...]]) -> "Drawn":
         """Painted by processes of their own, whose results are kept."""
         from stylesplat.cli.sheet_cells import Cells
-        from stylesplat.drawing.style_sheet import plan_sheet
+        from stylesplat.figures.style_sheet import plan_sheet
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.sheet import sheet_of
 

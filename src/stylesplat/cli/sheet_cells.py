@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stylesplat.batch_jobs.batch_plan import Job, jobs_of
+from stylesplat.batch_jobs.job_file import Entry, Needs
+from stylesplat.batch_jobs.job_names import parts_of
+from stylesplat.batch_jobs.job_paths import path_in
+from stylesplat.batch_jobs.run_batch import run_batch
 from stylesplat.cli.batch import refuse_failed
 from stylesplat.cli.batch_verbs import batch_verbs
 from stylesplat.errors import StyleSplatError
-from stylesplat.jobs.batch_plan import Job, jobs_of
-from stylesplat.jobs.job_file import Entry, Needs
-from stylesplat.jobs.job_names import parts_of
-from stylesplat.jobs.job_paths import path_in
-from stylesplat.jobs.run_batch import run_batch
 from stylesplat.scene.scene import Scene
 
 VERB = "stylize"

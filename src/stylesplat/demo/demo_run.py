@@ -11,11 +11,11 @@ from typing import Any
 from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.rehearsal import compiled_meanwhile
 from stylesplat.demo.report import write_report
-from stylesplat.drawing.object_sheet import object_sheet
-from stylesplat.drawing.page_parts import Figure, Section
-from stylesplat.drawing.pictures import label_colors
-from stylesplat.drawing.quiet_cut import quiet_cut
 from stylesplat.evaluation.in_words import painted_gaussians, style_lines
+from stylesplat.figures.object_sheet import object_sheet
+from stylesplat.figures.page_parts import Figure, Section
+from stylesplat.figures.pictures import label_colors
+from stylesplat.figures.quiet_cut import quiet_cut
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.folders import refuse_occupied
 from stylesplat.io.images import write_image

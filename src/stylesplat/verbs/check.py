@@ -7,14 +7,14 @@ import torch
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.io.captures.model_figures import ModelFigures, read_figures
 from stylesplat.io.captures.unposed import unposed_photos
-from stylesplat.posing import findings
-from stylesplat.posing.capture_report import CaptureReport
-from stylesplat.posing.centre import find_centre
-from stylesplat.posing.coverage import measure_coverage
-from stylesplat.posing.findings import Finding
-from stylesplat.posing.frame import working_frame
-from stylesplat.posing.photo_looks import photo_looks
 from stylesplat.scene.capture import Capture
+from stylesplat.structure_from_motion import findings
+from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.centre import find_centre
+from stylesplat.structure_from_motion.coverage import measure_coverage
+from stylesplat.structure_from_motion.findings import Finding
+from stylesplat.structure_from_motion.frame import working_frame
+from stylesplat.structure_from_motion.photo_looks import photo_looks
 
 
 @check_arguments

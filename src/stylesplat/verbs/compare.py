@@ -9,9 +9,9 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.drawing.pictures import render_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.differences import differences, picture_differences
+from stylesplat.figures.pictures import render_pictures
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture

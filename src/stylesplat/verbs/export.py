@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.drawing.web_page import SUFFIX, write_page
 from stylesplat.errors import StyleSplatError
+from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.folders import claim_directory
 from stylesplat.io.object_files import SIDECAR, write_objects
 from stylesplat.io.places import refuse_file

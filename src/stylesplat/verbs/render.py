@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.drawing.pictures import depth_step, render_pictures
 from stylesplat.errors import some
+from stylesplat.figures.pictures import depth_step, render_pictures
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device

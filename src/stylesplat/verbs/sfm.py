@@ -13,8 +13,8 @@ import av
 import cv2
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.drawing.capture_picture import capture_picture
 from stylesplat.errors import StyleSplatError, check_choice, printable, some
+from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
@@ -22,18 +22,18 @@ from stylesplat.io.folders import claim_directory, partial_of, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.kinds import refuse_other_than_photos
 from stylesplat.io.recovery import changing
-from stylesplat.posing.capture_report import CaptureReport
-from stylesplat.posing.photo_folder import find_sources
-from stylesplat.posing.placing import place
-from stylesplat.posing.prepare import prepare
-from stylesplat.posing.prepared import Prepared
-from stylesplat.posing.reconstruct import Reconstruction, reconstruct
-from stylesplat.posing.sfm_config import SfmConfig
-from stylesplat.posing.sharpness import SIDE
-from stylesplat.posing.undistort import write_colmap
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
+from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.photo_folder import find_sources
+from stylesplat.structure_from_motion.placing import place
+from stylesplat.structure_from_motion.prepare import prepare
+from stylesplat.structure_from_motion.prepared import Prepared
+from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
+from stylesplat.structure_from_motion.sfm_config import SfmConfig
+from stylesplat.structure_from_motion.sharpness import SIDE
+from stylesplat.structure_from_motion.undistort import write_colmap
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 

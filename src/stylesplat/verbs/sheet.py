@@ -10,10 +10,10 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.drawing.compositing import to_uint8
-from stylesplat.drawing.grid import draw_grid
-from stylesplat.drawing.object_sheet import close_up
-from stylesplat.drawing.style_sheet import SheetPlan, captioned, plan_sheet
+from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.grid import draw_grid
+from stylesplat.figures.object_sheet import close_up
+from stylesplat.figures.style_sheet import SheetPlan, captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.one_view import render

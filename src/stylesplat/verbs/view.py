@@ -1,8 +1,8 @@
 """`view`: look at a scene in the browser."""
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.drawing.browser import serve
-from stylesplat.drawing.private_server import PrivateServer
+from stylesplat.figures.browser import serve
+from stylesplat.figures.private_server import PrivateServer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 

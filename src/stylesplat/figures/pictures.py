@@ -1,0 +1,216 @@
+"""Pictures of splats: colour, labels, identities, depth, or one object alone."""
+
+from collections.abc import Callable, Iterator
+
+import cv2
+import torch
+from jaxtyping import Bool, Float, Int, UInt8, UInt16
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.compositing import (
+    BLACK,
+    WHITE,
+    Background,
+    over,
+    parse_background,
+    to_uint8,
+)
+from stylesplat.io.images import ColorPicture, ViewPicture
+from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.one_view import render
+from stylesplat.rendering.shares import expected_depth
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import MIN_COVERAGE, render_labels, require_identities
+
+Painter = Callable[[Cameras], ViewPicture]
+
+# What is behind pictures unless somebody chooses; ids and distances have nothing behind them
+BEHIND: dict[str, Background] = {
+    "color": BLACK,
+    "identities": WHITE,
+    "depth": WHITE,
+    "object": WHITE,
+}
+PERCENTILES = (0.02, 0.98)  # what is spread over the whole range of colours; the rest clips
+MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
+TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
+FARTHEST = 0.999  # of the Gaussians' depths that 16 bits reach to: floaters may be beyond
+STEPS = 2**16 - 1
+HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
+
+
+def render_pictures(
+    splats: Splats,
+    cameras: Cameras,
+    what: str = "color",
+    *,
+    picked: Bool[Tensor, " N"] | None = None,
+    background: str | None = None,
+) -> Iterator[ViewPicture]:
+    """Render one picture per camera; colours mean the same in all of them.
+
+    Args:
+        splats: The Gaussians.
+        cameras: The views; sizes may differ.
+        what: `color`; `labels`, the label ids themselves; `label-colors`, a colour for each;
+            `identities`, their first three principal components (the paper's Figure 3); `depth`,
+            near is bright; `depth-float`, along the view in world units, 0 where nothing is;
+            `depth-16bit`, the same in steps of `depth_step`; or `object`, some Gaussians alone.
+        picked: Which these are.
+        background: What is behind: `transparent`, `black`, `white` or `#rrggbb`. By default black
+            behind `color` and white behind other pictures.
+
+    Yields:
+        An image, with alpha if it is transparent; or ids of labels, or depths; on the CPU.
+
+    Raises:
+        StyleSplatError: If `what` or the background is unknown, or needs identities that are not
+            there.
+    """
+    paint = _painter(splats.detach(), cameras, what, picked, _behind(what, background))
+    return at_once(lambda row: paint(cameras[row]).cpu(), range(len(cameras)), splats.device)
+
+
+def depth_step(splats: Splats, cameras: Cameras) -> float:
+    """World units that a depth of 16 bits counts in, so that these views reach all but floaters.
+
+    Raises:
+        StyleSplatError: If no Gaussian is in front of the cameras.
+    """
+    return _depths_in_front(splats, cameras).quantile(FARTHEST).item() / STEPS
+
+
+def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
+    """A label map in colours to look at: a fixed, distinct one per id, background black."""
+    ids = labels.double()
+    hue, value = ids * HUE_STEP, 0.5 + 0.5 * (ids * VALUE_STEP % 1)
+    channels = torch.stack([hue, hue + 2 / 3, hue + 1 / 3], dim=-1)  # [H, W, 3]
+    rgb = value[..., None] * ((6 * (channels % 1) - 3).abs() - 1).clamp(0.2, 1)
+    return to_uint8(torch.where(labels[..., None] == 0, 0, rgb))
+
+
+def _behind(what: str, background: str | None) -> Background:
+    if background is None:
+        return BEHIND.get(what)
+    if what not in BEHIND:
+        raise StyleSplatError(f"{what} has no background. Leave --background out.")
+    return parse_background(background)
+
+
+def _painter(
+    splats: Splats,
+    cameras: Cameras,
+    what: str,
+    picked: Bool[Tensor, " N"] | None,
+    behind: Background,
+) -> Painter:
+    if what == "color":
+        return lambda camera: _paint_color(splats, camera, behind)
+    if what == "labels":
+        require_identities(splats)
+        return lambda camera: render_labels(splats, camera)
+    if what == "label-colors":
+        require_identities(splats)
+        return lambda camera: label_colors(render_labels(splats, camera))
+    if what == "identities":
+        colors = identity_colors(splats)
+        return lambda camera: over(*_composite(splats, camera, colors), behind)
+    if what == "depth":
+        near_far = depth_range(splats, cameras)
+        return lambda camera: _paint_depth(splats, camera, near_far, behind)
+    if what == "depth-float":
+        return lambda camera: depth_map(splats, camera)
+    if what == "depth-16bit":
+        step = depth_step(splats, cameras)
+        return lambda camera: _in_steps(depth_map(splats, camera), step)
+    if what == "object" and picked is not None:
+        alone = splats[picked.to(splats.device)]
+        return lambda camera: _paint_color(alone, camera, behind)
+    raise StyleSplatError(
+        f"Cannot render {what!r}. Choose color, labels, label-colors, identities, depth, "
+        "depth-float, depth-16bit or object:NAME."
+    )
+
+
+def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
+    """The first three principal components of the identities, spread over 0..1.
+
+    Raises:
+        StyleSplatError: If the splats have no identities.
+    """
+    identities, _ = require_identities(splats)
+    centred = identities - identities.mean(dim=0)
+    _, axes = torch.linalg.eigh(centred.T @ centred)  # ascending
+    components = centred @ axes[:, -3:].flip(-1)
+    low, high = _robust_range(components)
+    return ((components - low) / (high - low).clamp(min=TINY)).clamp(0, 1)
+
+
+def depth_range(splats: Splats, cameras: Cameras) -> tuple[float, float]:
+    """Depths between which nearly all Gaussians lie, seen from these cameras.
+
+    Raises:
+        StyleSplatError: If no Gaussian is in front of the cameras.
+    """
+    low, high = _robust_range(_depths_in_front(splats, cameras)[:, None])
+    return low.item(), high.item()
+
+
+def depth_map(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+    """Depths along the view, in world units; 0 where less than half of a pixel is covered."""
+    depths, alphas = expected_depth(splats, camera)
+    return torch.where(alphas < MIN_COVERAGE, 0, depths)
+
+
+def _depths_in_front(splats: Splats, cameras: Cameras) -> Float[Tensor, " M"]:
+    means = _sample(splats.means)
+    viewmats = cameras.viewmats.to(means)
+    depths = torch.einsum("cj,nj->cn", viewmats[:, 2, :3], means) + viewmats[:, 2, 3:]
+    depths = depths[depths > 0]
+    if not len(depths):
+        raise StyleSplatError("No Gaussian lies in front of these views. Choose other views.")
+    return _sample(depths[:, None])[:, 0]
+
+
+def _in_steps(depths: Float[Tensor, "H W"], step: float) -> UInt16[Tensor, "H W"]:
+    """Whole steps; 0 stays nothing, and what is nearer than a step is one away."""
+    steps = (depths / step).round().clamp(1, STEPS)
+    return torch.where(depths > 0, steps, 0).cpu().to(torch.uint16)
+
+
+def _paint_color(splats: Splats, camera: Cameras, behind: Background) -> ColorPicture:
+    return over(*render(splats, camera), behind)
+
+
+def _composite(
+    splats: Splats, camera: Cameras, colors: Float[Tensor, "N 3"]
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
+    """Composite other colours than the splats' own, on black; and how much is covered."""
+    image, alphas = render(splats, camera, features=colors, sh_degree=0)
+    return image[..., 3:], alphas
+
+
+def _paint_depth(
+    splats: Splats, camera: Cameras, near_far: tuple[float, float], behind: Background
+) -> ColorPicture:
+    depths, alphas = expected_depth(splats, camera)
+    depth, alpha = depths[..., None], alphas[..., None]
+    near, far = near_far
+    nearness = (1 / depth.clamp(min=near) - 1 / far) / (1 / near - 1 / far)
+    values = to_uint8(nearness)[..., 0].cpu().numpy()
+    bgr = torch.from_numpy(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS)).to(alpha.device)
+    return over(bgr.flip(-1) / 255 * alpha, alpha, behind)
+
+
+def _robust_range(
+    values: Float[Tensor, "M D"],
+) -> tuple[Float[Tensor, " D"], Float[Tensor, " D"]]:
+    levels = values.new_tensor(PERCENTILES)
+    low, high = torch.quantile(_sample(values), levels, dim=0)
+    return low, high
+
+
+def _sample(values: Float[Tensor, "M D"]) -> Float[Tensor, "_ D"]:
+    return values[:: max(1, len(values) // MAX_SAMPLE)]

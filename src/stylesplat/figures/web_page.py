@@ -1,0 +1,122 @@
+"""A web page that holds a splat and what draws it, for any browser, without a server or network."""
+
+import json
+import re
+from base64 import b64encode
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.figures.first_view import first_view
+from stylesplat.figures.packed import pack
+from stylesplat.io.files import atomic_path
+from stylesplat.io.places import refuse_file
+from stylesplat.rendering.constants import MIN_ALPHA
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import mask_of, rows_unpainted
+from stylesplat.scene.content import extent_of
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+
+PARTS = Path(__file__).with_name("viewer_page")
+SUFFIX = ".html"
+MAX_DEGREE = 3
+CODE = ("unpack.js", "sort.js", "draw.js", "camera.js", "hands.js", "main.js")
+
+
+def write_page(
+    what: Scene | Splats, path: Path, *, overwrite: bool = False, sh_degree: int | None = None
+) -> None:
+    """Write the page of splats, called like its file.
+
+    Args:
+        what: A scene, or splats alone, of which nobody knows what is up.
+        path: The HTML file to make.
+        overwrite: Whether a file of that name may be replaced.
+        sh_degree: Up to which degree, 0 to 3, colours depend on where they are seen from; by
+            default as far as they do.
+
+    Raises:
+        StyleSplatError: If nothing shows, there is no such degree, or the file exists or cannot be
+            written.
+    """
+    degree = MAX_DEGREE if sh_degree is None else sh_degree
+    check_choice(degree, "degree of colour", range(MAX_DEGREE + 1))
+    refuse_file(path, overwrite=overwrite)
+    page = page_of(what, title=path.stem, sh_degree=degree)
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) -> str:
+    """A page that shows splats, from the first photo or from where all is in sight.
+
+    Of a scene that is painted, a handle lies between before and after; buttons bring
+    each object into sight.
+
+    Args:
+        what: A scene, or splats alone.
+        title: Of the page.
+        sh_degree: Up to which degree, 0 to 3, colours depend on where they are seen from.
+
+    Raises:
+        StyleSplatError: If nothing shows.
+    """
+    scene = what if isinstance(what, Scene) else None
+    splats = (what.splats if isinstance(what, Scene) else what).detach().to("cpu")
+    if not (torch.sigmoid(splats.opacities) >= MIN_ALPHA).any():
+        raise StyleSplatError("No Gaussian shows, so a page would be black. Choose another scene.")
+    before = rows_unpainted(scene).detach().to("cpu") if scene else splats
+    packed = pack(splats, before, sh_degree=sh_degree)
+    about = packed.about | {
+        "start": _start(splats, scene.cameras if scene else None),
+        "objects": list(_objects(scene)) if scene else [],
+    }
+    return _filled(
+        {
+            "title": escape(title),
+            "about": json.dumps(about).replace("<", r"\u003c"),
+            "splats": b64encode(packed.content).decode(),
+            "code": "\n".join(_part(name) for name in CODE),
+        }
+    )
+
+
+def _start(splats: Splats, cameras: Cameras | None) -> dict[str, Any]:
+    view = first_view(splats, cameras)
+    places = {"position": view.position, "target": view.target, "up": view.up}
+    return {name: place.tolist() for name, place in places.items()} | {"slopes": view.slopes}
+
+
+def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
+    """What objects are called, and where they are."""
+    painted = {layer.object: mask_of(layer, scene) for layer in scene.layers}
+    named = {name: each.picked for name, each in scene.objects.items()}
+    for name, picked in {**painted, **named}.items():
+        if picked.any():
+            yield _object(scene, name, picked) | {"painted": name in painted}
+
+
+def _object(scene: Scene, name: str, picked: Bool[Tensor, " N"]) -> dict[str, Any]:
+    extent = extent_of(scene.splats, picked)
+    radius = float(extent.size.norm()) / 2
+    return {"name": name, "centre": extent.centre.tolist(), "radius": radius}
+
+
+def _filled(values: dict[str, str]) -> str:
+    """The page, with values or files in the place of names between @ and @."""
+
+    def value(found: re.Match[str]) -> str:
+        return values[found[1]] if found[1] in values else _part(found[1])
+
+    return re.sub(r"@([\w.]+)@", value, _part("page.html"))
+
+
+def _part(name: str) -> str:
+    return (PARTS / name).read_text(encoding="utf-8")

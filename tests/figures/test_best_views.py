@@ -1,0 +1,98 @@
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.nn.functional import normalize
+
+from balls import CAMERAS, SPLATS, enlarged
+from stylesplat.figures.best_views import (
+    SEARCHED_VIEWS,
+    best_rows,
+    find_views,
+    most_detailed,
+    visibility,
+)
+from stylesplat.scene.cameras import Cameras
+from stylesplat.selection.pick import pick
+
+RED = pick(SPLATS, object_id=3, remove_outliers=False)
+HIDDEN = torch.zeros_like(RED)
+HIDDEN[200] = True  # inside the red ball once it is moved there
+SHRUNK = replace(
+    SPLATS,
+    means=SPLATS.means.index_copy(0, torch.tensor([200]), torch.tensor([[-0.7, 0.0, 0.3]])),
+    scales=SPLATS.scales.index_fill(0, torch.tensor([200]), -6.0),
+)
+
+
+def repeated(*rows: int) -> Cameras:
+    return CAMERAS[list(rows)]
+
+
+def turned_away(cameras: Cameras) -> Cameras:
+    """The cameras, looking back over their shoulders."""
+    flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    return replace(cameras, viewmats=flip @ cameras.viewmats)
+
+
+def test_three_views_from_sides_that_differ():
+    found = find_views(SPLATS, CAMERAS, RED)
+    assert len({shown.row for shown in found}) == len(found) == 3
+    sizes = [int(shown.mask.sum()) for shown in found]
+    everywhere = [int(s.mask.sum()) for s in find_views(SPLATS, CAMERAS, RED, count=8)]
+    assert sizes[0] == max(everywhere)
+    directions = torch.nn.functional.normalize(CAMERAS.positions[[s.row for s in found]], dim=1)
+    angles = (directions @ directions.T)[~torch.eye(3, dtype=torch.bool)].acos()
+    assert angles.min() > 0.6  # of cameras an eighth of a circle apart, no two neighbours
+
+
+def test_another_side_is_worth_more_than_the_same_again():
+    cameras = repeated(0, 0, 0, 2)
+    scores = {0: 9.0, 1: 10.0, 2: 9.5, 3: 6.0}
+    assert best_rows(cameras, SPLATS.means[RED], scores, 2) == [1, 3]
+    assert best_rows(cameras, SPLATS.means[RED], scores | {3: 0.0}, 4)[0] == 1
+    assert 3 not in best_rows(cameras, SPLATS.means[RED], scores | {3: 0.0}, 4)
+
+
+def test_a_side_that_shows_hardly_any_of_it_is_worth_little():
+    assert best_rows(CAMERAS, SPLATS.means[RED], {0: 10.0, 2: 8.0, 4: 0.5}, 2) == [0, 2]
+
+
+def test_as_many_as_show_it():
+    cameras = CAMERAS[:1] + turned_away(CAMERAS[1:])
+    assert [shown.row for shown in find_views(SPLATS, cameras, RED)] == [0]
+    assert not find_views(SPLATS, turned_away(CAMERAS), RED)
+    assert not find_views(SHRUNK, CAMERAS, HIDDEN), "something is in front of it in every view"
+
+
+def test_the_few_that_see_it_among_many_are_found():
+    away = turned_away(repeated(*range(8)))
+    crowd = away
+    for _ in range(9):
+        crowd = crowd + away
+    assert len(crowd) > 6 * SEARCHED_VIEWS
+    cameras = crowd[:33] + CAMERAS[[1, 5]] + crowd[33:]
+    assert {shown.row for shown in find_views(SPLATS, cameras, RED)} == {33, 34}
+
+
+@pytest.mark.parametrize("face", range(len(CAMERAS)))
+def test_the_side_with_a_face_is_shown_rather_than_the_back(face: int):
+    """A ball with dark spots on the side to one camera; others may show a little more of it."""
+    cameras = enlarged(CAMERAS, 2)
+    out = SPLATS.means - SPLATS.means[RED].mean(dim=0)
+    to_camera = normalize(cameras.positions[face] - SPLATS.means[RED].mean(dim=0), dim=0)
+    facing = RED & (normalize(out, dim=1) @ to_camera > 0.5) & (torch.arange(len(RED)) % 2 == 0)
+    scene = replace(SPLATS, sh0=torch.where(facing[:, None, None], -1.7, SPLATS.sh0))
+    best = most_detailed(scene, cameras, find_views(scene, cameras, RED, count=len(cameras)))
+    away = (best.row - face) % len(cameras)
+    assert min(away, len(cameras) - away) <= 1
+
+
+@pytest.mark.parametrize("cut", ["top", "left"])
+def test_visibility(cut: str):
+    image = torch.zeros(30, 40, dtype=torch.bool)
+    assert visibility(image) == 0
+    image[10:20, 10:20] = True
+    assert visibility(image) == 100
+    image = image.roll((-10, 0) if cut == "top" else (0, -10), (0, 1))
+    assert visibility(image) == pytest.approx(25)

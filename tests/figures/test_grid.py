@@ -1,0 +1,71 @@
+import torch
+
+from stylesplat.figures.grid import CAPTION, HEAD, LABEL, Row, draw_grid
+from stylesplat.figures.object_sheet import CELL, MARGIN, PAPER
+
+EDGE = HEAD + MARGIN  # where the first column's margin begins if rows are labelled
+
+
+def plain(*color: int, width: int = CELL, height: int = CELL) -> torch.Tensor:
+    return torch.tensor(color, dtype=torch.uint8).expand(height, width, 3).clone()
+
+
+def drawn(sheet: torch.Tensor) -> torch.Tensor:
+    """The pixels that are not paper."""
+    return (sheet != torch.tensor(PAPER)).any(dim=-1)
+
+
+def test_pictures_stand_in_their_row_and_column():
+    red, green, blue = plain(255, 0, 0), plain(0, 255, 0), plain(0, 0, 255)
+    sheet = draw_grid([Row([(red, ""), (green, "")], "one"), Row([None, (blue, "")], "two")])
+    height, width = CELL + CAPTION + MARGIN, CELL + MARGIN
+    assert sheet.shape == (MARGIN + 2 * height, EDGE + MARGIN + 2 * width, 3)
+    for picture, row, column in ((red, 0, 0), (green, 0, 1), (blue, 1, 1)):
+        top, left = MARGIN + row * height, EDGE + MARGIN + column * width
+        assert torch.equal(sheet[top : top + CELL, left : left + CELL], picture)
+    gap = sheet[MARGIN + height :, EDGE + MARGIN : EDGE + MARGIN + CELL]
+    assert not drawn(gap).any()
+
+
+def test_without_labels_there_is_no_edge():
+    sheet = draw_grid([Row([(plain(0, 0, 0), "")])])
+    assert sheet.shape == (2 * MARGIN + CELL + CAPTION, 2 * MARGIN + CELL, 3)
+
+
+def test_captions_lie_below_their_pictures_and_labels_at_the_left():
+    def sheet(caption: str = "", label: str = "x") -> torch.Tensor:
+        black = plain(0, 0, 0)
+        return draw_grid([Row([(black, ""), (black, caption)], label)])
+
+    changed = (sheet() != sheet(caption="scale 2")).any(dim=-1).nonzero()
+    assert len(changed) and changed[:, 0].min() >= MARGIN + CELL
+    left = EDGE + MARGIN + CELL + MARGIN
+    assert changed[:, 1].min() >= left and changed[:, 1].max() < left + CELL
+    changed = (sheet() != sheet(label="steps 100")).any(dim=-1).nonzero()
+    assert len(changed) and changed[:, 0].max() < MARGIN + LABEL
+    assert changed[:, 1].max() < MARGIN + HEAD
+
+
+def test_long_texts_stay_in_their_place():
+    black = plain(0, 0, 0)
+    sheet = draw_grid([Row([(black, "M" * 99), (black, "")], "W" * 99)])
+    mask = drawn(sheet)
+    assert mask[MARGIN : MARGIN + LABEL, MARGIN : MARGIN + HEAD].any()
+    assert not mask[:, MARGIN + HEAD : EDGE + MARGIN].any()
+    left = EDGE + MARGIN + CELL
+    assert mask[MARGIN + CELL :, left - 40 : left].any()
+    assert not mask[:, left : left + MARGIN].any()
+
+
+def test_style_pictures_are_small_whole_and_in_order():
+    wide = plain(200, 0, 0, width=4 * HEAD, height=2 * HEAD)
+    tall = plain(0, 0, 200, width=50, height=900)
+    sheet = draw_grid([Row([(plain(0, 0, 0), "")], "a", [wide, tall])])
+    edge = sheet[:, :EDGE]
+    red, blue = ((edge == p[0, 0]).all(dim=-1).nonzero() for p in (wide, tall))
+    for found, aspect in ((red, 2.0), (blue, 50 / 900)):
+        height, width = (found.max(dim=0).values - found.min(dim=0).values + 1).tolist()
+        assert abs(width - aspect * height) <= 1, "rounded to whole pixels"
+    assert red[:, 0].max() < blue[:, 0].min()
+    assert blue[:, 0].max() < MARGIN + CELL
+    assert red[:, 1].max() < MARGIN + HEAD

@@ -1,0 +1,165 @@
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.pictures import (
+    depth_range,
+    depth_step,
+    identity_colors,
+    label_colors,
+    render_pictures,
+)
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.shares import expected_depth
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.pick import pick
+
+IMAGES = ["color", "identities", "depth", "object"]
+GREEN = pick(SPLATS, object_id=7)
+
+
+@pytest.mark.parametrize("what", IMAGES)
+def test_every_picture_has_the_size_of_its_camera(what):
+    cameras = CAMERAS[:2]
+    cameras = replace(cameras, sizes=torch.tensor([[48, 36], [40, 30]]))
+    shapes = [tuple(p.shape) for p in render_pictures(SPLATS, cameras, what, picked=GREEN)]
+    assert shapes == [(36, 48, 3), (30, 40, 3)]
+
+
+def test_color_is_the_render():
+    (picture,) = render_pictures(SPLATS, CAMERAS[0])
+    image, _, _ = rasterize(SPLATS, CAMERAS[0])
+    assert (picture / 255 - image[0].clamp(0, 1)).abs().max() <= 0.5 / 255 + 1e-6  # rounding
+
+
+def test_labels_are_ids():
+    (labels,) = render_pictures(SPLATS, CAMERAS[3], "labels")
+    assert torch.equal(labels, render_labels(SPLATS, CAMERAS[3]))
+
+
+@pytest.mark.parametrize("what", ["color", "identities", "labels", "object"])
+def test_a_view_looks_the_same_in_any_company(what):
+    (alone,) = render_pictures(SPLATS, CAMERAS[2], what, picked=GREEN)
+    assert torch.equal(alone, list(render_pictures(SPLATS, CAMERAS, what, picked=GREEN))[2])
+
+
+def test_pictures_need_no_graph():
+    splats = replace(SPLATS, means=SPLATS.means.clone().requires_grad_())
+    for what in IMAGES:
+        (picture,) = render_pictures(splats, CAMERAS[0], what, picked=GREEN)
+        assert not picture.requires_grad
+
+
+def test_object_alone_is_white_elsewhere():
+    (ball,) = render_pictures(SPLATS, CAMERAS[0], "object", picked=pick(SPLATS, object_id=3))
+    assert (ball[:, 30:] == 255).all()  # the ball is on the left
+    red, green, _ = ball[12, 13].tolist()
+    assert red > 200 > 60 > green
+
+
+def test_identity_colors_tell_objects_apart():
+    colors = identity_colors(SPLATS)
+    rows = [0, 200, 280, 360]  # the first Gaussian of each class
+    assert torch.cdist(colors[rows], colors[rows]).fill_diagonal_(1).min() > 0.3
+    assert colors.min() >= 0 and colors.max() <= 1
+
+
+def test_identity_colors_ignore_the_order_of_gaussians():
+    generator = torch.Generator().manual_seed(3)
+    spread = torch.linspace(1, 4, 16)  # keeps the principal components apart
+    identities = spread * torch.randn(len(SPLATS), 16, generator=generator)
+    splats = replace(SPLATS, identities=identities)
+    order = torch.randperm(len(SPLATS), generator=generator)
+    expected = identity_colors(splats)[order]
+    assert torch.allclose(identity_colors(splats[order]), expected, atol=1e-3)
+
+
+def test_depth_is_brighter_when_nearer_and_white_where_nothing_is():
+    (picture,) = render_pictures(SPLATS, CAMERAS[2], "depth")
+    luma = picture.float() @ torch.tensor([0.2126, 0.7152, 0.0722])
+    assert (picture[0] == 255).all()
+    assert luma[18, 23] > luma[6, 23] + 20  # ball 3 stands in front of ball 7
+
+
+def test_depth_range_holds_nearly_all():
+    near, far = depth_range(SPLATS, CAMERAS)
+    distance = CAMERAS.positions[0].norm().item()
+    assert 1 < near < distance < far < 2 * distance
+
+
+def test_label_colors_are_distinct_and_background_is_black():
+    colors = label_colors(torch.arange(100)[None])[0]
+    assert (colors[0] == 0).all()
+    assert len(colors.unique(dim=0)) == 100
+
+
+@pytest.mark.parametrize("what", ["colour", "object", ""])
+def test_unknown_picture(what):
+    with pytest.raises(StyleSplatError, match=r"Choose color, labels, .*object:NAME"):
+        render_pictures(SPLATS, CAMERAS, what)
+
+
+@pytest.mark.parametrize("what", ["labels", "identities"])
+def test_needs_identities(what):
+    splats = replace(SPLATS, identities=None, classifier=None)
+    with pytest.raises(StyleSplatError, match="no identities"):
+        render_pictures(splats, CAMERAS, what)
+
+
+@pytest.mark.parametrize("what", IMAGES)
+def test_transparent_pictures_are_the_same_on_any_background(what):
+    """Straight alpha: what is composited later is what would have been rendered."""
+
+    def picture(background: str) -> torch.Tensor:
+        (found,) = render_pictures(SPLATS, CAMERAS[0], what, picked=GREEN, background=background)
+        return found.float()
+
+    cut = picture("transparent")
+    colors, alpha = cut[..., :3], cut[..., 3:] / 255
+    assert 0 < alpha.mean() < 0.9 and ((alpha > 0.1) & (alpha < 0.9)).any()
+    for name, color in (("black", 0), ("white", 255)):
+        expected = picture(name)
+        assert (colors * alpha + color * (1 - alpha) - expected).abs().max() <= 1.51  # roundings
+    # At the rim colours are as bright as within: no dark fringe
+    if what == "object":
+        rim, inside = (alpha[..., 0] > 0.1) & (alpha[..., 0] < 0.5), alpha[..., 0] > 0.9
+        assert colors[rim].amax(dim=1).mean() > 0.8 * colors[inside].amax(dim=1).mean()
+
+
+@pytest.mark.parametrize("what", ["labels", "label-colors", "depth-float", "depth-16bit"])
+def test_what_has_no_background(what):
+    with pytest.raises(StyleSplatError, match=rf"{what} has no background\. Leave --background"):
+        render_pictures(SPLATS, CAMERAS, what, background="white")
+
+
+def test_depths_in_world_units():
+    (depths,) = render_pictures(SPLATS, CAMERAS[2], "depth-float")
+    expected, alphas = expected_depth(SPLATS, CAMERAS[2])
+    assert (depths[alphas < 0.5] == 0).all() and (alphas >= 0.5).any()
+    assert torch.equal(depths[alphas >= 0.5], expected[alphas >= 0.5])
+    camera = replace(CAMERAS[2], viewmats=CAMERAS[2].viewmats.clone())
+    camera.viewmats[:, :3, 3] *= 2
+    larger = replace(SPLATS, means=2 * SPLATS.means, scales=SPLATS.scales + math.log(2))
+    (twice,) = render_pictures(larger, camera, "depth-float")
+    torch.testing.assert_close(twice, 2 * depths, rtol=1e-3, atol=1e-3)
+
+
+def test_steps_reach_the_farthest_but_floaters():
+    many = SPLATS[torch.arange(len(SPLATS)).repeat(10)]
+    step = depth_step(many, CAMERAS)
+    many.means[0] = 1e6 * CAMERAS.viewmats[0, 2, :3]
+    assert depth_step(many, CAMERAS) < 1.01 * step
+    (steps,) = render_pictures(many, CAMERAS[0], "depth-16bit")
+    assert steps.dtype == torch.uint16 and 20000 < steps.int().max() <= 65535
+
+
+def test_nothing_in_front():
+    behind = replace(CAMERAS[0], viewmats=CAMERAS[0].viewmats.clone())
+    behind.viewmats[:, 2] *= -1
+    for what in ("depth", "depth-16bit"):
+        with pytest.raises(StyleSplatError, match="No Gaussian lies in front"):
+            render_pictures(SPLATS, behind, what)

@@ -1,0 +1,145 @@
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS
+from bare_splats import figure, floaters, guitar, joined, room, shares
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.round_trips import filled, orbit_around, orbit_cameras
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of, object_content
+from stylesplat.scene.framing import FILLED
+from stylesplat.scene.poses import focus_point, look_at, up_vector
+from stylesplat.scene.ring import ring_cameras
+from stylesplat.scene.splats import Splats
+
+UP = torch.tensor([0.0, 0.0, 1.0]).double()
+
+
+def move(cameras: Cameras, rotation: torch.Tensor, shift: torch.Tensor) -> Cameras:
+    """The same cameras in a world that is turned and shifted."""
+    rigid = torch.eye(4)
+    rigid[:3, :3], rigid[:3, 3] = rotation, shift
+    return replace(cameras, viewmats=cameras.viewmats @ torch.linalg.inv(rigid))
+
+
+def arc(angles: list[float]) -> Cameras:
+    positions = torch.tensor([[3 * math.sin(a), -3 * math.cos(a), 1.0] for a in angles])
+    viewmats = look_at(positions, torch.zeros(3), UP.float())
+    return replace(CAMERAS[: len(angles)], viewmats=viewmats)
+
+
+def azimuths(cameras: Cameras) -> torch.Tensor:
+    x, y, _ = cameras.positions.unbind(-1)
+    return torch.atan2(x, -y)
+
+
+def test_focus_and_up_of_a_circle():
+    assert focus_point(CAMERAS).norm() < 1e-5
+    assert torch.allclose(up_vector(CAMERAS), UP, atol=1e-5)
+
+
+def test_up_of_cameras_that_look_down_to_one_side():
+    up = up_vector(arc([-0.5, 0.0, 0.5]))
+    assert torch.rad2deg(torch.acos(up @ UP)) < 8  # their tops alone say 18 degrees
+
+
+def test_all_frames_look_at_the_focus_upright():
+    orbit = orbit_cameras(CAMERAS, 12)
+    target = orbit.viewmats @ torch.tensor([0.0, 0.0, 0.0, 1.0])
+    assert target[:, :2].abs().max() < 1e-4  # on the optical axis
+    assert (target[:, 2] > 1).all()
+    assert (orbit.viewmats[:, 1, :3] @ UP.float() < -0.5).all()
+    assert torch.allclose(torch.linalg.det(orbit.viewmats), torch.ones(12), atol=1e-5)
+
+
+def test_circle_keeps_distance_and_height():
+    orbit = orbit_cameras(CAMERAS, 12)
+    assert torch.allclose(orbit.positions[:, 2], torch.full((12,), 1.5), atol=1e-4)
+    assert torch.allclose(orbit.positions[:, :2].norm(dim=1), torch.full((12,), 3.0), atol=1e-4)
+
+
+@pytest.mark.parametrize("angles", [[2 * math.pi * i / 8 for i in range(8)], [-0.6, 0, 0.2, 0.6]])
+def test_path_is_closed_and_smooth(angles):
+    path = orbit_cameras(arc(angles), 60).positions
+    steps = path.roll(-1, 0) - path
+    assert steps.norm(dim=1).max() < 4 * math.pi * 3 / 60
+    assert (steps.roll(-1, 0) - steps).norm(dim=1).max() < 0.05
+
+
+def test_without_photos_behind_the_path_stays_in_front():
+    angles = [2.6, 2.9, 3.2, 3.5]  # across the cut of atan2
+    path = azimuths(orbit_cameras(arc(angles), 40)) % (2 * math.pi)
+    assert path.min() > 2.6 - 1e-3 and path.max() < 3.5 + 1e-3
+    assert path.max() - path.min() > 0.85
+
+
+def test_the_path_moves_with_the_world():
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0))).Q
+    turn = turn * torch.linalg.det(turn).sign()
+    shift = torch.tensor([5.0, -2.0, 9.0])
+    cameras = arc([-0.6, 0, 0.2, 0.6])
+    expected = orbit_cameras(cameras, 10).positions @ turn.T + shift
+    moved = orbit_cameras(move(cameras, turn, shift), 10).positions
+    assert torch.allclose(moved, expected, atol=1e-3)
+
+
+def test_even_size_and_centred():
+    odd = replace(CAMERAS, sizes=torch.tensor([47, 35]).expand(8, 2))
+    orbit = orbit_cameras(odd, 5)
+    assert orbit.size == (46, 34)
+    assert orbit.Ks[0, :2, 2].tolist() == [23, 17]
+    assert len(set(orbit.names)) == 5
+
+
+def test_parallel_cameras():
+    rows = CAMERAS[0].viewmats.repeat(3, 1, 1)
+    rows[:, 0, 3] += torch.arange(3)
+    with pytest.raises(StyleSplatError, match=r"same way.*--views all"):
+        orbit_cameras(replace(CAMERAS[:3], viewmats=rows), 10)
+
+
+def test_outward_cameras():
+    flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    with pytest.raises(StyleSplatError, match=r"outwards.*--views all"):
+        orbit_cameras(replace(CAMERAS, viewmats=flip @ CAMERAS.viewmats), 10)
+
+
+@pytest.mark.parametrize(
+    ("splats", "own"),
+    [(guitar(), 3300), (joined(figure(), floaters()), 4000), (room(), 6000)],
+    ids=["guitar", "figure", "room"],
+)
+def test_without_photos_all_content_is_in_every_frame(splats: Splats, own: int):
+    views = ring_cameras(splats, UP.float())
+    path = orbit_around(content_of(splats), views, 24)
+    assert min(shares(path, splats.means[:own])) > 0.99
+    steps = (path.positions.roll(-1, 0) - path.positions).norm(dim=1)
+    assert steps.max() < 1.5 * steps.min(), "closed and even"
+    assert path.size == views.size and len(set(path.names)) == 24
+    if own == 6000:
+        assert path.positions[:, :2].abs().max() < 3, "within the walls"
+
+
+def test_an_object_is_gone_around_before_what_would_hide_it():
+    splats, own = room(), torch.arange(len(room())) < 6000
+    content = object_content(splats, own)
+    path = orbit_around(content, ring_cameras(splats, UP.float()), 12)
+    assert min(shares(path, splats.means[:6000])) > 0.98
+    assert path.positions[:, :2].abs().max() < 3, "within the walls"
+    assert (content.extent.size > 0).all() and len(content.others)
+
+
+def test_an_object_fills_the_pictures_of_its_round_trip():
+    splats = guitar()
+    content = object_content(splats, torch.ones(len(splats), dtype=torch.bool))
+    cameras = arc([-0.5, 0.0, 0.5]).resize(100, 60)
+    path = filled(orbit_cameras(cameras, 8, content.extent.centre), content)
+    assert path.size == (100, 60)
+    places = torch.nn.functional.pad(content.outline.float(), (0, 1), value=1)
+    seen = torch.einsum("cij,cjk,pk->cpi", path.Ks, path.viewmats[:, :3], places)
+    spread = (seen[..., :2] / seen[..., 2:] - torch.tensor([50.0, 30.0])).abs()
+    filling = (spread / torch.tensor([50.0, 30.0])).amax()
+    assert math.isclose(float(filling), FILLED, rel_tol=1e-3)

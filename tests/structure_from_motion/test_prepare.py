@@ -1,0 +1,287 @@
+import json
+import os
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from pictures_of_walks import film, save, view, walk
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.io.captures.photos import read_image
+from stylesplat.structure_from_motion.photo_folder import find_sources
+from stylesplat.structure_from_motion.prepare import prepare
+
+
+def test_plain_photos_are_taken_as_they_are(tmp_path: Path):
+    source = walk(tmp_path / "my photos")
+    prepared = prepare(source, tmp_path / "out")
+    assert prepared.names == tuple(f"IMG_{i}.jpg" for i in range(8, 13))  # not 10 before 8
+    assert prepared.ordered
+    assert not prepared.left_out
+    assert prepared.origins == {name: name for name in prepared.names}
+    assert all(0.5 < sharp < 2 for sharp in prepared.sharpness.values())
+    for name in prepared.names:
+        copy, photo = tmp_path / "out" / name, (source / name).read_bytes()
+        assert copy.read_bytes() == photo
+        copy.write_bytes(b"edited in place")
+        assert (source / name).read_bytes() == photo
+
+
+def test_rotated_photos_become_upright_and_keep_their_focal_length(tmp_path: Path):
+    for index in range(3):
+        turned = np.rot90(view(index * 24))
+        save(tmp_path / "in" / f"{index}.jpg", turned, orientation=6, focal=26)
+    prepare(tmp_path / "in", tmp_path / "out")
+    with Image.open(tmp_path / "out" / "1.jpg") as image:
+        assert image.size == (320, 240)
+        assert np.abs(np.asarray(image) - view(24).astype(int)).mean() < 3  # JPEG twice
+    camera = pycolmap.infer_camera_from_image(tmp_path / "out" / "1.jpg")
+    assert camera.has_prior_focal_length
+    assert camera.focal_length == pytest.approx(26 * 400 / np.hypot(36, 24), rel=1e-3)
+
+
+def test_whatever_is_not_plain_rgb_is_converted(tmp_path: Path):
+    pictures = [Image.fromarray(view(index * 24)) for index in range(6)]
+    alpha = pictures[3].convert("RGBA")
+    alpha.putpixel((0, 0), (0, 0, 0, 0))
+    (tmp_path / "in").mkdir()
+    pictures[0].convert("L").save(tmp_path / "in" / "0.jpg")
+    pictures[1].convert("CMYK").save(tmp_path / "in" / "1.jpg")
+    pictures[2].save(tmp_path / "in" / "2.TIFF")
+    alpha.save(tmp_path / "in" / "3.png")
+    deep = np.asarray(pictures[4].convert("L")).astype(np.uint16) * 257
+    Image.fromarray(deep).save(tmp_path / "in" / "4.png")
+    pictures[5].save(tmp_path / "in" / "5.webp", lossless=True)
+    prepared = prepare(tmp_path / "in", tmp_path / "out")
+    assert prepared.names == tuple(f"{i}.jpg" for i in range(6))
+    for index, name in enumerate(prepared.names):
+        with Image.open(tmp_path / "out" / name) as image:
+            assert image.mode == "RGB"
+            grey = np.asarray(image.convert("L")).astype(int)
+        off = np.abs(grey - np.asarray(pictures[index].convert("L"))).mean()
+        assert off < 6, name  # CMYK and JPEG are not exact
+
+
+def test_heic_is_read_upright_with_its_focal_length(tmp_path: Path):
+    heif = pytest.importorskip("pillow_heif")
+    (tmp_path / "in").mkdir()
+    for index in range(3):
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        exif.get_ifd(0x8769)[0xA405] = 26
+        turned = Image.fromarray(np.ascontiguousarray(np.rot90(view(index * 24))))
+        heif.from_pillow(turned).save(
+            tmp_path / "in" / f"{index}.HEIC", quality=90, exif=exif.tobytes()
+        )
+    prepared = prepare(tmp_path / "in", tmp_path / "out")
+    assert prepared.names == ("0.jpg", "1.jpg", "2.jpg")
+    shown = read_image(tmp_path / "out" / "1.jpg").numpy().astype(int)
+    assert np.abs(shown - view(24)).mean() < 8  # HEVC and JPEG
+    assert pycolmap.infer_camera_from_image(tmp_path / "out" / "1.jpg").has_prior_focal_length
+
+
+def test_without_pillow_heif_one_line_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    walk(tmp_path / "in")
+    (tmp_path / "in" / "a.heic").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(StyleSplatError, match=r"pip install 'stylesplat\[heic\]'"):
+        prepare(tmp_path / "in", tmp_path / "out")
+
+
+def test_names_of_all_kinds_stay_apart(tmp_path: Path):
+    names = ("ä ö/1 (2).JPG", "ä ö/2.jpeg", "ä ö/2.png", "c/3.tif", "c/3.jpg", "C4.Png")
+    for index, name in enumerate(names):
+        save(tmp_path / "in" / name, view(index * 24))
+    for name in (".hidden/1.jpg", "object_mask/2.jpg", "x.partial/3.jpg", "._1.jpg"):
+        save(tmp_path / "in" / name, view(200))
+    (tmp_path / "in" / "notes.txt").write_text("nothing")
+    prepared = prepare(tmp_path / "in", tmp_path / "in" / "out")
+    assert sorted(prepared.origins.values()) == sorted(names)
+    stems = {Path(name).with_suffix("").as_posix().casefold() for name in prepared.names}
+    assert len(stems) == len(names)
+    assert not prepared.ordered
+    assert all((tmp_path / "in" / "out" / name).is_file() for name in prepared.names)
+    assert prepare(tmp_path / "in", tmp_path / "in" / "out") == prepared  # skips what it wrote
+
+
+def test_unreadable_blurred_and_repeated_photos_are_left_out(tmp_path: Path):
+    source = walk(tmp_path / "in", 8)
+    whole = (source / "IMG_9.jpg").read_bytes()
+    (source / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    (source / "text.jpg").write_text("no picture")
+    (source / "raw.DNG").write_bytes(b"raw")
+    save(source / "IMG_17.jpg", view(200, blur=12))
+    with Image.open(source / "IMG_10.jpg") as image:
+        image.resize((160, 120)).save(source / "IMG_10 copy.png")
+    prepared = prepare(source, tmp_path / "out")
+    assert prepared.names == tuple(f"IMG_{i}.jpg" for i in range(8, 16))
+    left_out = dict(prepared.left_out)
+    assert left_out.pop("cut.jpg").startswith("no readable picture: ")
+    assert left_out.pop("text.jpg").startswith("no readable picture: it is no picture")
+    assert left_out == {
+        "raw.DNG": "a raw file; give JPEG",
+        "IMG_17.jpg": "blurred",
+        "IMG_10 copy.png": "nearly the same as IMG_10.jpg",
+    }
+
+
+def test_a_slow_walk_is_thinned_to_photos_that_differ(tmp_path: Path):
+    for index in range(25):
+        save(tmp_path / "in" / f"{index:02d}.png", view(index * 0.32))  # 0.1 % of the width
+    prepared = prepare(tmp_path / "in", tmp_path / "out")
+    assert 8 <= len(prepared.names) <= 13  # every second or third
+
+
+def test_an_interrupted_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source, out = tmp_path / "in", tmp_path / "out"
+    for index in range(4):
+        save(source / f"{index}.jpg", view(index * 24), orientation=3)
+    prepared = prepare(source, out)
+    (out / "2.jpg").rename(out / ".2.0123456789ab.jpg")  # what a killed process leaves
+    kept = (out / "1.jpg").stat()
+    monkeypatch.setattr(
+        "stylesplat.structure_from_motion.prepare.choose_photos", None
+    )  # nobody looks again
+    assert prepare(source, out) == prepared
+    assert {path.name for path in out.iterdir()} == {*prepared.names, ".prepared.json"}
+    assert (out / "1.jpg").stat() == kept
+
+
+def test_a_record_writes_and_reads_nothing_outside(tmp_path: Path):
+    source, out = walk(tmp_path / "in"), tmp_path / "a" / "b" / "out"
+    prepared = prepare(source, out)
+    record = out / ".prepared.json"
+    whole = record.read_text()
+    record.write_text(whole.replace('"IMG_9.jpg":', '"../../../victim.jpg":'))
+    assert prepare(source, out) == prepared  # made again
+    assert {path.name for path in tmp_path.iterdir()} == {"in", "a"}
+    hostile = json.loads(whole)
+    hostile["prepared"]["origins"]["IMG_9.jpg"] = "../secret.jpg"
+    record.write_text(json.dumps(hostile))
+    (out / "IMG_9.jpg").unlink()
+    save(tmp_path / "secret.jpg", view(0))
+    with pytest.raises(StyleSplatError, match=r"secret.jpg' leads out of the folder"):
+        prepare(source, out)
+
+
+def test_numbers_that_no_camera_has_are_left_behind(tmp_path: Path):
+    source = walk(tmp_path / "in", 3)
+    entry = struct.pack("<HHHLLL", 1, 0x8769, 4, 1, 26, 0)  # a pointer to the next
+    huge = struct.pack("<HHHQLL", 1, 0xA405, 16, 1, 0, 0)[:6] + struct.pack("<LLL", 1, 44, 0)
+    exif = b"Exif\0\0II*\0" + struct.pack("<L", 8) + entry + huge + struct.pack("<Q", 2**40)
+    with Image.open(source / "IMG_9.jpg") as image:
+        assert image.mode == "RGB"
+        image.convert("L").save(source / "IMG_9.jpg", exif=exif)
+    with Image.open(source / "IMG_9.jpg") as image:
+        assert image.getexif().get_ifd(0x8769) == {0xA405: 2**40}
+    assert len(prepare(source, tmp_path / "out").names) == 3
+    with Image.open(tmp_path / "out" / "IMG_9.jpg") as image:
+        assert not image.getexif()
+
+
+def test_what_changed_is_written_again_and_what_went_is_removed(tmp_path: Path):
+    source, out = walk(tmp_path / "in", 6), tmp_path / "out"
+    (source / "sub").mkdir()
+    (source / "IMG_13.jpg").rename(source / "sub" / "IMG_13.jpg")
+    prepare(source, out)
+    save(source / "new.jpg", view(24 + 7))
+    os.utime(source / "new.jpg", ns=(1, 1))
+    (source / "new.jpg").replace(source / "IMG_9.jpg")
+    (source / "sub" / "IMG_13.jpg").unlink()
+    (source / "sub").rmdir()
+    prepared = prepare(source, out)
+    assert len(prepared.names) == 5
+    assert not (out / "sub").exists()
+    assert (out / "IMG_9.jpg").read_bytes() == (source / "IMG_9.jpg").read_bytes()
+
+
+def test_a_folder_of_something_else_is_not_touched(tmp_path: Path):
+    source = walk(tmp_path / "in")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "letter.txt").write_text("dear")
+    with pytest.raises(StyleSplatError, match="holds something else"):
+        prepare(source, tmp_path / "out")
+    assert (tmp_path / "out" / "letter.txt").read_text() == "dear"
+
+
+def test_too_few_photos_are_counted(tmp_path: Path):
+    source = walk(tmp_path / "in", 2)
+    (source / "text.jpg").write_text("no picture")
+    with pytest.raises(StyleSplatError, match=r"has 2 photos .* 1 left out: no readable picture"):
+        prepare(source, tmp_path / "out")
+
+
+def test_blurred_photos_only(tmp_path: Path):
+    for index in range(4):
+        small = cv2.resize(view(index * 24), (64, 48), interpolation=cv2.INTER_AREA)
+        blurred = cv2.GaussianBlur(cv2.resize(small, (640, 480)), (0, 0), 8)
+        save(tmp_path / "in" / f"{index}.jpg", blurred)
+    with pytest.raises(StyleSplatError, match="all blurred"):
+        prepare(tmp_path / "in", tmp_path / "out")
+
+
+def test_cut_out_photos(tmp_path: Path):
+    for index in range(4):
+        alpha = np.full((240, 320, 1), 255, np.uint8)
+        alpha[:, :200] = 0
+        save(tmp_path / "in" / f"{index}.png", np.dstack([view(index * 24), alpha]))
+    with pytest.raises(StyleSplatError, match=r"4 of 4 photos .* have no background"):
+        prepare(tmp_path / "in", tmp_path / "out")
+
+
+@pytest.mark.parametrize("level", [0, 255, 90])
+def test_masked_photos(tmp_path: Path, level: int):
+    called = {0: "black", 255: "white", 90: "of one colour"}[level]
+    for index in range(4):
+        masked = np.full((480, 640, 3), level, np.uint8)
+        masked[120:480, 200:440] = cv2.resize(view(index * 24), (240, 360))  # to the lower edge
+        save(tmp_path / "in" / f"{index}.jpg", masked)
+    with pytest.raises(StyleSplatError, match=rf"4 of 4 photos .*: it is {called}\. The back"):
+        prepare(tmp_path / "in", tmp_path / "out")
+
+
+def test_a_burnt_out_sky_is_a_background(tmp_path: Path):
+    for index in range(4):
+        photo = view(index * 24)
+        photo[: len(photo) * 2 // 5] = 255
+        save(tmp_path / "in" / f"{index}.jpg", photo)
+    assert len(prepare(tmp_path / "in", tmp_path / "out").names) == 4
+
+
+def test_sources_that_are_none(tmp_path: Path):
+    posed, films, out = tmp_path / "posed", tmp_path / "films", tmp_path / "out"
+    walk(posed / "images")
+    (posed / "sparse" / "0").mkdir(parents=True)
+    (posed / "sparse" / "0" / "cameras.bin").write_bytes(b"")
+    films.mkdir()
+    (films / "a.mp4").write_bytes(b"")
+    (films / "b.MOV").write_bytes(b"")
+    (tmp_path / "empty").mkdir()
+    for source, message in (
+        (tmp_path / "none", "no folder or video"),
+        (tmp_path / "empty", "has no photos"),
+        (posed / "images" / "IMG_8.jpg", "is one photo"),
+        (posed, "has its poses already .sparse.*find new ones"),
+        (films, "2 videos: a.mp4, b.MOV. Give one"),
+    ):
+        with pytest.raises(StyleSplatError, match=message):
+            prepare(source, out)
+    with pytest.raises(StyleSplatError, match="the photos themselves"):
+        prepare(posed / "images", posed / "images")
+    with pytest.raises(StyleSplatError, match="Cannot choose 2 frames"):
+        prepare(posed / "images", out, frames=2)
+
+
+def test_videos_among_photos_are_listed(tmp_path: Path):
+    source = walk(tmp_path / "in")
+    film(source / "IMG_8.mov", [view(0)])
+    assert find_sources(source, skip=tmp_path).videos == ("IMG_8.mov",)
+    assert prepare(source, tmp_path / "out").left_out == {"IMG_8.mov": "a video among photos"}
+    (source / "IMG_8.mov").unlink()
+    assert not prepare(source, tmp_path / "out").left_out

@@ -1,0 +1,159 @@
+import socket
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS
+from studio_balls import QUICK, stripes
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import open, save
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.studio_app.keeping import AUTOSAVE, exported
+from stylesplat.studio_app.opening import studio
+from stylesplat.studio_app.picking import pick_names, renamed
+from stylesplat.studio_app.studio_state import with_scene
+from stylesplat.stylization.style import Style
+from unprivileged import as_nobody, public_folder
+
+LONG = replace(QUICK, steps=5000)  # longer than any test
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    save(Scene(SPLATS, CAMERAS), tmp_path / "balls")
+    return tmp_path / "balls"
+
+
+def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, block=False)
+    opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert opened.session.worker.settle()
+    opened.close()
+    assert "Kept what was not saved" in said[-1]
+    assert not open(folder).objects, "the scene itself is as it was"
+    again = studio(folder, port=0, block=False)
+    try:
+        assert [*again.session.state.scene.objects] == ["red"] and again.session.unsaved
+        assert "Recovered" in said[-1]
+        again.session.step(-1)
+        assert again.session.worker.settle()
+        assert not again.session.state.scene.objects
+    finally:
+        again.close()
+
+
+def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
+    opened = studio(folder, port=0, block=False, device="cpu")
+    strokes = threading.Event()
+
+    def look() -> None:
+        if opened.session.progress is not None and opened.session.progress.share > 0:
+            strokes.set()
+
+    opened.session.on_change(look)
+    opened.page.paint.easel.paint(("3",), Style(stripes(), config=LONG), "stripes")
+    assert strokes.wait(60)
+    opened.close()
+    kept = open(folder / AUTOSAVE)
+    assert kept.painted_objects == ("3",)
+    assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
+
+
+def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(folder: Path):
+    opened = studio(folder, port=0, block=False, device="cpu")
+    kept = list[bool]()
+
+    def look() -> None:
+        if opened.session.painting:
+            opened.autosave()
+            kept.append((folder / AUTOSAVE).exists())
+
+    try:
+        opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+        opened.session.on_change(look)
+        opened.page.paint.easel.paint(("red",), Style(stripes(), config=QUICK), "stripes")
+        assert opened.session.worker.settle()
+        assert kept and not any(kept)
+        assert open(folder / AUTOSAVE).painted_objects == ("red",)
+    finally:
+        opened.close()
+
+
+def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, block=False)
+    number, no_json = opened.server.get_port(), {"how": object()}
+    opened.session.do(
+        lambda state: with_scene(
+            state,
+            replace(state.scene, objects={"red": SceneObject(SPLATS.means[:, 0] > 0, no_json)}),
+            "an object that no file can hold",
+        )
+    )
+    assert opened.session.worker.settle()
+    with pytest.raises(TypeError):
+        opened.close()
+    assert "something may be lost: TypeError" in said[-1]
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", number)) != 0
+
+
+def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[str]):
+    opened = studio(folder, port=0, block=False)
+    opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    assert opened.session.worker.settle()
+    opened.close()
+    (folder / AUTOSAVE / "splats.ply").write_bytes(b"ply")
+    again = studio(folder, port=0, block=False)
+    try:
+        assert not again.session.unsaved
+        assert "Nothing of the last time is recovered" in said[-1] and "splats.ply" in said[-1]
+    finally:
+        again.close()
+
+
+def test_where_nothing_can_be_written_save_says_so_and_all_else_works(said: list[str]):
+    with public_folder() as public:
+        save(Scene(SPLATS, CAMERAS), public / "balls")
+        (public / "balls").chmod(0o555)
+        with as_nobody():
+            opened = studio(public / "balls", port=0, block=False)
+            opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+            assert opened.session.worker.settle()
+            assert [*opened.session.state.scene.objects] == ["red"]
+            with pytest.raises(StyleSplatError, match="Cannot write"):
+                opened.place.save(opened.session)
+            with pytest.raises(StyleSplatError, match="Cannot write"):
+                opened.place.save_as(opened.session, "other")
+            assert exported(opened.session.state.scene, ".splat")
+            opened.close()
+        assert "Nothing is kept against crashes" in said[-1]
+        assert not open(public / "balls").objects
+
+
+def test_of_what_is_thinned_every_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("stylesplat.studio_app.viewing.MOST", 100)
+    opened = studio(folder, port=0, block=False)
+    opened.close()
+    (line,) = opened.session.greetings
+    assert "moves 100 of 440 Gaussians" in line
+
+
+def test_the_user_is_warned_of_the_network(folder: Path, said: list[str]):
+    studio(folder, port=0, block=False).close()
+    assert not said
+    studio(folder, port=0, host="0.0.0.0", block=False).close()
+    assert "0.0.0.0 is open to the network" in said[0]
+
+
+def test_what_cannot_be_opened_is_told_before_anything_is_served(tmp_path: Path, folder: Path):
+    with pytest.raises(StyleSplatError, match="empty"):
+        studio(Scene(SPLATS[torch.arange(0)], CAMERAS, path=folder), block=False)
+    with pytest.raises(StyleSplatError, match="no folder to save to"):
+        studio(replace(open(folder), path=None), block=False)
+    with pytest.raises(StyleSplatError, match="no folder"):
+        studio(folder, styles=tmp_path / "none", block=False)
+    with pytest.raises(StyleSplatError):
+        studio(tmp_path / "nothing", block=False)
