@@ -24,7 +24,7 @@ class Export:
     """Folder of the scene."""
     file: Positional[Path | None] = None
     """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .glb
-    and .gltf are glTF, .usd (.usdc, .usda) USD; .html is a page for any browser, with before and
+    and .gltf are glTF; .html is a page for any browser, with before and
     after; .npz and .json list the objects' Gaussians. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
@@ -110,8 +110,6 @@ class Export:
         opened_by = "SuperSplat opens it"
         if file.suffix.lower() in (".glb", ".gltf"):
             opened_by = "What knows KHR_gaussian_splatting opens it, the rest shows points"
-        if file.suffix.lower().startswith(".usd"):
-            opened_by = "What knows OpenUSD's ParticleField3DGaussianSplat opens it"
         if file.suffix.lower() == ".html":
             opened_by = "Any browser opens it, without a network"
         if plain and self.sh_degree is None:

@@ -24,8 +24,8 @@ class Import:
 
     first: ClassVar = ("up", "frame", "like")
     splat: Positional[Path]
-    """A .ply (also SuperSplat's compressed one), .spz, .splat, .sog, .glb, .gltf or .usd (.usdc,
-    .usda, .usdz) file, or the meta.json of a SOG folder."""
+    """A .ply (also SuperSplat's compressed one), .spz, .splat, .sog, .glb or .gltf file, or
+    the meta.json of a SOG folder."""
     output: Output
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None

@@ -14,10 +14,7 @@ PHOTOS = (
     *(".bmp", ".dib", ".gif", ".ppm", ".pgm", ".pnm", ".tga", *HEIC),
 )
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".3gp", ".mts", ".m2ts", ".mpg", ".wmv")
-SPLATS = (
-    *(".ply", ".spz", ".splat", ".sog", ".glb", ".gltf"),
-    *(".usd", ".usdc", ".usda", ".usdz"),
-)
+SPLATS = (".ply", ".spz", ".splat", ".sog", ".glb", ".gltf")
 SOG_META = "meta.json"  # of a SOG that is a folder
 
 Kind = Literal[

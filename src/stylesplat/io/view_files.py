@@ -27,8 +27,21 @@ FOREIGN = (
     *(".avi", ".m4v", ".wmv", ".flv", ".mpg", ".mpeg", ".ogv", ".apng", ".avif", ".bmp", ".exr"),
     *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip", ".ts", ".3gp"),
     *(".obj", ".ply", ".glb", ".gltf", ".spz", ".sog", ".splat", ".ksplat", ".npy", ".npz"),
-    *(".html", ".json", ".yaml", ".yml", ".txt", ".csv", ".md", ".tar", ".gz", ".7z", ".rar"),
-    *(".usd", ".usdc", ".usda", ".usdz"),
+    *(
+        ".html",
+        ".usd",
+        ".usdz",
+        ".json",
+        ".yaml",
+        ".yml",
+        ".txt",
+        ".csv",
+        ".md",
+        ".tar",
+        ".gz",
+        ".7z",
+        ".rar",
+    ),
 )
 SCALE = "depth.json"  # beside depths of 16 bits: what a step is
 

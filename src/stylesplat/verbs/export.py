@@ -45,8 +45,8 @@ def export(
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
             SuperSplat compresses, four times smaller; in `.spz`, about six times smaller; in
             `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb` or
-            `.gltf`, glTF with Khronos' KHR_gaussian_splatting, or `.usd` (`.usdc`, `.usda`; needs
-            the extra `usd`), all as float32; or in `.html`, a page that any browser opens from
+            `.gltf`, glTF with Khronos' KHR_gaussian_splatting, as float32; or in `.html`, a page
+            that any browser opens from
             the disk, without a network, and that compares a styled scene with what it was before.
         objects: Names or label ids of what to write alone; by default everything. It lies where
             it does in the scene, so that parts fit together again.

@@ -53,7 +53,7 @@ def import_(
     The splat stays as it is: same frame, same Gaussians, same order.
 
     Args:
-        splat: A .ply, .spz, .splat, .sog, .glb, .gltf or .usd file, or a SOG folder's meta.json;
+        splat: A .ply, .spz, .splat, .sog, .glb or .gltf file, or a SOG folder's meta.json;
             or what was read from one.
         capture: The photos that it was made from. Without them the scene gets views around
             the content, most of which have all of it in their pictures.

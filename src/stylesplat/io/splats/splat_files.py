@@ -27,9 +27,6 @@ from stylesplat.io.splats.splat_ply import (
     read_splat_ply,
     write_splat_ply,
 )
-from stylesplat.io.splats.splat_usd import READ as USD
-from stylesplat.io.splats.splat_usd import WRITTEN as WRITTEN_USD
-from stylesplat.io.splats.splat_usd import read_usd, write_usd
 from stylesplat.io.splats.spz import read_spz, write_spz
 from stylesplat.io.splats.write_gltf import write_glb, write_gltf
 from stylesplat.scene.splats import Splats
@@ -42,7 +39,6 @@ SMALLER: dict[str, Callable[[Splats, Path], None]] = {
     ".sog": write_sog,
     ".glb": write_glb,
     ".gltf": write_gltf,
-    **dict.fromkeys(WRITTEN_USD, write_usd),
 }
 MAX_DEGREE = 3
 
@@ -51,8 +47,8 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
-    .splat, glTF, USD, and SOG, be it a bundle or the meta.json of a folder. But for USD, whose
-    library does as it does, no memory is taken for a count that was not checked against the file.
+    .splat, glTF, and SOG, be it a bundle or the meta.json of a folder. No memory is taken for a
+    count that was not checked against the file.
 
     Raises:
         StyleSplatError: If the file is missing, of another kind, damaged or empty.
@@ -65,7 +61,6 @@ def read_splats(path: Path | str) -> Splats:
         ".sog": read_sog,
         ".glb": read_gltf,
         ".gltf": read_gltf,
-        **dict.fromkeys(USD, read_usd),
     }
     reader = read_sog if path.name == SOG_META else readers.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
@@ -96,13 +91,12 @@ def write_splats(
 
     `.ply` keeps every bit. `.spz` is about six times smaller, `.sog` seven times or more,
     `.compressed.ply` about four times: positions, colours and rotations are rounded. `.splat` has
-    one colour per Gaussian, seen the same from everywhere. `.glb`, `.gltf` and `.usd` have all as
-    float32.
+    one colour per Gaussian, seen the same from everywhere. `.glb` and `.gltf` have all as float32.
 
     Args:
         splats: What to write.
-        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog`, `.glb`,
-            `.gltf`, `.usd`, `.usdc` or `.usda`.
+        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog`, `.glb`
+            or `.gltf`.
         overwrite: Whether a file of that name may be replaced.
         sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
             is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
