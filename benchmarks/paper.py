@@ -23,7 +23,7 @@ from paper_figures.foreword import Run, foreword
 from paper_figures.story import Figure, html_page, markdown_page
 from paper_figures.subject import EFFORTS, open_subject
 
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 
 FIGURES = {
     module.NAME: module.FIGURE

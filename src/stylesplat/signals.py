@@ -14,7 +14,7 @@ from stylesplat.stderr import write_lines
 TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others only repeat it: clean-up goes on
 AGAIN = 0.05  # seconds until a signal is tried again
-FIRST = "stylesplat.io.locks"  # what is loaded before a verb takes a lock or writes anything
+FIRST = "stylesplat.io.atomic"  # what is loaded before a verb takes a lock or writes anything
 WHOLE = "Every file is as it was, or done."
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from command_line import complaint, result
-from stylesplat.io import locks
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io import atomic
+from stylesplat.io.images import read_image
 from stylesplat.io.scene_folder import open
 from stylesplat.selection.own_shares import own_shares
 from stylesplat.selection.pick import pick_objects
@@ -42,11 +42,11 @@ def test_nothing_is_drawn_into_a_scene_that_is_changed(
     scene: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ):
     """Who changes it takes unfinished files for those of a process that was killed."""
-    monkeypatch.setattr(locks, "PATIENCE", 0.1)
+    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
     holding, done = threading.Event(), threading.Event()
 
     def change() -> None:
-        with locks.locked(scene):
+        with atomic.changing(scene):
             holding.set()
             done.wait(60)
 

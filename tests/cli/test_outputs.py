@@ -13,7 +13,7 @@ from balls import CAMERAS
 from command_line import complaint, run
 from small_files import no_room
 from stylesplat.io import images
-from stylesplat.io.scene_folder import SCENE
+from stylesplat.io.kinds import SCENE
 from unprivileged import as_nobody, public_folder
 
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile

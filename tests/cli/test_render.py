@@ -12,7 +12,7 @@ from PIL import Image
 from balls import CAMERAS
 from command_line import complaint, result, run
 from stylesplat.figures.pictures import label_colors
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import read_label_map
 
 

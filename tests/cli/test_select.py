@@ -6,7 +6,7 @@ import stylesplat as ss
 from balls import BALLS, CAMERAS
 from color_detector import ColorDetector
 from command_line import complaint, result
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.selection.identities import render_labels
 
 

@@ -13,7 +13,7 @@ from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select, picture_of
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.scene.scene import Scene
 
 

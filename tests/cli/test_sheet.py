@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CAPTION, HEAD
 from stylesplat.figures.object_sheet import CELL, MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.stylization.style_config import PRESETS
 

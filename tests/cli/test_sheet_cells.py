@@ -9,7 +9,7 @@ import torch
 from command_line import complaint, run
 from stylesplat.cli.sheet_cells import Cells
 from stylesplat.figures.style_sheet import plan_sheet
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.io.scene_folder import open
 from stylesplat.stylization.recipe import parse_variation
 

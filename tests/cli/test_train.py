@@ -11,7 +11,7 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS
 from command_line import complaint, result, run
-from stylesplat.io import locks
+from stylesplat.io import atomic
 from stylesplat.training.loop import fit
 
 STOP = 5  # steps after which Ctrl-C is pressed
@@ -203,11 +203,11 @@ def test_a_second_run_leaves_the_first_one_alone(
     out, checkpoint = tmp_path / "scene", tmp_path / "scene.partial" / "checkpoint_lift.pt"
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"of the first")
-    monkeypatch.setattr(locks, "PATIENCE", 0.1)
+    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
     holding, done = threading.Event(), threading.Event()
 
     def first() -> None:
-        with locks.locked(out):
+        with atomic.changing(out):
             holding.set()
             done.wait(60)
 

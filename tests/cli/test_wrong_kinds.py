@@ -9,7 +9,8 @@ from PIL import Image
 from balls import CAMERAS, SPLATS
 from bare_balls import BARE
 from command_line import complaint, run
-from stylesplat.io.scene_folder import SCENE, save
+from stylesplat.io.kinds import SCENE
+from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.export import export
 

@@ -7,8 +7,8 @@ from stylesplat.demo import demo_capture as demo
 from stylesplat.demo.demo_capture import demo_capture, write_demo_capture
 from stylesplat.demo.still_life import OBJECT_NAMES, dome_cameras, photograph
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.photos import read_image
 from stylesplat.io.captures.transforms import read_transforms
+from stylesplat.io.images import read_image
 from stylesplat.io.json_files import read_json
 from stylesplat.io.label_maps import read_label_map
 

@@ -15,10 +15,10 @@ from torch import Tensor
 import seeds
 import stylesplat as ss
 from scenes import random_splats, two_cameras
-from stylesplat.io.captures.label_folder import write_label_maps
-from stylesplat.io.captures.photos import read_image
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.files import inside
+from stylesplat.io.images import read_image
+from stylesplat.io.label_maps import write_label_maps
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.rendering.rasterize import rasterize

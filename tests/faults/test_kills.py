@@ -11,7 +11,7 @@ import stylesplat
 from full_scenes import full_scene
 from killing import WRITERS, faults, kills
 from stylesplat.cli.select import Select
-from stylesplat.io import locks
+from stylesplat.io import atomic
 from stylesplat.io.scene_folder import open, save
 from stylesplat.progress import Silence, observed
 
@@ -57,7 +57,7 @@ Select(Path(sys.argv[1]), "one", sphere=("0,0,0,9",)).run()
 
 
 def test_two_selections_at_once_are_both_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(locks, "PATIENCE", 100.0)  # this machine may be busy
+    monkeypatch.setattr(atomic, "PATIENCE", 100.0)  # this machine may be busy
     save(full_scene(), tmp_path / "scene")
     first = subprocess.Popen(
         [sys.executable, "-c", SELECT, tmp_path / "scene"],
@@ -70,7 +70,7 @@ def test_two_selections_at_once_are_both_kept(tmp_path: Path, monkeypatch: pytes
 
     class Listener(Silence):
         def say(self, line: str) -> None:
-            if line.startswith(f"Waiting for another stylesplat (process {first.pid}) that chan"):
+            if line.startswith("Waiting for another stylesplat that chan"):
                 told.append(line)
                 first.communicate("go\n")
 

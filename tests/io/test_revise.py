@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from full_scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import folders, scene_folder
+from stylesplat.io import atomic, scene_folder
 from stylesplat.io.scene_folder import revise
 from stylesplat.scene.compose import with_layers, with_strengths, without_layers
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.scene import Scene
 
-# All by which `folders` changes what lies in a folder, deletions aside, which are the last it does
-CHANGES = [(os, "replace"), (os, "rename"), (os, "link"), (os, "mkdir"), (folders, "_exchanged")]
+# All calls that change what lies in a folder, deletions aside, which come last
+CHANGES = [(os, "replace"), (os, "rename"), (os, "link"), (os, "mkdir"), (atomic, "_exchange")]
 
 
 def inodes(folder: Path) -> dict[str, int]:
@@ -46,30 +45,6 @@ def failing(number: int, error: BaseException, *, for_good: bool = False) -> Ite
         yield calls
 
 
-def can_exchange(folder: Path) -> bool:
-    one, other = folder / "one", folder / "other"
-    one.mkdir()
-    other.mkdir()
-    exchanged = folders._exchanged(one, other)
-    one.rmdir()
-    other.rmdir()
-    return exchanged
-
-
-def test_a_revision_changes_nothing_else(tmp_path: Path):
-    scene_folder.save(full_scene(), tmp_path / "scene")
-    scene, before = scene_folder.open(tmp_path / "scene"), contents(tmp_path / "scene")
-    objects = {"table": SceneObject(torch.ones(len(scene.splats), dtype=torch.bool), {"count": 9})}
-    after = replace(scene, objects=objects)
-    revise(scene, after, tmp_path / "scene")
-    found = contents(tmp_path / "scene")
-    changed = {name for name in before | found if before.get(name) != found.get(name)}
-    assert changed == {"picks.safetensors", "objects.json"}
-    later = replace(after, metrics={"psnr": 1.0})
-    revise(after, later, tmp_path / "scene")
-    assert_same(scene_folder.open(tmp_path / "scene"), later)
-
-
 EVERYTHING: list[Callable[[Scene], Scene]] = [
     lambda scene: replace(without_layers(scene), splats=plain_scene().splats),
     lambda scene: replace(scene, cameras=scene.cameras[[1]]),
@@ -92,20 +67,13 @@ EVERYTHING: list[Callable[[Scene], Scene]] = [
 
 
 @pytest.mark.parametrize("change", EVERYTHING)
-def test_whatever_changed_is_revised(change: Callable[[Scene], Scene], tmp_path: Path):
-    scene_folder.save(full_scene(), tmp_path / "scene")
-    before = scene_folder.open(tmp_path / "scene")
-    revise(before, change(before), tmp_path / "scene")
-    assert_same(scene_folder.open(tmp_path / "scene"), change(before))
-
-
-@pytest.mark.parametrize("change", EVERYTHING)
 def test_a_revised_folder_is_the_same_as_a_new_one(
     change: Callable[[Scene], Scene], tmp_path: Path
 ):
     scene_folder.save(full_scene(), tmp_path / "scene")
     before = scene_folder.open(tmp_path / "scene")
     revise(before, change(before), tmp_path / "scene")
+    assert_same(scene_folder.open(tmp_path / "scene"), change(before))
     scene_folder.save(change(before), tmp_path / "new")
     assert contents(tmp_path / "scene") == contents(tmp_path / "new")
 
@@ -156,55 +124,46 @@ class Killed(BaseException):
     """The end of the process, as far as a test can have it."""
 
 
-@pytest.mark.parametrize("way", ["exchange", "two renames", "file by file", "no room beside"])
-@pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), Killed()])
+@pytest.mark.parametrize(
+    ("error", "exchange", "for_good"),
+    [
+        (OSError(errno.EIO, "Input/output error"), True, False),
+        (Killed(), True, True),  # nothing is done after the call, not even what would mend it
+        (Killed(), False, False),  # where the system cannot swap two names
+    ],
+    ids=["error", "killed", "two renames"],
+)
 def test_a_revision_is_whole_or_not_at_all(
-    error: BaseException, way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    error: BaseException,
+    exchange: bool,
+    for_good: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ):
-    """Whichever call to the file system fails, and be it the last call of all."""
+    """Whichever call to the file system fails."""
     folder = tmp_path / "scene"
     scene_folder.save(full_scene(), folder)
-    if way == "two renames":  # where the system cannot exchange
-        monkeypatch.setattr(folders, "_exchanged", lambda one, other: False)
-    if way == "file by file":  # where somebody stands in the folder
-        monkeypatch.chdir(folder)
-    if way == "no room beside":  # where the folder is a volume, or its parent is read-only
-        monkeypatch.setattr(folders, "_has_room_beside", lambda path: False)
+    if not exchange:
+        monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
     (folder / "notes.txt").write_text("mine")
     scene = scene_folder.open(folder)
     changed = replace(without_layers(scene), splats=plain_scene().splats, metrics={})
     whole = [contents(folder)]
     with failing(-1, error) as calls:
         revise(scene, changed, folder)
-    assert len(calls) > 10
-    whole.append(contents(folder))
-    assert whole[0] != whole[1]
-    for number in range(len(calls)):
-        revise(changed, scene, folder)
-        assert contents(folder) == whole[0]
-        with failing(number, error), suppress(StyleSplatError, Killed):
-            revise(scene, changed, folder)
-        assert contents(folder) in whole, calls[number]
-        assert [path.name for path in tmp_path.iterdir()] == ["scene"], calls[number]
-
-
-def test_a_revision_survives_its_process(tmp_path: Path):
-    """Nothing is done after the call that fails, not even what would mend it."""
-    folder = tmp_path / "scene"
-    scene_folder.save(full_scene(), folder)
-    if not can_exchange(tmp_path):
+    if exchange and not any("_exchange" in call for call in calls):
         pytest.skip("this file system cannot swap two folders at once")
-    scene = scene_folder.open(folder)
-    changed = replace(without_layers(scene), splats=plain_scene().splats)
-    whole = [contents(folder)]
-    with failing(-1, Killed()) as calls:
-        revise(scene, changed, folder)
     whole.append(contents(folder))
+    assert len(calls) > 10 and whole[0] != whole[1]
     for number in range(len(calls)):
         revise(changed, scene, folder)
-        with failing(number, Killed(), for_good=True), suppress(Killed):
+        with (
+            failing(number, error, for_good=for_good),
+            suppress(StyleSplatError, Killed),
+        ):
             revise(scene, changed, folder)
         assert contents(folder) in whole, calls[number]
+        assert for_good or [path.name for path in tmp_path.iterdir()] == ["scene"], calls[number]
 
 
 def test_a_folder_that_one_stands_in_stays_the_same(
@@ -219,3 +178,38 @@ def test_a_folder_that_one_stands_in_stays_the_same(
     assert_same(scene_folder.open("."), without_layers(scene))
     assert not Path("recipe.json").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
+
+
+def test_a_reader_never_mixes_two_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = tmp_path / "scene"
+    scene_folder.save(full_scene(), folder)
+    read, times = scene_folder.read_cameras, 0
+
+    def meanwhile(path: Path):
+        nonlocal times
+        times += 1
+        if times == 1:  # another process, after splats and before objects are read
+            scene_folder.save(plain_scene(), folder, overwrite=True)
+        return read(path)
+
+    monkeypatch.setattr(scene_folder, "read_cameras", meanwhile)
+    assert_same(scene_folder.open(folder), plain_scene())
+    assert times == 2
+
+
+def test_a_scene_that_always_changes_is_not_read_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    folder = tmp_path / "scene"
+    scene_folder.save(full_scene(), folder)
+    read, times = scene_folder.read_cameras, []
+
+    def meanwhile(path: Path):
+        times.append(path)
+        os.utime(folder, ns=(len(times), len(times)))
+        return read(path)
+
+    monkeypatch.setattr(scene_folder, "read_cameras", meanwhile)
+    with pytest.raises(StyleSplatError, match="was changed all 5 times"):
+        scene_folder.open(folder)
+    assert len(times) == 5

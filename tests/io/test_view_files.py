@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.view_files import png_names, refuse_taken, write_views
 

@@ -10,7 +10,7 @@ import torch
 
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.fingerprint import fingerprint
 from stylesplat.scene.splats import Classifier

@@ -9,8 +9,7 @@ from PIL import Image
 
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.label_folder import write_label_maps
-from stylesplat.io.label_maps import read_label_map, write_label_map
+from stylesplat.io.label_maps import read_label_map, write_label_map, write_label_maps
 from stylesplat.scene.capture import Capture
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask

@@ -13,7 +13,7 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS
 from stylesplat.cli.mask import PREVIEW, Mask
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map
 from stylesplat.io.scene_folder import save
 from stylesplat.verbs.load import load

@@ -10,8 +10,8 @@ from typing import Any
 
 from stylesplat.batch_jobs.batch_plan import Job
 from stylesplat.errors import within
+from stylesplat.io.atomic import PARTIAL
 from stylesplat.io.files import is_folder
-from stylesplat.io.folders import PARTIAL
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.plain_yaml import MAX_YAML, parse_yaml
 

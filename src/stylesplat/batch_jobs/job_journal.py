@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from stylesplat.io.files import atomic_path, cannot_write, read_bytes
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import cannot_write, read_bytes
 from stylesplat.io.json_files import strict_json
 from stylesplat.progress import say
 

@@ -16,8 +16,7 @@ from typing import Any
 from stylesplat.batch_jobs import end_with_parent
 from stylesplat.batch_jobs.batch_plan import Job
 from stylesplat.errors import printable
-from stylesplat.io.files import copy_file
-from stylesplat.io.folders import PARTIAL
+from stylesplat.io.atomic import PARTIAL
 
 LOGS = "logs"  # in the batch's folder: what each job has printed
 PACKAGE = Path(__file__).parents[2]  # where this stylesplat is imported from
@@ -189,7 +188,7 @@ def _environment(threads: int) -> dict[str, str]:
 def _copy_capture(source: Path, target: Path) -> None:
     shutil.rmtree(target, ignore_errors=True)
     aside = shutil.ignore_patterns(".*", f"*{PARTIAL}")
-    shutil.copytree(source, target, ignore=aside, copy_function=copy_file)
+    shutil.copytree(source, target, ignore=aside, copy_function=shutil.copyfile)
 
 
 def _outcome(log: Path, stdout: Path, status: int, seconds: float, memory: float | None) -> Outcome:

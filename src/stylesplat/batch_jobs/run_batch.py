@@ -21,8 +21,7 @@ from stylesplat.batch_jobs.job_paths import refuse_address
 from stylesplat.batch_jobs.local_crew import Crew, LocalCrew
 from stylesplat.batch_jobs.orders import Outcome, order_of
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.folders import refuse_occupied
-from stylesplat.io.recovery import changing
+from stylesplat.io.atomic import changing, refuse_occupied
 from stylesplat.progress import say, task
 
 HEAD = f"{'':8}{'seconds':>9}{'GB':>7}  job"

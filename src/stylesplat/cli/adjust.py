@@ -41,7 +41,7 @@ class Adjust:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
         from stylesplat.scene.compose import strengths_of
         from stylesplat.verbs.adjust import adjust
 

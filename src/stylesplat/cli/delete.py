@@ -32,7 +32,7 @@ class Delete:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.cli.select import picture_of
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
         from stylesplat.verbs.delete import delete
 
         folder = self.output or self.scene

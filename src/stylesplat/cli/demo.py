@@ -27,7 +27,7 @@ class Demo:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.demo.demo_run import run_demo
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         with changing(self.output):
             return run_demo(self.output, overwrite=self.overwrite)

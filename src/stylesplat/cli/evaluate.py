@@ -56,7 +56,7 @@ class Evaluate:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.cli.side_by_side_page import refuse_wrong_mix, write_comparison
-        from stylesplat.io.places import refuse_file, refuse_unwritable
+        from stylesplat.io.atomic import refuse_file, refuse_unwritable
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.evaluate import evaluate
 
@@ -120,8 +120,8 @@ class Evaluate:
         return load(source, downscale=scene.downscale, masks=self.masks or exact_masks(source))
 
     def _keep(self, metrics: dict[str, Any]) -> None:
+        from stylesplat.io.atomic import changing
         from stylesplat.io.json_files import write_json
-        from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open, revise
 
         with changing(self.output or self.scene):

@@ -52,7 +52,7 @@ class Import:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         if self.capture is None and (self.masks is not None or self.frame != "capture"):
             raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
@@ -92,8 +92,9 @@ class Import:
             yield f"Moved: {part['gaussians']:,} Gaussians, {turn}."
 
     def _import(self) -> dict[str, Any]:
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, open
+        from stylesplat.io.atomic import refuse_occupied
+        from stylesplat.io.kinds import SCENE
+        from stylesplat.io.scene_folder import open
         from stylesplat.verbs.import_ import import_
         from stylesplat.verbs.load import load
 

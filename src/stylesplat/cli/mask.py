@@ -24,7 +24,7 @@ from stylesplat.cli.options import (
 from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
 from stylesplat.cli.results import write_or_rescue
-from stylesplat.io.folders import partial_of
+from stylesplat.io.atomic import partial_of
 from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
@@ -98,9 +98,8 @@ class Mask:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.atomic import changing, refuse_occupied
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
         method = self._method
@@ -146,8 +145,8 @@ class Mask:
     def _mask(
         self, capture: "Capture", scene: "Scene | None", output: Path, progress: Path | None
     ) -> dict[str, Any]:
-        from stylesplat.io.captures.label_folder import refuse_label_maps
         from stylesplat.io.captures.sfm_file import read_sfm
+        from stylesplat.io.label_maps import refuse_label_maps
         from stylesplat.scene.cameras import row_called
         from stylesplat.verbs.mask import mask
 
@@ -197,10 +196,10 @@ class Mask:
 
     def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
         from stylesplat.figures.preview import mask_preview
-        from stylesplat.io.captures.label_folder import write_label_maps
+        from stylesplat.io.atomic import changing
         from stylesplat.io.files import is_file
         from stylesplat.io.images import write_image
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.label_maps import write_label_maps
         from stylesplat.verbs.load import load
 
         found = write_or_rescue(

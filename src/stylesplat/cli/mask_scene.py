@@ -27,7 +27,8 @@ def is_without_photos(folder: Path) -> bool:
     Raises:
         StyleSplatError: If it is a scene that cannot be read.
     """
-    from stylesplat.io.scene_folder import SCENE, open
+    from stylesplat.io.kinds import SCENE
+    from stylesplat.io.scene_folder import open
     from stylesplat.scene.ring import has_no_photos
 
     # Unlike Path.is_file, it takes any name
@@ -43,10 +44,9 @@ def mask_scene(
         StyleSplatError: As `mask` does; or if all labels of the scene would be lost, or the output
             holds something, and `--overwrite` is not given.
     """
-    from stylesplat.io.folders import partial_of, refuse_occupied
-    from stylesplat.io.places import refuse_unwritable
-    from stylesplat.io.recovery import changing
-    from stylesplat.io.scene_folder import SCENE, open
+    from stylesplat.io.atomic import changing, partial_of, refuse_occupied, refuse_unwritable
+    from stylesplat.io.kinds import SCENE
+    from stylesplat.io.scene_folder import open
     from stylesplat.verbs.mask import mask
 
     refuse_given(command, ("scene",), "a scene, which is that scene itself")
@@ -105,7 +105,7 @@ def _revise(before: "Scene", after: "Scene", place: Path) -> None:
 
 
 def _result(scene: "Scene", place: Path, device: "Device") -> dict[str, Any]:
-    from stylesplat.io.recovery import changing
+    from stylesplat.io.atomic import changing
     from stylesplat.selection.choose import names_of
     from stylesplat.selection.identities import object_ids
 

@@ -41,7 +41,7 @@ def refuse_picture(output: Path, *, overwrite: bool) -> None:
     Raises:
         StyleSplatError: If its name is that of no picture, or something is there.
     """
-    from stylesplat.io.places import refuse_file
+    from stylesplat.io.atomic import refuse_file
 
     if output.suffix.lower() not in PICTURES:
         raise StyleSplatError(f"Cannot draw into {output}: use a name in {', '.join(PICTURES)}.")

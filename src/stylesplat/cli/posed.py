@@ -29,8 +29,7 @@ def posed(
         StyleSplatError: If poses cannot be found, what is drawn is in no photo, the photos have
             changed since their poses were found, or the place of the capture is taken.
     """
-    from stylesplat.io.captures.capture_folder import is_posed
-    from stylesplat.io.kinds import kind_of, no_capture, refuse_other_than_photos
+    from stylesplat.io.kinds import is_posed, kind_of, no_capture, refuse_other_than_photos
 
     if is_posed(given):
         return given
@@ -64,8 +63,8 @@ def posed(
 
 def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]]) -> None:
     """Raise a StyleSplatError for what is drawn in no photo; frames of a video get names later."""
-    from stylesplat.io.captures.photos import photo_sizes
-    from stylesplat.io.folders import partial_of
+    from stylesplat.io.atomic import partial_of
+    from stylesplat.io.images import image_sizes
     from stylesplat.scene.cameras import row_called
     from stylesplat.scene.drawn_boxes import check_box
     from stylesplat.structure_from_motion.photo_folder import find_sources
@@ -74,7 +73,7 @@ def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]
     for view, box in drawn if photos else ():
         name = photos[row_called(view, photos)]
         if box is not None:
-            check_box(box, photo_sizes(given / name)[1], name)
+            check_box(box, image_sizes(given / name)[1], name)
 
 
 def place_of(given: Path, *, beside: Path) -> Path:
@@ -132,8 +131,8 @@ def view_called(name: str, record: "SfmRecord | None") -> str:
 
 def is_under_way(given: Path, *, beside: Path) -> bool:
     """Whether poses are being found that `posed` would go on with."""
+    from stylesplat.io.atomic import partial_of
     from stylesplat.io.files import is_there
-    from stylesplat.io.folders import partial_of
 
     work = partial_of(place_of(given, beside=beside)) / "sfm"
     return is_there(work)

@@ -35,8 +35,8 @@ class Rename:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.cli.select import picture_of
-        from stylesplat.io.files import atomic_path, read_bytes
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import atomic_path, changing
+        from stylesplat.io.files import read_bytes
         from stylesplat.verbs.rename import rename
 
         folder = self.output or self.scene

@@ -32,10 +32,9 @@ def rewritten(
         StyleSplatError: If `change` does, or a folder cannot be read or written, or `output`
             holds something that may not be replaced.
     """
-    from stylesplat.io.folders import refuse_occupied
-    from stylesplat.io.places import refuse_unwritable
-    from stylesplat.io.recovery import changing
-    from stylesplat.io.scene_folder import SCENE, open, open_without_bands, revise, save
+    from stylesplat.io.atomic import changing, refuse_occupied, refuse_unwritable
+    from stylesplat.io.kinds import SCENE
+    from stylesplat.io.scene_folder import open, open_without_bands, revise, save
 
     with changing(output or source):  # from reading on, so that no other's change is lost
         if output is not None:

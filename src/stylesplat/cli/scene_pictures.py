@@ -76,8 +76,8 @@ def _written(draw: "Callable[[], UInt8[Tensor, 'H W 3'] | None]", target: Path) 
 
     The scene is there by then, so a picture that cannot be drawn or written is no failure.
     """
+    from stylesplat.io.atomic import changing
     from stylesplat.io.images import write_image
-    from stylesplat.io.recovery import changing
 
     with told_if_missing(), changing(target):
         picture = draw()

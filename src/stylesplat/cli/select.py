@@ -96,7 +96,7 @@ class Select:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         if self.model is not None and not self.text:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
@@ -167,8 +167,8 @@ class Select:
     def _draw(self, target: Path) -> Path | None:
         """Draw it, in the scene as it is saved; the picture if there is one."""
         from stylesplat.figures.selection_picture import selection_picture
+        from stylesplat.io.atomic import changing
         from stylesplat.io.images import write_image
-        from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open
         from stylesplat.progress import say
         from stylesplat.selection.choose import find_object

@@ -77,7 +77,7 @@ class Sheet:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         with changing(self.output):
             return self._draw()

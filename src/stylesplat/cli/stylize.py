@@ -90,7 +90,7 @@ class Stylize:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         recipe = self._recipe()
         with changing(self.output):
@@ -106,8 +106,9 @@ class Stylize:
         yield from style_lines(result, result["seconds_by_object"])
 
     def _stylize(self, recipe: "Recipe") -> dict[str, Any]:
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE, open, revise
+        from stylesplat.io.atomic import refuse_occupied
+        from stylesplat.io.kinds import SCENE
+        from stylesplat.io.scene_folder import open, revise
         from stylesplat.progress import say
         from stylesplat.runtime import tidy_heap
         from stylesplat.verbs.stylize import stylize_unmeasured

@@ -9,9 +9,9 @@ from stylesplat.demo.faults import FaultConfig, corrupt_label_maps
 from stylesplat.demo.shadows import contact_shadows
 from stylesplat.demo.still_life import OBJECT_NAMES, View, dome_cameras, photograph
 from stylesplat.demo.style_pictures import burning_tide, swirling_night
+from stylesplat.io.atomic import atomic_folder
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
 from stylesplat.io.captures.transforms import write_transforms
-from stylesplat.io.folders import claim_directory
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import write_json
 from stylesplat.io.label_maps import write_label_map
@@ -77,7 +77,7 @@ def write_demo_capture(
         StyleSplatError: If `path` holds something or cannot be written to.
     """
     cameras = dome_cameras(views, width, height)
-    with claim_directory(path, overwrite=False, marker=MARKER) as folder:
+    with atomic_folder(path, overwrite=False, marker=MARKER) as folder:
         seen = []
         with task("demo photos", views, unit="photo") as bar:
             for view in photograph(cameras, seed):

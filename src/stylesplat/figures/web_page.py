@@ -15,8 +15,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.figures.first_view import first_view
 from stylesplat.figures.packed import pack
-from stylesplat.io.files import atomic_path
-from stylesplat.io.places import refuse_file
+from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.rendering.constants import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of, rows_unpainted

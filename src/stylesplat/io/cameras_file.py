@@ -1,4 +1,4 @@
-"""All cameras of a scene, as JSON with numbers of 64 bits, which hold those of 32 exactly."""
+"""All cameras of a scene, as JSON: its numbers hold float32 exactly."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,17 +12,16 @@ from stylesplat.io.json_files import PhotoName, fitting, read_json_as, write_jso
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import ROTATION_TOLERANCE, are_rigid
 
-MAX_PIXELS = 2**28  # of a view: renders of more fill the memory
+MAX_PIXELS = 2**28  # of a view: larger renders do not fit into memory
 REMEDY = "Train again."
-CHANGE = "Change the cameras."
 
 _Side = Annotated[int, Meta(ge=1, le=0xFFFF)]
 _Focal = Annotated[float, Meta(ge=1e-2, le=1e7)]
 _Pixel = Annotated[float, Meta(ge=-1e7, le=1e7)]
-_Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
+_Position = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Zero = Annotated[float, Meta(ge=-1e-6, le=1e-6)]  # inverses of poses are rounded
 _One = Annotated[float, Meta(ge=1 - 1e-6, le=1 + 1e-6)]
-_Row = tuple[_Place, _Place, _Place, _Place]
+_Row = tuple[_Position, _Position, _Position, _Position]
 
 
 class _Camera(msgspec.Struct):
@@ -38,11 +37,7 @@ class _File(msgspec.Struct):
 
 
 def write_cameras(cameras: Cameras, path: Path) -> None:
-    """Write cameras.
-
-    Raises:
-        StyleSplatError: If the file cannot be written, or `read_cameras` would refuse it.
-    """
+    """Write cameras, unless `read_cameras` would refuse them."""
     dtype = torch.promote_types(cameras.viewmats.dtype, cameras.Ks.dtype)
     rows = [
         {
@@ -54,19 +49,15 @@ def write_cameras(cameras: Cameras, path: Path) -> None:
         for row, name in enumerate(cameras.names)
     ]
     content = {"dtype": str(dtype).removeprefix("torch."), "cameras": rows}
-    fitting(content, _File, f"Cannot write {path}", CHANGE)
+    fitting(content, _File, f"Cannot write {path}", "Change the cameras.")
     fault = _fault(cameras)
     if fault:
-        raise StyleSplatError(f"Cannot write {path}: {fault}. {CHANGE}")
+        raise StyleSplatError(f"Cannot write {path}: {fault}. Change the cameras.")
     write_json(content, path)
 
 
 def read_cameras(path: Path) -> Cameras:
-    """Read what `write_cameras` wrote.
-
-    Raises:
-        StyleSplatError: If the file is missing or damaged, or a camera can be none.
-    """
+    """Read the cameras of a scene."""
     content = read_json_as(path, _File, REMEDY)
     dtype = torch.float32 if content.dtype == "float32" else torch.float64
     cameras = Cameras(
@@ -82,12 +73,12 @@ def read_cameras(path: Path) -> Cameras:
 
 
 def _fault(cameras: Cameras) -> str | None:
-    """What no single number tells."""
+    """What the types of single numbers cannot tell."""
     if len(set(cameras.names)) < len(cameras):
         return "two cameras have the same name"
     if int(cameras.sizes.prod(dim=1).max()) > MAX_PIXELS:
         return f"a camera has more than {MAX_PIXELS} pixels"
-    rigid = are_rigid(cameras.viewmats, 2 * ROTATION_TOLERANCE)  # rounded since a capture had it
+    rigid = are_rigid(cameras.viewmats, 2 * ROTATION_TOLERANCE)  # twice: they were rounded since
     if not rigid.all():
         return f"the pose of {cameras.names[int(rigid.int().argmin())]} is no rotation and shift"
     return None

@@ -8,7 +8,7 @@ from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.io.video import frames_differ
 from stylesplat.progress import track
 

@@ -1,42 +1,234 @@
-"""Pictures that we make."""
+"""Pictures on disk: opened with care, since files may come from strangers, decoded, and written."""
 
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
-from jaxtyping import Float, Int, UInt8, UInt16
-from PIL import Image
+import numpy as np
+import torch
+from jaxtyping import Float, Int, Shaped, UInt8, UInt16
+from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL.JpegImagePlugin import JpegImageFile
 from torch import Tensor
 
-from stylesplat.io.files import atomic_path
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import reason, require_regular
 
-QUALITY = 95  # of JPEG, with colours at full size: losses are hardly visible
-LEVEL = 4  # of PNGs, up to 9: half the time of the usual 6, and files larger by a twentieth
+# What Pillow decodes itself or by libraries that every browser has, and that cameras write
+FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "TGA")
+# Decoding takes up to 7 bytes a pixel, so less than 1 GiB; the 108 megapixels of phones and 100 of
+# medium format cameras pass
+MAX_PIXELS = 2**27
+# For phones of 200 megapixels: JPEGs are decoded at half their sides at little cost, but those in
+# several scans keep 6 bytes a pixel on the way, 1.5 GiB
+MAX_JPEG_PIXELS = 2**28
+MAX_BYTES = 2**30  # of a file: some decoders read all of it, and no fitting picture has more
+JPEG_START = b"\xff\xd8\xff"
+HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx")  # in the box `ftyp`
+FTYP_BYTES = 64  # at the start of a file, which hold its brands
+NO_MEMORY = -4  # cv2.Error.StsNoMem
+ROWS_PIXELS = 2**22  # of a band of rows, so that working copies take little memory
+UPRIGHT = 1  # EXIF orientation of a photo that is stored as it is shown
+# What turns stored pixels upright, by EXIF orientation
+TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    2: np.fliplr,
+    3: partial(np.rot90, k=2),
+    4: np.flipud,
+    5: lambda pixels: pixels.swapaxes(0, 1),
+    6: partial(np.rot90, k=-1),
+    7: lambda pixels: np.rot90(pixels, k=2).swapaxes(0, 1),
+    8: np.rot90,
+}
+QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+MAX_GREY = 0xFFFF  # Pillow's mode I has 32 bits, but it also holds 16-bit grey of PGM files
+WHITE = 255
+QUALITY = 95  # of JPEG, with colours at full resolution: losses are hardly visible
+PNG_LEVEL = 4  # of 9: half the time of the usual 6, and files larger by a twentieth
 
 ColorPicture = UInt8[Tensor, "H W 3"] | UInt8[Tensor, "H W 4"]
-"""Colours, and alpha if there are four channels, by which colours are not multiplied."""
+"""Colours, and perhaps straight (not premultiplied) alpha."""
 ViewPicture = ColorPicture | Int[Tensor, "H W"] | UInt16[Tensor, "H W"] | Float[Tensor, "H W"]
-"""Colours; ids of labels; or depths, in steps or in world units."""
+"""Colours; label ids; or depths, in steps or in world units."""
+
+
+@contextmanager
+def open_image(path: Path, *, reduced: bool = True) -> Iterator[Image.Image]:
+    """Open a picture and read its header; any error in the block names the file.
+
+    JPEGs of too many pixels are read at half their width and height, unless `reduced` is False.
+    HEIC needs pillow-heif.
+    """
+    require_regular(path)
+    # Pillow warns of damaged EXIF data and the like, which the user cannot act on
+    with decoding(path), warnings.catch_warnings(action="ignore"), path.open("rb") as file:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError("it has more than 1 GiB")
+        yield _open(file, path, reduced=reduced)
+
+
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """Turn whatever decoding a file raises (Pillow raises all kinds) into a StyleSplatError."""
+    try:
+        yield
+    except StyleSplatError:
+        raise
+    except Exception as error:
+        raise _unreadable(path, error) from error
+
+
+def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
+    """Read a picture upright, as sRGB.
+
+    The EXIF rotation is applied, transparency becomes white, grey becomes RGB, and 16 bits become
+    the upper 8.
+    """
+    with decoding(Path(path)):
+        pixels = composite(decode(Path(path), upright=True), WHITE)
+        return torch.from_numpy(np.ascontiguousarray(pixels[..., :3]))
+
+
+def decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
+    """The pixels of a picture as RGB, or as RGBA if the file has transparency."""
+    with open_image(path) as image:
+        turn = TURNS.get(orientation(image)) if upright else None
+        pixels = map_rows(image, pixels_of)
+    return np.ascontiguousarray(turn(pixels)) if turn else pixels
+
+
+def image_sizes(path: Path, *, reduced: bool = True) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Width and height as stored and after the EXIF rotation; reads the header only."""
+    with open_image(path, reduced=reduced) as image:
+        width, height = image.size
+        turned = orientation(image) in QUARTER_TURNS
+        return (width, height), (height, width) if turned else (width, height)
+
+
+def exif_of(image: Image.Image) -> Image.Exif:
+    """EXIF data. In a PNG only if they precede the pixels: else Pillow would decode all of it."""
+    if image.format == "PNG" and "exif" not in image.info:
+        return Image.Exif()
+    return image.getexif()
+
+
+def orientation(image: Image.Image) -> int:
+    """The EXIF orientation, 1 to 8."""
+    return exif_of(image).get(ExifTags.Base.Orientation, UPRIGHT)
+
+
+def row_bands(width: int, height: int) -> Iterator[slice]:
+    """The rows of a picture in bands, so that copies of a band take little memory."""
+    rows = max(1, ROWS_PIXELS // width)
+    return (slice(start, min(start + rows, height)) for start in range(0, height, rows))
+
+
+def map_rows(
+    image: Image.Image, convert: Callable[[Image.Image], Shaped[np.ndarray, "h W *D"]]
+) -> Shaped[np.ndarray, "H W *D"]:
+    """The result of a conversion that is applied to one band of rows after the other."""
+    image.load()
+    width, height = image.size
+    whole = None
+    for rows in row_bands(width, height):
+        piece = convert(image.crop((0, rows.start, width, rows.stop)))
+        if whole is None:
+            whole = np.empty((height, *piece.shape[1:]), piece.dtype)
+        whole[rows] = piece
+    assert whole is not None
+    return whole
+
+
+def pixels_of(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
+    """RGB or RGBA of an opened picture."""
+    if image.mode == "F":
+        raise ValueError("its pixels are floating-point numbers")
+    if image.mode.startswith("I"):  # 16-bit grey, which convert("RGB") would clip
+        deep = np.asarray(image)
+        if deep.min() < 0 or deep.max() > MAX_GREY:
+            raise ValueError("its pixels do not fit into 16 bits")
+        grey = (deep >> 8).astype(np.uint8)
+        return np.repeat(grey[:, :, None], 3, axis=2)
+    return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+
+
+def composite(pixels: UInt8[np.ndarray, "H W D"], grey: int) -> UInt8[np.ndarray, "H W D"]:
+    """Put transparent pixels over a grey level, in place; alpha stays."""
+    if pixels.shape[2] == 3:
+        return pixels
+    for rows in row_bands(*pixels.shape[1::-1]):
+        colors, alpha = pixels[rows, :, :3].astype(np.uint16), pixels[rows, :, 3:].astype(np.uint16)
+        pixels[rows, :, :3] = (colors * alpha + grey * (255 - alpha) + 127) // 255
+    return pixels
 
 
 def write_image(image: ColorPicture, path: Path | str) -> None:
-    """Write a picture, whole or not at all, in the format that the suffix names.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
-    with atomic_path(path) as temporary:
+    """Write a picture in the format that the suffix names."""
+    with atomic_path(path) as draft:
         picture = Image.fromarray(image.cpu().numpy())
-        picture.save(temporary, quality=QUALITY, subsampling=0, compress_level=LEVEL)
+        picture.save(draft, quality=QUALITY, subsampling=0, compress_level=PNG_LEVEL)
 
 
 def write_numbers(numbers: UInt16[Tensor, "H W"] | Float[Tensor, "H W"], path: Path | str) -> None:
-    """Write one number a pixel: whole ones as a PNG of 16 bits, others as a TIFF of 32.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
-    with atomic_path(path) as temporary:
+    """Write one number a pixel: integers as a PNG of 16 bits, floats as a TIFF of 32."""
+    with atomic_path(path) as draft:
         if numbers.is_floating_point():
             values = Image.fromarray(numbers.float().cpu().numpy())
-            values.save(temporary, format="TIFF", compression="tiff_adobe_deflate")
+            values.save(draft, format="TIFF", compression="tiff_adobe_deflate")
         else:
-            Image.fromarray(numbers.cpu().numpy()).save(temporary, format="PNG")
+            Image.fromarray(numbers.cpu().numpy()).save(draft, format="PNG")
+
+
+def _open(file: BinaryIO, path: Path, *, reduced: bool) -> Image.Image:
+    start = file.read(FTYP_BYTES)
+    file.seek(0)
+    brands = start[8 : int.from_bytes(start[:4])]
+    try:
+        if start.startswith(JPEG_START):  # not by `Image.open`, which has a limit of its own
+            image, most = JpegImageFile(file), MAX_JPEG_PIXELS
+        elif start[4:8] == b"ftyp" and any(brand in brands for brand in HEIC_BRANDS):
+            image, most = _open_heic(file, path), MAX_PIXELS
+        else:
+            image, most = Image.open(file, formats=FORMATS), MAX_PIXELS
+    except UnidentifiedImageError as error:
+        raise ValueError(f"it is no picture, or none of {', '.join(FORMATS)}") from error
+    except Image.DecompressionBombError as error:
+        raise _too_large(path) from error
+    fits = image.width * image.height <= most
+    if fits and reduced and image.width * image.height > MAX_PIXELS:
+        image.draft(None, (image.width // 2, image.height // 2))
+        fits = image.width * image.height <= MAX_PIXELS
+    if not fits:
+        raise _too_large(path)
+    return image
+
+
+def _open_heic(file: BinaryIO, path: Path) -> Image.Image:
+    """Upright: libheif applies the rotation, whatever the EXIF data say."""
+    try:
+        from pillow_heif import HeifImageFile
+    except ImportError as error:
+        raise StyleSplatError(
+            f"Cannot read {path}: it is HEIC. `pip install 'stylesplat[heic]'` makes it readable."
+        ) from error
+    return HeifImageFile(file)
+
+
+def _too_large(path: Path) -> StyleSplatError:
+    return StyleSplatError(
+        f"The picture {path} has more than {MAX_PIXELS // 10**6} megapixels (JPEGs may have "
+        f"{MAX_JPEG_PIXELS // 10**6}). Scale it to half its width and height."
+    )
+
+
+def _unreadable(path: Path, error: Exception) -> StyleSplatError:
+    if isinstance(error, FileNotFoundError):
+        return StyleSplatError(f"There is no image {path}. Check the name and the folder.")
+    if isinstance(error, MemoryError) or getattr(error, "code", None) == NO_MEMORY:
+        return StyleSplatError(
+            f"There is not enough memory to read the image {path}. Scale the photos down."
+        )
+    return StyleSplatError(f"Cannot read the image {path}: {reason(error)}. Replace the file.")

@@ -1,4 +1,4 @@
-"""JSON as its standard has it, and as the reader of each kind of file declares it."""
+"""JSON as its standard defines it, checked against the types that each reader declares."""
 
 import json
 import math
@@ -11,7 +11,8 @@ import msgspec
 from msgspec import Meta
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, read_bytes
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import read_bytes
 
 T = TypeVar("T")
 
@@ -21,33 +22,21 @@ MAX_NAME = 1024  # bytes of a photo's name, sub-folders included; systems take 4
 PhotoName = Annotated[
     str, Meta(min_length=1, max_length=MAX_NAME, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
 ]
-"""In one line, sub-folders included."""
+"""A name in one line, sub-folders included."""
 
 RESTORE = "Mend it, or copy it again."
-MAX_DEPTH = 100  # of lists and objects in each other: ours have 6; writing recurses
+MAX_DEPTH = 100  # levels of lists and objects: ours have 6, and writing recurses
 MAX_JSON = 2**26  # bytes of a file of a scene: 100,000 cameras
 MAX_BYTES = 2**30  # COCO's annotations of 118,000 photos have half of it
 
 
 def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
-    """Read a JSON file that holds an object and has so many bytes at most.
-
-    Raises:
-        StyleSplatError: If the file is missing, unreadable or holds anything else.
-    """
+    """Read a JSON file of `most` bytes at most that holds an object."""
     return json_object(read_bytes(path, most=most), path)
 
 
 def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
-    """The object that a JSON file holds.
-
-    Args:
-        content: Of the file.
-        path: What to call it.
-
-    Raises:
-        StyleSplatError: If it holds anything else.
-    """
+    """The object in the content of a JSON file; `path` is its name in messages."""
     try:
         found = json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -64,31 +53,14 @@ def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
 
 
 def read_json_as(path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON) -> T:
-    """Read a JSON file that holds what a type declares (see msgspec).
-
-    Args:
-        path: The file, of a scene if `most` says nothing else.
-        kind: The type.
-        remedy: Ends the message if it does not fit.
-        most: Bytes that such a file can have.
-
-    Raises:
-        StyleSplatError: If the file is missing, unreadable or holds anything else.
-    """
+    """Read a JSON file as a type of msgspec; `remedy` ends the message if it does not fit."""
     return fitting(read_json(path, most=most), kind, f"Cannot read {path}", remedy)
 
 
 def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
-    """A value of a file as a type has it.
+    """Convert plain values to a type of msgspec.
 
-    Args:
-        value: Plain values.
-        kind: A type that msgspec knows, with its bounds.
-        what: Begins the message if it does not fit.
-        remedy: Ends it.
-
-    Raises:
-        StyleSplatError: If it does not fit.
+    The StyleSplatError for a value that does not fit begins with `what` and ends with `remedy`.
     """
     try:
         return msgspec.convert(value, kind)
@@ -97,18 +69,14 @@ def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
 
 
 def write_json(content: Mapping[str, Any], path: Path | str) -> None:
-    """Write a JSON file; see `strict_json`.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
+    """Write a JSON file; see `strict_json`."""
     text = strict_json(content, indent=2)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    with atomic_path(path) as draft:
+        draft.write_text(text + "\n", encoding="utf-8")
 
 
 def strict_json(content: Any, *, indent: int | None = None) -> str:
-    """JSON as its standard has it: paths become strings, infinities and NaN, which it lacks, null.
+    """JSON of the standard: paths become strings; infinities and NaN, which it lacks, null.
 
     Example:
         >>> strict_json({"psnr": float("inf"), "file": Path("a.ply")})
@@ -118,7 +86,6 @@ def strict_json(content: Any, *, indent: int | None = None) -> str:
 
 
 def _is_deep(content: dict[str, Any]) -> bool:
-    """Whether lists and objects lie deeper in each other than `MAX_DEPTH`."""
     level: list[Any] = [content]
     for _ in range(MAX_DEPTH):
         level = [

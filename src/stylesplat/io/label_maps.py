@@ -14,39 +14,33 @@ from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import in_bands, opened
-from stylesplat.io.captures.photos import Photo, photo_sizes, same_shape
-from stylesplat.io.files import atomic_path, require_regular
+from stylesplat.io.atomic import REPLACING, atomic_folder, atomic_path, refuse_occupied
+from stylesplat.io.captures.photos import Photo, same_shape
+from stylesplat.io.files import inside, is_file, require_regular
+from stylesplat.io.images import image_sizes, map_rows, open_image
 from stylesplat.io.json_files import fitting, read_json, write_json
-from stylesplat.io.recovery import ensure_whole
-from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
+from stylesplat.progress import track
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import BACKGROUND, MAX_ID, OwnLabels, ids_of, resize_labels
 from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
 ID_MODES = ("1", "L", "P", "I", "I;16", "RGB", "RGBA")  # of Pillow
-NAMES = "names.json"  # beside the label maps: what objects are called, by id
+NAMES = "names.json"  # beside the label maps: the objects' names by id
 
 LabelId = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,8}\Z")]
 
 
 def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
-    """Read ids from 8-bit, 16-bit, palette (the index counts) or RGB-coded pixels.
-
-    Raises:
-        StyleSplatError: If there is no such file or its pixels cannot be ids.
-    """
-    with opened(Path(path)) as image:
+    """Read ids from 8-bit, 16-bit, palette (the index counts) or RGB-coded pixels."""
+    with open_image(Path(path)) as image:
         if image.format == "JPEG" or image.mode not in ID_MODES:
             raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
-        return torch.from_numpy(in_bands(image, _ids))
+        return torch.from_numpy(map_rows(image, _ids))
 
 
 def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
-    """Write ids as a PNG of 8 bits, 16 bits or RGB, whichever is the smallest that holds them.
-
-    Raises:
-        StyleSplatError: If an id is negative or above 2**24 - 1, or the file cannot be written.
-    """
+    """Write ids as a PNG of 8 bits, 16 bits or RGB, the smallest that holds them."""
     if labels.numel() and not 0 <= labels.min() <= labels.max() <= MAX_ID:
         raise StyleSplatError(
             f"Cannot write {path}: label ids go from 0 to {MAX_ID}. Give the objects other ids."
@@ -58,37 +52,29 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         pixels = ids.astype(np.uint16)
     else:
         pixels = (ids[:, :, None] // RGB_CODE % 256).astype(np.uint8)
-    with atomic_path(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
+    with atomic_path(path) as draft:
+        Image.fromarray(pixels).save(draft, format="PNG")
 
 
 @dataclass(frozen=True)
 class DrawnLabels:
-    """A label map as somebody drew it on a photo, which is read when it is asked for."""
+    """A label map as somebody drew it on a photo, read on demand."""
 
     size: tuple[int, int]
     """Width and height."""
     read: Callable[[], OwnLabels]
-    """What reads it."""
+    """Reads it."""
     what: str
-    """What to call it where it does not fit."""
+    """Its name in messages."""
 
     @classmethod
     def on_disk(cls, path: Path) -> "DrawnLabels":
-        """That of a file, of which only the header is read.
-
-        Raises:
-            StyleSplatError: If there is no such file or it is no picture.
-        """
-        return cls(photo_sizes(path)[0], partial(read_label_map, path), str(path))
+        """The label map of a file, of which only the header is read now."""
+        return cls(image_sizes(path)[0], partial(read_label_map, path), str(path))
 
 
 def read_names(folder: Path) -> dict[int, str]:
-    """What the objects of a folder of label maps are called, by id; empty if nothing says it.
-
-    Raises:
-        StyleSplatError: If the file that says it is damaged.
-    """
+    """The objects' names by id in a folder of label maps; empty if it has no `names.json`."""
     path = folder / NAMES
     require_regular(path)
     if not path.exists():
@@ -99,11 +85,7 @@ def read_names(folder: Path) -> dict[int, str]:
 
 
 def write_names(names: Mapping[int, str], folder: Path) -> None:
-    """Say in a folder of label maps what objects are called.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
+    """Write `names.json` into a folder of label maps, unless there are no names."""
     if names:
         write_json({str(id): name for id, name in names.items()}, folder / NAMES)
 
@@ -113,18 +95,11 @@ def match_label_maps(
 ) -> Lazy[Int[Tensor, "H W"] | None]:
     """The label map of each photo, by file name without extension; None where there is none.
 
-    Args:
-        folder: Holds PNG files, in subfolders where the names have any.
-        names: The photos' names.
-        photos: The photos, which say how large the maps shall be.
-
-    Raises:
-        StyleSplatError: If the folder is missing, no map is any photo's, or one is no picture or
-            not of its photo's shape.
+    The maps are read on access, at the size of `photos`. Raises a StyleSplatError if no map belongs
+    to any photo, or one is no picture or not of its photo's shape.
     """
     if not folder.is_dir():
         raise StyleSplatError(f"There is no folder {folder} with label maps. Check `--masks`.")
-    ensure_whole(folder)
     files = {_key(path.relative_to(folder)): path for path in sorted(folder.rglob("*.png"))}
     paths = [files.get(_key(Path(name))) or files.get(name) for name in names]
     if not files:
@@ -138,18 +113,14 @@ def match_label_maps(
         )
     return Lazy(
         [
-            fit_labels(DrawnLabels.on_disk(path), photo) if path else _none
+            fit_labels(DrawnLabels.on_disk(path), photo) if path else lambda: None
             for path, photo in zip(paths, photos, strict=True)
         ]
     )
 
 
 def fit_labels(drawn: DrawnLabels, photo: Photo) -> Callable[[], OwnLabels]:
-    """What reads a label map as the pinhole camera of its photo sees it, at the photo's size.
-
-    Raises:
-        StyleSplatError: If the label map is not of the photo's shape.
-    """
+    """A function that reads a label map undistorted, at the photo's size."""
     width, height = drawn.size
     if drawn.size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
         return lambda: resize_labels(drawn.read(), photo.size[::-1])
@@ -161,14 +132,55 @@ def fit_labels(drawn: DrawnLabels, photo: Photo) -> Callable[[], OwnLabels]:
     return partial(_undistorted, drawn, photo)
 
 
+def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> None:
+    """Raise a StyleSplatError unless `write_label_maps` can write here; ask before the work."""
+    names = capture.cameras.names
+    if len({Path(name).with_suffix("") for name in names}) < len(names):
+        raise StyleSplatError(
+            f"Some photos in {capture.path} differ in their suffix only, so their label maps would "
+            "have one name. Rename them."
+        )
+    paths = [_map_path(folder, name) for name in names]
+    if not overwrite and any(map(is_file, paths)):
+        raise StyleSplatError(f"{folder} holds label maps already. Replace them with {REPLACING}.")
+    refuse_occupied(folder, marker="", overwrite=overwrite)
+
+
+def write_label_maps(
+    capture: Capture, folder: Path, *, overwrite: bool = False
+) -> dict[str, set[int]]:
+    """Write the label maps of a capture and the objects' names, all or none of them.
+
+    They are undistorted and have the size of the photos on disk, whatever size the capture is
+    opened at; other files in the folder stay. Returns the ids in each map by photo.
+    """
+    if capture.label_maps is None:
+        raise StyleSplatError("This capture has no label maps to write. `mask` makes some.")
+    refuse_label_maps(capture, folder, overwrite=overwrite)
+    written, stale = dict[str, set[int]](), list[str]()
+    with atomic_folder(folder, overwrite=overwrite, marker="", stale=stale) as draft:
+        for row, name in enumerate(track(capture.cameras.names, "label maps", unit="photo")):
+            labels = capture.label_maps[row]
+            if labels is None:
+                stale.append(str(Path(name).with_suffix(".png")))
+            else:
+                whole = resize_labels(labels, capture.full_cameras[row].size[::-1])
+                write_label_map(whole, _map_path(draft, name))
+                written[name] = ids_of(whole) - {BACKGROUND}
+        ids = sorted(set[int]().union(*written.values()) & capture.object_names.keys())
+        write_names({id: capture.object_names[id] for id in ids}, draft)
+        stale += [] if ids else [NAMES]
+    return written
+
+
 def _undistorted(drawn: DrawnLabels, photo: Photo) -> OwnLabels:
     whole = resize_labels(drawn.read().int(), photo.lens.size[::-1]).numpy()
-    seen = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
-    return resize_labels(seen, photo.size[::-1])
+    undistorted = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
+    return resize_labels(undistorted, photo.size[::-1])
 
 
-def _none() -> None:
-    return None
+def _map_path(folder: Path, name: str) -> Path:
+    return inside(folder, name).with_suffix(".png")
 
 
 def _key(path: Path) -> str:

@@ -16,7 +16,8 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
-from stylesplat.io.files import atomic_path, read_bytes, reason
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import read_bytes, reason
 from stylesplat.io.json_files import strict_json
 from stylesplat.io.npy import DAMAGED, WHOLE, read_member
 from stylesplat.io.row_labels import MAX_FILE, read_row_labels

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Shaped
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, reading, reason
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import open_binary, reason
 from stylesplat.progress import say
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
@@ -78,7 +79,7 @@ def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
         StyleSplatError: If the file is missing, no PLY or truncated, or its vertices hold lists or
             come after other elements.
     """
-    with reading(path) as file:
+    with open_binary(path) as file:
         try:
             rows, left, what = _opened(file, at_once)
         except (ValueError, OverflowError) as error:

@@ -4,80 +4,81 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import torch
 from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, brief
+from stylesplat.io.atomic import atomic_folder, revise_folder
 from stylesplat.io.cameras_file import read_cameras, write_cameras
-from stylesplat.io.declared import PICKED
-from stylesplat.io.folders import claim_directory, revised_directory
-from stylesplat.io.identities_file import with_identities, write_identities
-from stylesplat.io.json_files import (
-    MAX_JSON,
-    FilePath,
-    PhotoName,
-    fitting,
-    read_json,
-    write_json,
-)
-from stylesplat.io.kinds import no_scene
-from stylesplat.io.layer_files import STACK, read_layers, write_layers
-from stylesplat.io.recovery import settled
+from stylesplat.io.json_files import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
+from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, no_scene
+from stylesplat.io.layers import STACK, read_layers, write_layers
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
-from stylesplat.io.tensors import read_named, write_tensors
+from stylesplat.io.tensors import (
+    CLASSIFIER,
+    IDENTITIES,
+    IDS,
+    PICKED,
+    Declared,
+    read_named,
+    read_tensors,
+    write_tensors,
+)
 from stylesplat.progress import say
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Classifier, Splats
 
-SCENE = "scene.json"
-SPLATS = "splats.ply"  # what it looks like
+SPLATS = "splats.ply"  # what the scene looks like
 BASE = "base.ply"  # what lies beneath the layers
-IDENTITIES = "identities.safetensors"
-CAMERAS = "cameras.json"
+IDENTITY_FILE = "identities.safetensors"
 OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
 AGAIN = "Train again."
 VERSION = 2  # of the folder's layout
-# What version 1 had of paintings
-OF_OLD = tuple(
+VERSION_1_FILES = tuple(  # what version 1 held of paintings
     f"{name}.safetensors"
     for name in ("base_colors", "style_colors", "opacities", "unsplit", "paintings")
 )
+IDENTITY_TENSORS = {
+    "identities": IDENTITIES,
+    **CLASSIFIER,
+    "ids": IDS,
+    "confidence": Declared(("N",), low=0, high=1.001, optional=True),  # a share, and rounding
+}
+ATTEMPTS = 5  # at reading a folder that others change; each takes seconds, and so does a change
 
 
 class _Settings(msgspec.Struct):
-    """Those that are used again; it may have others."""
-
     downscale: Annotated[float, Meta(ge=1, le=0xFFFF)] = 1.0
 
 
 class _Info(msgspec.Struct):
-    """What `scene.json` has besides the version; it may say more."""
+    """What is read of `scene.json` besides the version; it may hold more."""
 
     capture: FilePath | None = None
-    capture_relative: FilePath | None = None  # from the scene's folder; earlier ones have none
+    capture_relative: FilePath | None = None  # to the scene's folder; earlier ones lack it
     test_views: tuple[PhotoName, ...] = ()
     settings: _Settings = msgspec.field(default_factory=_Settings)
-    fits: tuple[Literal["colors", "pose"], ...] = ()  # what each photo has of its own
+    fits: tuple[Literal["colors", "pose"], ...] = ()  # what was fitted to each photo
 
 
 class _How(msgspec.Struct):
-    """Of an object, what is used again of how it was chosen."""
+    """What is read again of how an object was selected."""
 
     ids: list[Annotated[int, Meta(ge=0, le=MAX_ID)]] = []
 
 
 class _Metrics(msgspec.Struct):
-    """What is used again of what was measured: that of the scene before it was styled."""
+    """What is read again of the metrics: those of the scene before it was styled."""
 
     train: dict[str, Any] = {}
 
@@ -95,22 +96,13 @@ def save(scene: Scene, path: Path | str, *, overwrite: bool = False) -> None:
         StyleSplatError: If the folder holds something and `overwrite` is off, or it cannot be
             written.
     """
-    with claim_directory(path, overwrite=overwrite, marker=SCENE) as folder:
+    with atomic_folder(path, overwrite=overwrite, marker=SCENE) as folder:
         _write(scene, folder, Path(path))
 
 
 def revise(before: Scene, after: Scene, path: Path | str) -> None:
-    """Write what differs between two scenes into the folder of the first, all of it or nothing.
-
-    Args:
-        before: As it is in the folder.
-        after: As it is to be.
-        path: The folder; other files in it stay.
-
-    Raises:
-        StyleSplatError: If the folder is no scene or cannot be written.
-    """
-    with revised_directory(_scene_folder(path)) as folder:
+    """Write what differs between two scenes into the folder of the first; other files stay."""
+    with revise_folder(_scene_folder(path)) as folder:
         _write(after, folder, Path(path), before)
 
 
@@ -122,24 +114,47 @@ def open(path: Path | str) -> Scene:
         StyleSplatError: If the folder is no scene, or a file of it is missing, damaged, or made
             for other splats.
     """
-    return settled(path, partial(_read, bands=True))
+    return _read_unchanged(_scene_folder(path), bands=True)
 
 
 def open_without_bands(path: Path | str) -> Scene:
-    """Read a scene without the higher bands of colour: most of it, but needed to draw it alone.
-
-    Raises:
-        StyleSplatError: As `open` does.
-    """
-    return settled(path, partial(_read, bands=False))
+    """Read a scene without the higher bands of colour, which are three quarters of it."""
+    return _read_unchanged(_scene_folder(path), bands=False)
 
 
-def _read(path: Path, *, bands: bool) -> Scene:
-    folder = _scene_folder(path)
+def _read_unchanged(folder: Path, *, bands: bool) -> Scene:
+    """Read a scene, and read it again if another process changed the folder meanwhile."""
+    for _ in range(ATTEMPTS):
+        before = _state(folder)
+        try:
+            scene = _read(folder, bands=bands)
+        except StyleSplatError:
+            if _state(folder) == before:
+                raise
+        else:
+            if _state(folder) == before:
+                return scene
+    raise StyleSplatError(
+        f"Cannot read {folder}: it was changed all {ATTEMPTS} times. Try again when that is done."
+    )
+
+
+def _state(folder: Path) -> tuple[int, ...] | None:
+    """Differs after every change of a folder: it is another folder, or has other names."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_mtime_ns
+
+
+def _read(folder: Path, *, bands: bool) -> Scene:
     declared, info = _read_info(folder / SCENE)
-    splats = with_identities(_read_gaussians(folder / SPLATS, bands), folder / IDENTITIES)
+    splats = _with_identities(_read_gaussians(folder / SPLATS, bands), folder / IDENTITY_FILE)
     picks = read_named(folder / PICKS, PICKED, N=len(splats))
     base, layers = _read_stack(folder, splats, bands)
+    metrics = read_json(folder / METRICS, most=MAX_JSON)
+    fitting(metrics, _Metrics, f"Cannot read {folder / METRICS}", AGAIN)
     return Scene(
         splats=splats,
         cameras=read_cameras(folder / CAMERAS),
@@ -149,45 +164,36 @@ def _read(path: Path, *, bands: bool) -> Scene:
         base=base,
         layers=layers,
         path=folder,
-        capture=_found_capture(declared, folder),
+        capture=find_capture(folder, declared.capture, declared.capture_relative),
         info=info,
-        metrics=_read_metrics(folder / METRICS),
+        metrics=metrics,
     )
 
 
-def capture_of(folder: Path) -> Path | None:
-    """The folder of a scene's photos, as `Scene.capture` has it, without reading the scene.
-
-    Raises:
-        StyleSplatError: If what says it is missing or damaged.
-    """
-    return _found_capture(_read_info(folder / SCENE)[0], folder)
-
-
-def _found_capture(declared: _Info, folder: Path) -> Path | None:
-    """Where the photos were, or where they are if they were moved together with the scene."""
-    if declared.capture is None:
-        return None
-    there = Path(declared.capture)
-    if declared.capture_relative is None or there.is_dir():
-        return there
-    moved = Path(os.path.normpath(folder.resolve() / declared.capture_relative))
-    return moved if moved.is_dir() else there
-
-
 def _read_gaussians(path: Path, bands: bool) -> Splats:
-    """Of degree 3, as they were written, or of none."""
+    """Of degree 3, as they were written, or of degree 0."""
     splats = read_splat_ply(path, bands=bands)
     if not len(splats):
         raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {AGAIN}")
     return replace(splats, shN=pad_bands(splats.shN)) if bands else splats
 
 
+def _with_identities(splats: Splats, path: Path) -> Splats:
+    if not path.exists():
+        return splats
+    tensors = read_tensors(path, IDENTITY_TENSORS, N=len(splats))
+    ids = tuple(tensors.pop("ids").tolist())
+    if not ids:
+        raise StyleSplatError(f"Cannot read {path}: it knows no objects. {AGAIN}")
+    classifier = Classifier(tensors.pop("weight"), tensors.pop("bias"), ids)
+    return replace(splats, **tensors, classifier=classifier)
+
+
 def _read_stack(
     folder: Path, splats: Splats, bands: bool
 ) -> tuple[Splats | None, tuple[Layer, ...]]:
-    """The splat beneath the layers, and these; None and none if there are none."""
-    if (folder / OF_OLD[0]).exists():
+    """The base and the layers; without layers there is no base."""
+    if (folder / VERSION_1_FILES[0]).exists():
         say(
             f"{folder} was written by an earlier StyleSplat: its paint stays, but cannot be undone "
             "or adjusted."
@@ -206,68 +212,8 @@ def _read_stack(
     return replace(base, **own, classifier=splats.classifier), layers
 
 
-def _read_metrics(path: Path) -> dict[str, Any]:
-    metrics = read_json(path, most=MAX_JSON)
-    fitting(metrics, _Metrics, f"Cannot read {path}", AGAIN)
-    return metrics
-
-
-def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None) -> None:
-    """Write what differs from what the folder holds already; everything if that is nothing.
-
-    It is to lie at `place`.
-    """
-
-    def differs(*names: str) -> bool:
-        return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
-
-    if differs("splats"):
-        fault = splat_fault(scene.splats) if len(scene.splats) else "there are no Gaussians"
-        if fault:
-            raise StyleSplatError(f"Cannot save the scene: {fault}. Remove what is wrong.")
-        write_splat_ply(scene.splats, folder / SPLATS)
-        write_identities(scene.splats, folder / IDENTITIES)
-    if differs("cameras"):
-        write_cameras(scene.cameras, folder / CAMERAS)
-    if differs("objects"):
-        for name in scene.objects:
-            check_name(name)
-        picks = {name: each.picked for name, each in scene.objects.items()}
-        write_tensors(picks, folder / PICKS)
-        write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
-    if differs("base"):
-        (folder / BASE).unlink(missing_ok=True)
-        if scene.base is not None:
-            write_splat_ply(scene.base, folder / BASE)
-    if differs("layers"):
-        write_layers(scene.layers, folder, before.layers if before else ())
-    for name in OF_OLD:
-        (folder / name).unlink(missing_ok=True)
-    if differs("metrics"):
-        write_json(scene.metrics, folder / METRICS)
-    old = before is not None and read_json(folder / SCENE, most=MAX_JSON).get("version") != VERSION
-    if old or differs("info", "capture", "held_out", "downscale"):
-        write_json(_info(scene, place), folder / SCENE)
-
-
-def _info(scene: Scene, place: Path) -> dict[str, Any]:
-    settings = {**scene.info.get("settings", {}), "downscale": scene.downscale}
-    relative = {}
-    if scene.capture is not None:
-        with suppress(ValueError):  # on another drive of Windows
-            relative["capture_relative"] = os.path.relpath(scene.capture.resolve(), place.resolve())
-    return {
-        **scene.info,
-        "version": VERSION,
-        "capture": scene.capture,
-        **relative,
-        "test_views": scene.held_out,
-        "settings": settings,
-    }
-
-
 def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
-    """What scene.json declares, and what else it says."""
+    """What scene.json declares, and the rest of its content."""
     content = read_json(path, most=MAX_JSON)
     if content.pop("version", None) not in (1, VERSION):
         raise StyleSplatError(
@@ -295,6 +241,72 @@ def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObj
         if name not in picks:
             raise StyleSplatError(f"{path} names {name!r}, but {PICKS} does not. Select it again.")
     return {name: SceneObject(picks[name], how) for name, how in hows.items()}
+
+
+def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None) -> None:
+    """Write a scene, or only what differs from `before`, into a folder that will lie at `place`."""
+
+    def differs(*names: str) -> bool:
+        return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
+
+    if differs("splats"):
+        fault = splat_fault(scene.splats) if len(scene.splats) else "there are no Gaussians"
+        if fault:
+            raise StyleSplatError(f"Cannot save the scene: {fault}. Remove what is wrong.")
+        write_splat_ply(scene.splats, folder / SPLATS)
+        _write_identities(scene.splats, folder / IDENTITY_FILE)
+    if differs("cameras"):
+        write_cameras(scene.cameras, folder / CAMERAS)
+    if differs("objects"):
+        for name in scene.objects:
+            check_name(name)
+        picks = {name: each.picked for name, each in scene.objects.items()}
+        write_tensors(picks, folder / PICKS)
+        write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
+    if differs("base"):
+        (folder / BASE).unlink(missing_ok=True)
+        if scene.base is not None:
+            write_splat_ply(scene.base, folder / BASE)
+    if differs("layers"):
+        write_layers(scene.layers, folder, before.layers if before else ())
+    for name in VERSION_1_FILES:
+        (folder / name).unlink(missing_ok=True)
+    if differs("metrics"):
+        write_json(scene.metrics, folder / METRICS)
+    old = before is not None and read_json(folder / SCENE, most=MAX_JSON).get("version") != VERSION
+    if old or differs("info", "capture", "held_out", "downscale"):
+        write_json(_info(scene, place), folder / SCENE)
+
+
+def _write_identities(splats: Splats, path: Path) -> None:
+    if splats.identities is None or splats.classifier is None:
+        path.unlink(missing_ok=True)
+        return
+    tensors = {
+        "identities": splats.identities,
+        "weight": splats.classifier.weight,
+        "bias": splats.classifier.bias,
+        "ids": torch.tensor(splats.classifier.ids),
+    }
+    if splats.confidence is not None:
+        tensors["confidence"] = splats.confidence
+    write_tensors(tensors, path)
+
+
+def _info(scene: Scene, place: Path) -> dict[str, Any]:
+    settings = {**scene.info.get("settings", {}), "downscale": scene.downscale}
+    relative = {}
+    if scene.capture is not None:
+        with suppress(ValueError):  # on another drive of Windows
+            relative["capture_relative"] = os.path.relpath(scene.capture.resolve(), place.resolve())
+    return {
+        **scene.info,
+        "version": VERSION,
+        "capture": scene.capture,
+        **relative,
+        "test_views": scene.held_out,
+        "settings": settings,
+    }
 
 
 def _scene_folder(path: Path | str) -> Path:

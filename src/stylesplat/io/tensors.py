@@ -1,76 +1,155 @@
-"""Tensors on disk: safetensors files, most of them with a row per Gaussian."""
+"""Tensors on disk: safetensors files whose names, types, shapes and ranges are declared."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import safetensors
 import safetensors.torch
+import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.declared import Declared, check_tensors
-from stylesplat.io.files import atomic_path, read_bytes, reason
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import read_bytes, reason
+from stylesplat.scene.labels import MAX_ID
+from stylesplat.scene.splats import IDENTITY_SIZE
 
 REMEDY = "Make the scene again."
-# What safetensors raises on headers that lie; types that torch lacks are a KeyError
+# What safetensors raises on wrong headers; for types that torch lacks it is a KeyError
 DAMAGED = (safetensors.SafetensorError, KeyError, TypeError, ValueError, RuntimeError)
+# No real splat comes near these, and float32 holds the fourth powers that renders take of them
+LARGEST_POSITION = 1e9  # of a coordinate; the Earth's radius in metres is 6e6
+LARGEST_LOG = 20.0  # of a standard deviation: exp(20) is 5e8
+SMALLEST_LOG = -1e4  # flat Gaussians have standard deviations of nearly 0
+LARGEST = 1e5  # of a colour, logit, identity or weight
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What a tensor of a file has to be."""
+
+    shape: tuple[int | str, ...]
+    """Letters are sizes that the tensors of a file share; `N` is the number of Gaussians."""
+    dtype: torch.dtype = torch.float32
+    """The type."""
+    low: float | int = -LARGEST
+    """The smallest value, of numbers."""
+    high: float | int = LARGEST
+    """The largest value, of numbers."""
+    unique: bool = False
+    """Whether all values differ."""
+    optional: bool = False
+    """Whether the file may lack it."""
+
+
+GAUSSIANS = {
+    "means": Declared(("N", 3), low=-LARGEST_POSITION, high=LARGEST_POSITION),
+    "quats": Declared(("N", 4)),
+    "scales": Declared(("N", 3), low=SMALLEST_LOG, high=LARGEST_LOG),
+    "opacities": Declared(("N",)),
+    "sh0": Declared(("N", 1, 3)),
+    "shN": Declared(("N", "bands", 3)),
+}
+IDENTITIES = Declared(("N", IDENTITY_SIZE))
+CLASSIFIER = {"weight": Declared(("K", IDENTITY_SIZE)), "bias": Declared(("K",))}
+IDS = Declared(("K",), torch.int64, low=0, high=MAX_ID, unique=True)
+PICKED = Declared(("N",), torch.bool)
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Write tensors by name, whole or not at all.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
+    """Write tensors by name."""
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    with atomic_path(path) as temporary:
-        temporary.touch()
-        mode = temporary.stat().st_mode  # which safetensors narrows to the owner
-        safetensors.torch.save_file(whole, temporary)
-        temporary.chmod(mode)
+    with atomic_path(path) as draft:
+        draft.touch()
+        mode = draft.stat().st_mode  # safetensors takes it away from group and others
+        safetensors.torch.save_file(whole, draft)
+        draft.chmod(mode)
 
 
 def read_tensors(path: Path, declared: Mapping[str, Declared], **sizes: int) -> dict[str, Tensor]:
-    """Read the tensors that a file of its kind has.
-
-    Args:
-        path: The file.
-        declared: What they have to be.
-        sizes: Of letters in their shapes, such as `N`.
-
-    Raises:
-        StyleSplatError: If the file is missing or damaged, or holds anything else.
-    """
-    tensors = _load(path)
-    _check(tensors, path, declared, sizes)
-    return tensors
+    """Read the declared tensors of a file, which may hold no others; `sizes` are of letters."""
+    return _checked(path, _load(path), declared, sizes)
 
 
 def read_named(path: Path, each: Declared, **sizes: int) -> dict[str, Tensor]:
-    """Read any number of tensors of one kind, whatever their names.
-
-    Raises:
-        StyleSplatError: If the file is missing or damaged, or a tensor is of another kind.
-    """
+    """Read any number of tensors of one declaration, whatever their names."""
     tensors = _load(path)
-    _check(tensors, path, dict.fromkeys(tensors, each), sizes)
-    return tensors
+    return _checked(path, tensors, dict.fromkeys(tensors, each), sizes)
 
 
-def _check(
-    tensors: Mapping[str, Tensor],
+def check_tensors(
+    tensors: Mapping[str, Tensor], declared: Mapping[str, Declared], sizes: Mapping[str, int]
+) -> None:
+    """Raise a ValueError unless tensors are as declared; `sizes` are the known ones of letters."""
+    missing = [n for n, each in declared.items() if n not in tensors and not each.optional]
+    if missing:
+        raise ValueError(f"it has no {missing[0]}")
+    unknown = next((name for name in tensors if name not in declared), None)
+    if unknown is not None:
+        raise ValueError(f"it holds {unknown!r:.40}, which is no part of such files")
+    known = dict(sizes)
+    for name, tensor in tensors.items():
+        _check_form(name, tensor, declared[name], known)
+        check_range(name, tensor, declared[name])
+
+
+def check_range(name: str, tensor: Tensor, declared: Declared) -> None:
+    """Raise a ValueError unless all values of a tensor are finite and in the declared range."""
+    if tensor.dtype == torch.bool:
+        if (tensor.contiguous().view(torch.uint8) > 1).any():  # torch keeps such bytes as they are
+            raise ValueError(f"{name} has values that are neither true nor false")
+    elif tensor.numel():
+        low, high = tensor.aminmax()  # one pass, enough for nearly every tensor; NaN is in neither
+        if not (declared.low <= low and high <= declared.high):
+            _raise_range(name, tensor, declared)
+    if declared.unique and len(tensor.unique()) < len(tensor):
+        raise ValueError(f"{name} are not all different")
+
+
+def _raise_range(name: str, tensor: Tensor, declared: Declared) -> None:
+    infinite = int((~tensor.isfinite()).sum()) if tensor.is_floating_point() else 0
+    if infinite:
+        raise ValueError(f"{infinite} values of {name} are not finite")
+    bad = int(((tensor < declared.low) | (tensor > declared.high)).sum())
+    bounds = f"{declared.low:g} to {declared.high:g}"
+    raise ValueError(f"{bad} values of {name} are out of range, which is {bounds}")
+
+
+def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, int]) -> None:
+    """Check type and shape; a letter that is not known yet gets the size of this tensor."""
+    if tensor.dtype != declared.dtype or tensor.layout != torch.strided:
+        expected = str(declared.dtype).removeprefix("torch.")
+        raise ValueError(f"{name} is of another type than {expected}")
+    shape = [*tensor.shape]
+    for size, letter in zip(shape, declared.shape, strict=False):
+        if isinstance(letter, str):
+            known.setdefault(letter, size)
+    expected = [known.get(each, each) if isinstance(each, str) else each for each in declared.shape]
+    if shape != expected:
+        fault = f"{name} has the shape {shape}, not {expected}"
+        if declared.shape[:1] == ("N",) and shape[:1] != expected[:1]:
+            fault += f", but there are {known['N']} Gaussians: the files belong to different scenes"
+        raise ValueError(fault)
+    if tensor.numel() * tensor.itemsize > tensor.untyped_storage().nbytes():
+        raise ValueError(f"{name} claims more values than it holds")
+
+
+def _checked(
     path: Path,
+    tensors: dict[str, Tensor],
     declared: Mapping[str, Declared],
     sizes: Mapping[str, int],
-) -> None:
+) -> dict[str, Tensor]:
     try:
         check_tensors(tensors, declared, sizes)
     except ValueError as error:
         raise StyleSplatError(f"Cannot read {path}: {error}. {REMEDY}") from error
+    return tensors
 
 
 def _load(path: Path) -> dict[str, Tensor]:
-    read_bytes(path, first=1)  # says what is wrong with a place that cannot be read
+    read_bytes(path, first=1)  # reports a file that cannot be read
     try:
         with safetensors.safe_open(path, "pt") as file:
             return {name: file.get_tensor(name).clone() for name in file.keys()}

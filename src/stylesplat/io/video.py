@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 
 
 class _Kind(NamedTuple):

@@ -8,14 +8,12 @@ from pathlib import Path, PurePosixPath
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import atomic_folder, changing, refuse_file, refuse_occupied
 from stylesplat.io.files import inside
-from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.gif import write_gif
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.json_files import write_json
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.places import refuse_file
-from stylesplat.io.recovery import changing
 from stylesplat.io.video import KINDS, write_video
 
 GIF, TIFF, PNG, WEBP = ".gif", (".tif", ".tiff"), ".png", ".webp"
@@ -127,7 +125,7 @@ def write_views(
                 for picture in pictures:
                     _write_picture(picture, output)
         return
-    with claim_directory(output, overwrite=overwrite, marker="") as folder:
+    with atomic_folder(output, overwrite=overwrite, marker="") as folder:
         suffix = TIFF[0] if some and some[0].is_floating_point() else PNG
         for name, picture in zip(png_names(names, suffix), pictures, strict=True):
             _write_picture(picture, inside(folder, name))

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.captures.lens import MAX_SIDE
+from stylesplat.io.images import MAX_PIXELS
 from stylesplat.io.json_files import MAX_BYTES, fitting, read_json_as
 from stylesplat.masks.photo_names import photo_key
 from stylesplat.scene.labels import MAX_ID, Mask

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from PIL import ExifTags, Image
 
-from stylesplat.io.captures.decoding import exif_of, opened
+from stylesplat.io.images import exif_of, open_image
 
 Base = ExifTags.Base
 # What COLMAP finds a focal length by, and what identifies the camera. Places are left behind
@@ -26,7 +26,7 @@ def lens_exif(path: Path) -> bytes:
     Raises:
         StyleSplatError: If there is no such file or it is no readable picture.
     """
-    with opened(path) as image:
+    with open_image(path) as image:
         try:
             return _of_lens(exif_of(image))
         except Exception:  # Pillow raises all kinds
@@ -39,7 +39,7 @@ def taken_at(path: Path) -> str | None:
     Raises:
         StyleSplatError: If there is no such file or it is no picture.
     """
-    with opened(path) as image:
+    with open_image(path) as image:
         found = exif_of(image).get_ifd(ExifTags.IFD.Exif)
         day, part = (found.get(tag) for tag in TAKEN)
         if not isinstance(day, str) or not day[:4].isdigit():

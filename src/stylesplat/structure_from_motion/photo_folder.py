@@ -9,10 +9,8 @@ from pathlib import Path, PurePosixPath
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
-from stylesplat.io.captures.colmap import find_sparse
 from stylesplat.io.captures.posed_files import check_path
-from stylesplat.io.captures.transforms import TRANSFORMS
-from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS
+from stylesplat.io.kinds import HEIC, PHOTOS, TRANSFORMS, VIDEOS, find_sparse
 from stylesplat.structure_from_motion.ordering import natural_key
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")

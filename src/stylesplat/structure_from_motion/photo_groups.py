@@ -6,8 +6,8 @@ from pathlib import Path
 
 from PIL import ExifTags, Image
 
-from stylesplat.io.captures.decoding import exif_of, opened
 from stylesplat.io.files import inside
+from stylesplat.io.images import exif_of, open_image
 
 # Photos of one camera that hold OPENCV's two focal lengths and four numbers of distortion; of
 # fewer one of each is found. On desk, whose pixels are not square, OPENCV is three times as exact
@@ -45,7 +45,7 @@ def group_photos(photos: Path, names: Sequence[str], cameras: str) -> tuple[Phot
     """
     rows: dict[tuple[tuple[int, int], tuple[object, ...]], list[int]] = {}
     for row, name in enumerate(names):
-        with opened(inside(photos, name), reduced=False) as image:
+        with open_image(inside(photos, name), reduced=False) as image:
             lens = (row,) if cameras == "several" else _lens(image) if cameras == "auto" else ()
             rows.setdefault((image.size, lens), []).append(row)
     return tuple(PhotoGroup(tuple(found)) for found in rows.values())

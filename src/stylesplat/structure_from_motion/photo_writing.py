@@ -1,15 +1,15 @@
 """Photos as structure from motion gets them: upright, in JPEG or PNG, with their focal length."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from stylesplat.io.captures.decoding import opened
-from stylesplat.io.captures.photos import plain_suffix, read_image
-from stylesplat.io.files import atomic_path, copy_file
-from stylesplat.io.images import QUALITY
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.captures.photos import plain_suffix
+from stylesplat.io.images import QUALITY, open_image, read_image
 from stylesplat.structure_from_motion.exif import lens_exif
 
 
@@ -22,7 +22,7 @@ def write_photo(source: Path, target: Path) -> None:
     """
     if plain_suffix(source):
         with atomic_path(target) as temporary:
-            copy_file(source, temporary)
+            shutil.copyfile(source, temporary)
         return
     pixels, profile = read_image(source).numpy(), color_profile(source)
     write_jpeg(pixels, target, exif=lens_exif(source), icc_profile=profile)
@@ -34,7 +34,7 @@ def color_profile(path: Path) -> bytes | None:
     Raises:
         StyleSplatError: If there is no such file or it is no picture.
     """
-    with opened(path, reduced=False) as image:
+    with open_image(path, reduced=False) as image:
         return image.info.get("icc_profile") if image.mode in ("RGB", "RGBA") else None
 
 

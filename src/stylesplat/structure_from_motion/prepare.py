@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import inside, require_regular
-from stylesplat.io.folders import partial_of
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import track
 from stylesplat.structure_from_motion.photo_choice import THREADS, choose_photos, too_few

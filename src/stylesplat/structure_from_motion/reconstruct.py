@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stylesplat.io.atomic import changing
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.locks import locked
 from stylesplat.structure_from_motion.failures import (
     check_features,
     check_matches,
@@ -60,7 +60,7 @@ def reconstruct(
     """
     check_number(len(prepared.names))
     seconds: dict[str, float] = {}
-    with locked(work):
+    with changing(work):
         with _timed(seconds, "features"):
             place = open_workplace(work, photos, prepared.names, config)
             find_keypoints(place)

@@ -9,12 +9,12 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import posed_images
-from stylesplat.io.captures.colmap_check import check_complete
+from stylesplat.io.atomic import atomic_path, mark
+from stylesplat.io.captures.colmap import check_complete, posed_images
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import atomic_path, cannot_write, inside, mark
+from stylesplat.io.files import cannot_write, inside
 from stylesplat.io.images import QUALITY
 from stylesplat.progress import track
 from stylesplat.structure_from_motion.photo_writing import color_profile

@@ -16,8 +16,8 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.files import reason, require_regular
+from stylesplat.io.images import MAX_PIXELS
 from stylesplat.io.video import SMOOTH_COLOR
 
 # Of FFmpeg: no playlists, which name files and addresses, and no lists of pictures

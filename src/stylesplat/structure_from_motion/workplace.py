@@ -12,7 +12,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import cannot_write, copy_file, inside
+from stylesplat.io.files import cannot_write, inside
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.long_calls import FATAL, is_full, run_stage
@@ -153,7 +153,7 @@ def _begin(place: Workplace, photos: Path, basis: dict[str, Any]) -> None:
             shutil.rmtree(place.photos)
         place.photos.mkdir(parents=True)
         for name, file in zip(place.names, place.files, strict=True):
-            copy_file(inside(photos, name), place.photos / file)
+            shutil.copyfile(inside(photos, name), place.photos / file)
     except OSError as error:
         raise cannot_write(place.folder, error) from error
     groups = [

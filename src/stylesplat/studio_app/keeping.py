@@ -15,9 +15,8 @@ from PIL import Image
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import SUFFIX
 from stylesplat.io import scene_folder
+from stylesplat.io.atomic import changing, refuse_unwritable
 from stylesplat.io.json_files import read_json_as, write_json
-from stylesplat.io.places import refuse_unwritable
-from stylesplat.io.recovery import changing
 from stylesplat.io.splats.splat_files import COMPRESSED
 from stylesplat.io.video import write_video
 from stylesplat.scene.cameras import Cameras

@@ -9,8 +9,8 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
+from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
-from stylesplat.io.recipe_files import RECIPE, Intensity, listed
 from stylesplat.progress import say
 from stylesplat.scene.intensity import check_form
 from stylesplat.scene.layer import Source
@@ -152,7 +152,7 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
         if not isinstance(entry, dict):
             raise StyleSplatError(f"{name} must be KEY: VALUE. Write {name}: {{style: IMAGE}}.")
         if name in names:
-            raise StyleSplatError(f"{name} is listed twice. Keep one of them.")
+            raise StyleSplatError(f"{name} is as_tuple twice. Keep one of them.")
         names.add(name)
     return pairs
 
@@ -165,14 +165,14 @@ def _named_entry(entry: Any) -> tuple[str, dict[str, Any]]:
 
 def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject:
     told = fitted({"intensity": entry["intensity"]}, SETTINGS) if "intensity" in entry else {}
-    if None in (listed(entry.get("style")) or (None,)):  # colours that were never a file
+    if None in (as_tuple(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
     settings, own = _sorted_out(entry, OWN)
     recorded = "features" in own  # by us, so what is not under `settings` is now
     if recorded:
         settings.pop("intensity", None)
         settings |= {k: v for k, v in own.get("settings", {}).items() if k == "intensity"}
-    files, digests = listed(own.get("style")), listed(own.get("sha256"))
+    files, digests = as_tuple(own.get("style")), as_tuple(own.get("sha256"))
     config = with_settings(base.config, settings)
     style = Style(*_pictures(files, digests, base.folder), config=config, preset=base.preset)
     network = own if "features" in own else base.shared

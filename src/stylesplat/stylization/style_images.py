@@ -10,8 +10,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import opened
-from stylesplat.io.captures.photos import photo_sizes, read_image
+from stylesplat.io.images import image_sizes, open_image, read_image
 from stylesplat.progress import say
 
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
@@ -55,7 +54,7 @@ def read_style(
     if region is not None:
         height, width = pixels.shape[:2]
         if not isinstance(picture, Tensor):
-            width, height = photo_sizes(Path(picture), reduced=False)[1]
+            width, height = image_sizes(Path(picture), reduced=False)[1]
         pixels = _crop(pixels, region, (width, height), name)
     pixels = _shrink(pixels, name)
     colors = torch.from_numpy(np.ascontiguousarray(_turn(pixels, rotate, name)))
@@ -79,7 +78,7 @@ def inscribed_rectangle(width: int, height: int, degrees: float) -> tuple[float,
 
 def _refuse_unfit(path: Path) -> None:
     """Look at the file's header, before its pixels are decoded."""
-    with opened(path) as image:
+    with open_image(path) as image:
         frames, size = getattr(image, "n_frames", 1), image.size
     if frames > 1:
         raise StyleSplatError(

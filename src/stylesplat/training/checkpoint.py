@@ -13,9 +13,10 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
-from stylesplat.io.files import atomic_path, left_beside, reason
+from stylesplat.io.atomic import atomic_path, left_beside
+from stylesplat.io.files import reason
 from stylesplat.io.json_files import fitting
+from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.scene.fingerprint import differences
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.training.adam import Moments

@@ -5,8 +5,8 @@ from collections.abc import Collection
 import torch
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.io.captures.model_figures import ModelFigures, read_figures
-from stylesplat.io.captures.unposed import unposed_photos
+from stylesplat.io.captures.capture_folder import unposed_photos
+from stylesplat.io.captures.colmap import ModelFigures, read_figures
 from stylesplat.scene.capture import Capture
 from stylesplat.structure_from_motion import findings
 from stylesplat.structure_from_motion.capture_report import CaptureReport

@@ -9,10 +9,8 @@ from torch import Tensor
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import SUFFIX, write_page
-from stylesplat.io.folders import claim_directory
+from stylesplat.io.atomic import atomic_folder, changing, refuse_file
 from stylesplat.io.object_files import SIDECAR, write_objects
-from stylesplat.io.places import refuse_file
-from stylesplat.io.recovery import changing
 from stylesplat.io.row_lists import STATE
 from stylesplat.io.splats.splat_files import row_order, write_splats
 from stylesplat.scene.listed import ListedObjects
@@ -144,7 +142,7 @@ def export_each(
     """
     parts = every_part(_scene(scene))
     names = [f"{name}{suffix}" for name in parts]
-    with claim_directory(folder, overwrite=overwrite, marker="") as new:
+    with atomic_folder(folder, overwrite=overwrite, marker="") as new:
         for name, part in zip(names, parts.values(), strict=True):
             export(part, new / name, sh_degree=sh_degree)
     return [Path(folder) / name for name in names]

@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.captures.label_folder import with_drawn_maps
+from stylesplat.io.captures.capture_folder import with_drawn_maps
 from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
 from stylesplat.masks.foreign import foreign_label_maps, refuse_foreign
 from stylesplat.masks.models import sam

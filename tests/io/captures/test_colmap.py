@@ -6,9 +6,9 @@ import pycolmap
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import find_sparse, read_colmap
-from stylesplat.io.captures.colmap_check import check_complete
+from stylesplat.io.captures.colmap import check_complete, read_colmap
 from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.kinds import find_sparse
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, lenses_of, reconstruction
 
 BINARIES = ["cameras", "images", "points3D", "rigs", "frames"]

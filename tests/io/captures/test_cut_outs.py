@@ -12,7 +12,8 @@ from ball_photos import write_cut_outs
 from balls import CAMERAS
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
-from stylesplat.io.captures.photos import fit_photo, read_image
+from stylesplat.io.captures.photos import fit_photo
+from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.verbs.load import load
 from tiny_captures import HEIGHT, WIDTH, write_capture

@@ -8,10 +8,11 @@ import torch
 from PIL import ExifTags, Image, ImageOps
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures import decoding
+from stylesplat.io import images
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
-from stylesplat.io.captures.photos import fit_photo, photo_sizes, read_image
+from stylesplat.io.captures.photos import fit_photo
+from stylesplat.io.images import image_sizes, read_image
 from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.stylization.style_images import read_style
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
@@ -50,7 +51,7 @@ def test_damaged_files_give_pixels_or_one_line(tmp_path: Path, suffix: str):
         for place in generator.integers(0, min(len(whole), 300), 3):
             content[place] = generator.integers(256)
         path.write_bytes(content[: generator.choice([len(content), len(content) // 2, 9, 0])])
-        for read in (read_image, read_label_map, photo_sizes):
+        for read in (read_image, read_label_map, image_sizes):
             try:
                 read(path)
             except StyleSplatError as error:
@@ -68,7 +69,7 @@ def test_other_formats_are_refused_by_name(tmp_path: Path):
 @pytest.mark.parametrize("size", [(13_000, 13_000), (60_000, 60_000), (2**16, 2**12)])
 def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path, size):
     (tmp_path / "a.png").write_bytes(header_of_png(*size))
-    for read in (read_image, read_label_map, read_style, photo_sizes):
+    for read in (read_image, read_label_map, read_style, image_sizes):
         with pytest.raises(StyleSplatError, match=r"a\.png has more than 134 megapixels"):
             read(tmp_path / "a.png")
 
@@ -76,7 +77,7 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path, siz
 def test_large_pictures_give_no_warnings(tmp_path: Path):
     """Pillow warns from 90 megapixels on; warnings are errors here."""
     (tmp_path / "a.png").write_bytes(header_of_png(10_000, 10_000))
-    assert photo_sizes(tmp_path / "a.png")[0] == (10_000, 10_000)
+    assert image_sizes(tmp_path / "a.png")[0] == (10_000, 10_000)
 
 
 @pytest.mark.parametrize("orientation", range(9))
@@ -102,15 +103,15 @@ def test_bands_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         return images if mode == "LA" else [*images, read_label_map(tmp_path / "a.png")]
 
     whole = read()
-    monkeypatch.setattr("stylesplat.io.captures.lens.BAND", 5 * WIDTH)
+    monkeypatch.setattr("stylesplat.io.images.ROWS_PIXELS", 5 * WIDTH)
     assert all(map(torch.equal, whole, read()))
 
 
 @pytest.fixture
 def small_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two and eight thousand pixels; photos of these tests have three thousand."""
-    monkeypatch.setattr(decoding, "MAX_PIXELS", 2_000)
-    monkeypatch.setattr(decoding, "MAX_JPEG_PIXELS", 8_000)
+    monkeypatch.setattr(images, "MAX_PIXELS", 2_000)
+    monkeypatch.setattr(images, "MAX_JPEG_PIXELS", 8_000)
 
 
 def test_the_largest_jpegs_are_read_at_half_their_size(
@@ -136,7 +137,7 @@ def test_a_region_counts_in_the_pixels_of_the_file(tmp_path: Path, monkeypatch):
     pixels = np.zeros((200, 300, 3), np.uint8)
     pixels[100:180, 200:280] = 255
     Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=95)
-    monkeypatch.setattr(decoding, "MAX_PIXELS", 50_000)
+    monkeypatch.setattr(images, "MAX_PIXELS", 50_000)
     seen = read_style(tmp_path / "a.jpg", region=(200, 100, 280, 180))
     assert seen.shape == (40, 40, 3) and seen.min() > 0.9  # JPEG at the rim
     with pytest.raises(StyleSplatError, match="Stay within 0,0,300,200"):

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.model_figures import read_figures
+from stylesplat.io.captures.colmap import read_figures
 
 
 def test_none_without_a_model_or_tracks(make_capture: Callable[..., Path], tmp_path: Path):

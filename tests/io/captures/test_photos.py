@@ -8,7 +8,8 @@ from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import Lens
-from stylesplat.io.captures.photos import fit_photo, read_image
+from stylesplat.io.captures.photos import fit_photo
+from stylesplat.io.images import read_image
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (6, 8, 3), np.uint8)
 

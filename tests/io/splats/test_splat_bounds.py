@@ -9,8 +9,8 @@ import torch
 from balls import CAMERAS, SPLATS
 from full_scenes import COUNT, plain_scene
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.declared import GAUSSIANS
 from stylesplat.io.splats.splat_files import read_splats, write_splats
+from stylesplat.io.tensors import GAUSSIANS
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.outliers import inliers

@@ -1,40 +1,46 @@
-"""From a folder to a capture."""
+"""Captures on disk: posed photos, their label maps and their sparse points."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, some
-from stylesplat.io.captures import cut_outs
-from stylesplat.io.captures.colmap import find_sparse, read_colmap
-from stylesplat.io.captures.decoding import MAX_PIXELS
+from stylesplat.io.captures.colmap import find_photos, read_colmap
 from stylesplat.io.captures.lens import Lens
-from stylesplat.io.captures.photos import Photo, fit_photo, is_reduced
-from stylesplat.io.captures.posed_files import PosedFiles, those_there
-from stylesplat.io.captures.transforms import TRANSFORMS, read_transforms
-from stylesplat.io.captures.unposed import photos_besides
-from stylesplat.io.files import is_file
-from stylesplat.io.kinds import no_capture
-from stylesplat.io.label_maps import match_label_maps, read_names
+from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
+from stylesplat.io.captures.posed_files import PosedFiles, drop_missing
+from stylesplat.io.captures.sfm_file import read_sfm
+from stylesplat.io.captures.transforms import read_transforms
+from stylesplat.io.images import MAX_PIXELS, image_sizes
+from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, no_capture
+from stylesplat.io.label_maps import DrawnLabels, fit_labels, match_label_maps, read_names
 from stylesplat.progress import say, track
+from stylesplat.scene.cache import Cache
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.poses import are_rigid
+from stylesplat.scene.sampling import evenly
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
-EXACT = "object_mask_exact"  # that of those to measure with, where the others have mistakes
+EXACT = "object_mask_exact"  # label maps to measure with, where the others contain mistakes
+CUT_OUT_SAMPLE = 5  # photos with an alpha channel that are decoded: most channels are opaque
+CUT_OUT_NAMES = {1: "object"}  # what a cut-out shows, by label id
+CACHE_BYTES = 2**27  # the photo decoded last, so that its colours and alpha are decoded once
+
+Masks = Path | str | Literal[False] | None
 
 
 @dataclass(frozen=True)
 class CaptureFiles:
-    """A capture on disk whose headers are read, to be taken at one size or several."""
+    """A capture whose headers are read, to be opened at one size or several."""
 
     path: Path
     """Its folder."""
@@ -49,15 +55,10 @@ class CaptureFiles:
     point_colors: UInt8[Tensor, "M 3"] | None
     """Colours of `points`."""
     cut_out: bool
-    """Whether the photos are transparent where the object is not."""
+    """Whether the photos are transparent around the object."""
 
     def at(self, downscale: float | int) -> Capture:
-        """The capture with photos, label maps and cameras so many times smaller.
-
-        Raises:
-            StyleSplatError: If the factor is less than 1, or a label map is damaged or does not
-                fit its photo.
-        """
+        """The capture with photos, label maps and cameras that are `downscale` times smaller."""
         if not 1 <= downscale < math.inf:
             raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
         cameras = self.cameras.downscale(downscale)
@@ -65,13 +66,13 @@ class CaptureFiles:
         files = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
         photos, alphas = Lazy([file.read for file in files]), None
         if self.cut_out:
-            photos, alphas = cut_outs.split_alpha(files)
+            photos, alphas = _split_alpha(files)
         label_maps, names = None, {}
         if self.masks:
             label_maps = match_label_maps(self.masks, cameras.names, files)
             names = read_names(self.masks)
         elif alphas is not None and self.masks is None:
-            label_maps, names = cut_outs.object_maps(alphas), cut_outs.NAMES
+            label_maps, names = _opaque_maps(alphas), CUT_OUT_NAMES
         return Capture(
             cameras=cameras,
             photos=photos,
@@ -86,25 +87,26 @@ class CaptureFiles:
         )
 
 
-Masks = Path | str | Literal[False] | None
-
-
 def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
-    """Read the headers of a capture, for whoever needs it at more than one size.
+    """Read the headers of a capture; `masks` is described at `load`.
 
-    Raises:
-        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
-            does not fit the others.
+    Raises a StyleSplatError if the folder is no capture, or a file of it is missing, damaged or
+    does not fit the others.
     """
     folder = Path(path)
     posed = _read_poses(folder)
     _check_poses(posed, folder)
-    _announce_unposed(posed, folder)
-    posed = those_there(posed, folder)
-    lenses = [lens for lens in posed.lenses if lens is not None]  # photos that are there have one
+    others = photos_besides(folder, posed.names)
+    if others:
+        say(
+            f"Without a pose, so left out: {some(others)} "
+            f"({len(others)} of the {len(others) + len(posed.names)} photos in {folder})."
+        )
+    posed = drop_missing(posed, folder)
+    lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
     pairs = [*zip(posed.paths, lenses, strict=True)]
-    photos = [fit_photo(*each) for each in track(pairs, "reading photos", unit="photo")]
-    _announce_reduced(photos, lenses)
+    photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
+    _report_reduced(photos, lenses)
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),
@@ -114,6 +116,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     )
     if masks is None and (folder / OBJECT_MASK).is_dir():
         masks = folder / OBJECT_MASK
+    with_alpha = evenly([photo for photo in photos if photo.has_alpha()], CUT_OUT_SAMPLE)
     return CaptureFiles(
         path=folder,
         cameras=cameras,
@@ -121,21 +124,73 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         masks=masks if masks is None or masks is False else Path(masks),
         points=posed.points,
         point_colors=posed.point_colors,
-        cut_out=cut_outs.are_cut_out(photos),
+        cut_out=any(photo.is_cut_out() for photo in with_alpha),
     )
 
 
-def is_posed(folder: Path) -> bool:
-    """Whether a folder has camera poses."""
-    return find_sparse(folder) is not None or is_file(folder / TRANSFORMS)
-
-
 def exact_masks(folder: Path) -> Path | None:
-    """The label maps that a capture has to measure with, besides those to train on; says so."""
+    """The label maps of a capture to measure with, if it has some; a message says so."""
     if not (folder / EXACT).is_dir():
         return None
     say(f"Objects are compared with {folder / EXACT}, the exact label maps.")
     return folder / EXACT
+
+
+def unposed_photos(folder: Path, posed: Collection[str]) -> tuple[dict[str, str], int]:
+    """The photos without a pose and why (perhaps empty), and how many were not tried.
+
+    `sfm` wrote this down; in other captures they are the other files in the folder of photos.
+    """
+    record = read_sfm(folder)
+    if record is not None:
+        return dict(record.unregistered), len(record.left_out)
+    return dict.fromkeys(photos_besides(folder, posed), ""), 0
+
+
+def photos_besides(folder: Path, posed: Collection[str]) -> list[str]:
+    """The names of the other photos in the folder of a capture's posed photos, sorted."""
+    try:
+        photos = find_photos(folder)
+    except StyleSplatError:  # those of transforms.json may lie anywhere
+        return []
+    files = (path for path in sorted(photos.rglob("*")) if path.suffix.lower() in PHOTOS)
+    names = {path.relative_to(photos).as_posix() for path in files if path.is_file()}
+    if not names & set(posed):  # the posed photos are named within another folder
+        return []
+    return sorted(names - set(posed))
+
+
+def with_drawn_maps(
+    capture: Capture, maps: Mapping[str, DrawnLabels], names: Mapping[int, str]
+) -> Capture:
+    """A capture with label maps that were drawn on its photos as they were taken, at any size.
+
+    `maps` is by photo, `names` holds the objects' names by id.
+    """
+    photos = _photos_of(capture)
+    readers = [
+        fit_labels(maps[name], photos[name]) if name in maps else lambda: None
+        for name in capture.cameras.names
+    ]
+    return replace(capture, label_maps=Lazy(readers), object_names=dict(names))
+
+
+def _photos_of(capture: Capture) -> dict[str, Photo]:
+    """The photos by name, with their lenses; those of a capture in memory have pinholes."""
+    cameras = capture.cameras
+    if capture.path is not None:
+        files = open_capture(capture.path, masks=False)
+        sizes = zip(cameras.names, cameras.sizes.tolist(), strict=True)
+        return {
+            name: files.photos[files.cameras.index(name)].resized(*size) for name, size in sizes
+        }
+    photos = dict[str, Photo]()
+    for name, K, (width, height) in zip(
+        cameras.names, cameras.Ks.tolist(), cameras.sizes.tolist(), strict=True
+    ):
+        lens = Lens("PINHOLE", width, height, (K[0][0], K[1][1], K[0][2], K[1][2]))
+        photos[name] = Photo(Path(name), True, lens, (width, height))
+    return photos
 
 
 def _read_poses(folder: Path) -> PosedFiles:
@@ -161,23 +216,44 @@ def _check_poses(posed: PosedFiles, folder: Path) -> None:
         )
 
 
-def _announce_unposed(posed: PosedFiles, folder: Path) -> None:
-    others = photos_besides(folder, posed.names)
-    if others:
-        total = len(others) + len(posed.names)
-        say(
-            f"Without a pose, so left out: {some(others)} "
-            f"({len(others)} of the {total} photos in {folder})."
-        )
-
-
-def _announce_reduced(photos: Sequence[Photo], lenses: Sequence[Lens]) -> None:
+def _report_reduced(photos: Sequence[Photo], lenses: Sequence[Lens]) -> None:
+    """Say which photos have too many pixels and are therefore read at half their sides."""
     pairs = zip(photos, lenses, strict=True)
     smaller = [photo.path for photo, lens in pairs if photo.lens.size != lens.size]
-    reduced = [path for path in smaller if is_reduced(path)]
+    reduced = [path for path in smaller if image_sizes(path) != image_sizes(path, reduced=False)]
     if reduced:
         say(
             f"{len(reduced)} photos have more than {MAX_PIXELS // 10**6} megapixels, such as "
-            f"{reduced[0]}: they are read at half their width and height, which boxes and points "
-            "go by."
+            f"{reduced[0]}: they are read at half their width and height, and boxes and points "
+            "count these pixels."
         )
+
+
+def _split_alpha(
+    photos: Sequence[Photo],
+) -> tuple[Lazy[UInt8[Tensor, "H W 3"]], Lazy[UInt8[Tensor, "H W"] | None]]:
+    """Colours over black and alphas of photos, decoded on access."""
+    recent: Cache[int] = Cache(CACHE_BYTES)
+
+    def pixels(row: int) -> UInt8[Tensor, "H W D"]:
+        return recent.get(row, lambda: (photos[row].read_with_alpha(),))[0]
+
+    def colors(row: int) -> UInt8[Tensor, "H W 3"]:
+        return pixels(row)[..., :3].contiguous()
+
+    def alpha(row: int) -> UInt8[Tensor, "H W"] | None:
+        both = pixels(row)
+        return both[..., 3].contiguous() if both.shape[-1] > 3 else None
+
+    rows = range(len(photos))
+    return Lazy([partial(colors, row) for row in rows]), Lazy([partial(alpha, row) for row in rows])
+
+
+def _opaque_maps(alphas: Lazy[UInt8[Tensor, "H W"] | None]) -> Lazy[Int[Tensor, "H W"] | None]:
+    """Label maps that are 1 where photos are opaque; None where a photo has no alpha."""
+
+    def labels(row: int) -> Int[Tensor, "H W"] | None:
+        alpha = alphas[row]
+        return None if alpha is None else (alpha >= OPAQUE).int()
+
+    return Lazy([partial(labels, row) for row in range(len(alphas))])

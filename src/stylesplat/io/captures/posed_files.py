@@ -15,19 +15,17 @@ from stylesplat.io.captures.lens import Lens
 from stylesplat.io.json_files import MAX_NAME
 from stylesplat.progress import say
 
-# Of a file's or folder's name: systems take 255, and to be written a name gets 14 more
+# Bytes of a file's or folder's name: systems take 255, and a draft's name has 14 more
 MAX_PART = 240
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
 @dataclass(frozen=True)
 class PosedFiles:
-    """Posed photos as a capture's files describe them; no photo has been looked at.
+    """Posed photos as a capture's files describe them; no photo has been opened.
 
-    Label maps and views are written under the photos' names, so these never leave their folder.
-
-    Raises:
-        StyleSplatError: If a name does, is none that a file can have, or is that of two photos.
+    Label maps and views are written under the photos' names, so a name that leaves its folder, that
+    no file can have or that occurs twice is a StyleSplatError.
     """
 
     names: tuple[str, ...]
@@ -35,9 +33,9 @@ class PosedFiles:
     paths: tuple[Path, ...]
     """Of the photos."""
     lenses: tuple[Lens | None, ...]
-    """What they were taken with; None where only a photo that is not there could tell."""
+    """None where the lens depends on a photo that does not exist."""
     viewmats: Float[Tensor, "C 4 4"]
-    """World to camera, OpenCV axes, as read: not checked, 64 bits."""
+    """World to camera, OpenCV axes, as read: 64 bits, not checked."""
     points: Float[Tensor, "M 3"] | None
     """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
@@ -58,7 +56,7 @@ class PosedFiles:
                 )
 
     def only(self, rows: Sequence[int]) -> "PosedFiles":
-        """The same of some of the photos."""
+        """The photos of these rows."""
         return replace(
             self,
             names=tuple(self.names[row] for row in rows),
@@ -68,12 +66,8 @@ class PosedFiles:
         )
 
 
-def those_there(posed: PosedFiles, folder: Path) -> PosedFiles:
-    """The posed photos of a capture whose files are there; the others are left out, which is said.
-
-    Raises:
-        StyleSplatError: If these are fewer than half.
-    """
+def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
+    """Leave out photos whose files do not exist, with a message; more than half are an error."""
     there = [os.path.lexists(path) for path in posed.paths]  # unlike Path's, it takes any name
     missing = [name for name, found in zip(posed.names, there, strict=True) if not found]
     if not missing:
@@ -92,7 +86,7 @@ def those_there(posed: PosedFiles, folder: Path) -> PosedFiles:
 
 
 def check_path(text: str) -> None:
-    """Raise a StyleSplatError for the path of a photo that no file has."""
+    """Raise a StyleSplatError for a path that no photo can have."""
     fault = _fault(text)
     if fault:
         raise StyleSplatError(
@@ -113,7 +107,7 @@ def _fault(text: str) -> str | None:
 
 
 def _leaves(name: str) -> bool:
-    """Whether a name leaves the folder that it is put in, or names that folder, on any system."""
+    """Whether a name leaves its folder, or names the folder itself, on any system."""
     windows = PureWindowsPath(name)
     return bool(
         windows.drive or windows.root or ".." in windows.parts or not PurePosixPath(name).name

@@ -18,29 +18,29 @@ Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
 
 
 class SfmRecord(msgspec.Struct, kw_only=True):
-    """What `sfm.json` holds."""
+    """The content of `sfm.json`."""
 
     format: Annotated[int, Meta(ge=1, le=FORMAT)] = FORMAT
     source: FilePath
     """The folder of photos, or the video."""
     digest: Text
-    """Of the names and sizes of its files."""
+    """Hash of the names and sizes of its files."""
     given: Count
-    """How many photos there were; of a video, how many frames were taken."""
+    """Number of photos in the source, or of frames taken from the video."""
     registered: Count
-    """How many have a pose."""
+    """Number of photos with a pose."""
     left_out: Reasons
-    """By the user's own name of a photo why it was not tried."""
+    """Why a photo was not tried, by the user's name of it."""
     unregistered: Reasons
-    """By the user's own name of a photo that was tried why it has no pose."""
+    """Why a photo that was tried has no pose, by the user's name of it."""
     origins: Reasons
-    """By the name of a photo in the capture the user's own, where the two differ."""
+    """The user's name of a photo by its name in the capture, where the two differ."""
     frame: dict[str, Any]
-    """What the world's axes, origin and unit are."""
+    """The world's axes, origin and unit."""
     settings: dict[str, Any]
-    """What was asked for."""
+    """The options of the call."""
     numbers: dict[str, Any]
-    """What was measured, and how long it took."""
+    """Measurements and durations."""
     libraries: dict[str, Text]
     """Versions."""
 
@@ -50,11 +50,7 @@ class SfmRecord(msgspec.Struct, kw_only=True):
 
 
 def read_sfm(folder: Path) -> SfmRecord | None:
-    """How the poses of a capture were found; None if they are not from `sfm`.
-
-    Raises:
-        StyleSplatError: If the file is damaged.
-    """
+    """Read how the poses of a capture were found; None if they are not from `sfm`."""
     path = folder / SFM_FILE
     if not path.is_file():
         return None
@@ -62,9 +58,5 @@ def read_sfm(folder: Path) -> SfmRecord | None:
 
 
 def write_sfm(record: SfmRecord, folder: Path) -> None:
-    """Write `sfm.json` into a capture.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
+    """Write `sfm.json` into a capture."""
     write_json(msgspec.to_builtins(record), folder / SFM_FILE)

@@ -15,17 +15,17 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import MAX_SIDE, Lens
-from stylesplat.io.captures.photos import photo_sizes
 from stylesplat.io.captures.posed_files import PosedFiles, check_path
 from stylesplat.io.files import reason
+from stylesplat.io.images import image_sizes
 from stylesplat.io.json_files import fitting, read_json, write_json
+from stylesplat.io.kinds import TRANSFORMS
 from stylesplat.io.ply import read_ply_table, write_ply_table
 from stylesplat.scene.cameras import Cameras
 
-TRANSFORMS = "transforms.json"
 POINTS = "points.ply"
-PLACE = ("x", "y", "z")
-COLOR = ("red", "green", "blue")
+XYZ = ("x", "y", "z")
+RGB = ("red", "green", "blue")
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")  # tried where a name has none
 FISHEYE = "OPENCV_FISHEYE"
 FRAME_MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
@@ -39,7 +39,7 @@ Pose = Annotated[list[Row], msgspec.Meta(min_length=3, max_length=4)]
 
 
 class Frame(msgspec.Struct):
-    """A photo's entry, together with what the file says of all."""
+    """The entry of a photo, merged with the entries that apply to all."""
 
     file_path: str
     transform_matrix: Pose
@@ -62,7 +62,7 @@ class Frame(msgspec.Struct):
 
 
 class Transforms(msgspec.Struct):
-    """The file, but for what frames may say too."""
+    """The file, without the keys that a frame may have too."""
 
     frames: list[dict[str, Any]] = []
     ply_file_path: str | None = None
@@ -71,11 +71,8 @@ class Transforms(msgspec.Struct):
 def read_transforms(folder: Path) -> PosedFiles:
     """Read poses and cameras, and the points where `ply_file_path` names some.
 
-    Intrinsics may stand in each frame or once for all. Photos may lie anywhere; they are sorted
-    by path, and named within the folder that they have in common.
-
-    Raises:
-        StyleSplatError: If the file is malformed, lacks a key or has no frames.
+    Intrinsics may be given in each frame or once for all. Photos may lie anywhere; they are sorted
+    by path, and named relative to their common folder.
     """
     path = folder / TRANSFORMS
     content = read_json(path)
@@ -93,7 +90,7 @@ def read_transforms(folder: Path) -> PosedFiles:
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """What photos are called within their common folder, without a '..' on the way."""
+    """The names of photos relative to their common folder, without any '..'."""
     plain = [_plain(path) for path in paths]
     common = Path(os.path.commonpath([photo.parent for photo in plain]))
     return tuple(photo.relative_to(common).as_posix() for photo in plain)
@@ -111,17 +108,10 @@ def write_transforms(
     points: Float[Tensor, "M 3"] | None = None,
     point_colors: UInt8[Tensor, "M 3"] | None = None,
 ) -> None:
-    """Write `transforms.json`, and the points beside it if there are any.
+    """Write `transforms.json` into a capture's folder, and sparse points beside it.
 
-    Args:
-        cameras: The cameras of the photos.
-        folder: The capture's folder.
-        photos: Where in it the photos lie, under the cameras' names.
-        points: Sparse points to start training from.
-        point_colors: Their colours, grey by default.
-
-    Raises:
-        StyleSplatError: If a file cannot be written.
+    `photos` is the subfolder of the photos, whose names are those of the cameras; points without
+    colours become grey.
     """
     folder = Path(folder)
     content: dict[str, Any] = {"camera_model": "OPENCV"}
@@ -146,7 +136,7 @@ def _read_frame(
     photo = _find_photo(path.parent / frame.file_path)
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3] = torch.tensor(frame.transform_matrix[:3], dtype=torch.float64)
-    # Without an error for what is no pose: `load` names all that are none
+    # No error for a singular matrix: `load` names all bad poses at once
     return photo, _read_lens(frame, photo), torch.linalg.inv_ex(pose * OPENGL_AXES).inverse
 
 
@@ -173,13 +163,13 @@ def _read_lens(frame: Frame, photo: Path) -> Lens | None:
         further = [frame.p1, frame.p2, frame.k3, 0.0, 0.0, 0.0]
         model, params = "FULL_OPENCV", [*pinhole, frame.k1, frame.k2, *further]
     else:
-        raise ValueError(f"cameras of the model {brief(named)} with k4 = {frame.k4} are not known")
+        raise ValueError(f"the camera model {brief(named)} with k4 = {frame.k4} is unknown")
     return Lens.from_colmap(pycolmap.Camera(model=model, width=width, height=height, params=params))
 
 
 def _size(frame: Frame, photo: Path) -> tuple[int, int]:
     if frame.w is None:
-        return photo_sizes(photo, reduced=False)[1]
+        return image_sizes(photo, reduced=False)[1]
     if frame.h is None:
         raise ValueError("it has w, but lacks the key 'h'")
     return int(frame.w), int(frame.h)
@@ -191,7 +181,7 @@ def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> fl
     if angle is None:
         raise ValueError(f"it lacks the key 'fl_{axis}'")
     if not 0 < angle < math.pi:
-        raise ValueError(f"no camera_angle_{axis} is {angle}")
+        raise ValueError(f"camera_angle_{axis} cannot be {angle}")
     return side / (2 * math.tan(angle / 2))
 
 
@@ -206,21 +196,21 @@ def _read_points(
     if name is None:
         return None, None
     table = read_ply_table(folder / name)
-    missing = {*PLACE, *COLOR} - {*(table.dtype.names or ())}
+    missing = {*XYZ, *RGB} - {*(table.dtype.names or ())}
     if missing:
         raise ValueError(f"the points {name} have no column {min(missing)}")
     with np.errstate(over="ignore", invalid="ignore"):  # PLY colours may be of any type
-        places = np.stack([table[c].astype(np.float32) for c in PLACE], axis=1)
-        colors = np.stack([table[c].astype(np.uint8) for c in COLOR], axis=1)
-    return torch.from_numpy(places), torch.from_numpy(colors)
+        xyz = np.stack([table[c].astype(np.float32) for c in XYZ], axis=1)
+        colors = np.stack([table[c].astype(np.uint8) for c in RGB], axis=1)
+    return torch.from_numpy(xyz), torch.from_numpy(colors)
 
 
 def _write_points(
     points: Float[Tensor, "M 3"], colors: UInt8[Tensor, "M 3"] | None, path: Path
 ) -> None:
     grey = torch.full(points.shape, 128, dtype=torch.uint8)
-    rows = np.empty(len(points), [(c, "<f4") for c in PLACE] + [(c, "u1") for c in COLOR])
-    for axis, (place, color) in enumerate(zip(PLACE, COLOR, strict=True)):
-        rows[place] = points[:, axis].cpu().numpy()
+    rows = np.empty(len(points), [(c, "<f4") for c in XYZ] + [(c, "u1") for c in RGB])
+    for axis, (coordinate, color) in enumerate(zip(XYZ, RGB, strict=True)):
+        rows[coordinate] = points[:, axis].cpu().numpy()
         rows[color] = (grey if colors is None else colors.cpu())[:, axis].numpy()
     write_ply_table(rows, path)

@@ -6,7 +6,7 @@ from pathlib import Path
 import gsply
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.io.ply import say_left_over
 from stylesplat.io.splats.gsply_data import from_gsply, to_gsply
 from stylesplat.io.splats.morton import morton_order

@@ -8,7 +8,8 @@ from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, read_bytes
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.rotations import unit_quats
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.splats import SH_C0, Splats

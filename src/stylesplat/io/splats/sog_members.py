@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError, brief
-from stylesplat.io.files import atomic_path, inside, read_bytes, reason
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import inside, read_bytes, reason
 from stylesplat.io.kinds import SOG_META
 
 MAX_META = 2**20  # bytes; three codebooks have 20,000

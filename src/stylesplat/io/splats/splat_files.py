@@ -8,7 +8,8 @@ from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.files import REPLACING, is_there, read_bytes
+from stylesplat.io.atomic import REPLACING
+from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import SOG_META, no_splat
 from stylesplat.io.splats.compressed_ply import (
     MAX_HEADER,

@@ -11,8 +11,8 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.declared import GAUSSIANS, check_range
 from stylesplat.io.ply import AT_ONCE, PlyRows, ply_rows, write_ply_rows
+from stylesplat.io.tensors import GAUSSIANS, check_range
 from stylesplat.scene.splats import Splats
 
 FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3

@@ -14,7 +14,8 @@ import torch
 import zstandard
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path, read_bytes
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.gsply_data import from_gsply, to_gsply
 from stylesplat.scene.splats import Splats
 

@@ -16,7 +16,7 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.io.splats.gltf_document import (
     BINARY,
     CHUNK,

@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.models.safetensors_http import fetch_tensors
 from stylesplat.progress import say
 from stylesplat.stylization.features.compact import compact_from

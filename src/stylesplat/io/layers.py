@@ -1,8 +1,8 @@
-"""The stack of layers of a scene, in the scene's folder."""
+"""The stack of layers of a scene on disk, and the recipe that paints it again."""
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,21 +13,24 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, within
-from stylesplat.io.declared import GAUSSIANS, Declared
 from stylesplat.io.json_files import FilePath, fitting, read_json_as, write_json
-from stylesplat.io.recipe_files import AGAIN, RECIPE, Intensity, Word, recipe_of
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
-from stylesplat.io.tensors import read_tensors, write_tensors
+from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
+from stylesplat.scene.intensity import MAX_INTENSITY
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.scene.splats import Splats
 
 STACK = "layers.json"
-LAYERS = "layers"  # the folder
-FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in it: no slashes, no dots
-MOST_LETTERS = 40  # of an object's name in a file's
+LAYERS = "layers"  # the folder of their tensors
+RECIPE = "recipe.json"
+FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no slashes, no dots
+MAX_NAME_PART = 40  # characters of an object's name in a file's
 UNIT = {"low": 0.0, "high": 1.0}
 CANVAS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+AGAIN = "Style the scene again."
+Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
+Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
 
 
 class _Source(msgspec.Struct):
@@ -56,36 +59,30 @@ class _Stack(msgspec.Struct):
 
 
 def write_layers(layers: Sequence[Layer], folder: Path, before: Sequence[Layer] = ()) -> None:
-    """Write the stack of a scene, and its recipe, into the scene's folder.
+    """Write the stack of a scene, bottom first, and its recipe into the scene's folder.
 
-    Args:
-        layers: The stack, the lowest first; none removes all files.
-        folder: Of the scene.
-        before: The stack that the folder holds. Files of layers that stay are not written again.
-
-    Raises:
-        StyleSplatError: If the files cannot be written, or an object has a name that files cannot
-            have.
+    `before` is the stack that the folder holds: files of layers that stay are not written again.
+    An empty stack removes all files.
     """
     for layer in layers:
         check_name_or_id(layer.object)
     place = folder / LAYERS
     if place.is_symlink():
-        place.unlink()  # what it leads to is not ours
-    held = folder / f"{LAYERS}.before"
+        place.unlink()  # its target is not ours
+    old = folder / f"{LAYERS}.before"
     if place.exists():
-        place.rename(held)
+        place.rename(old)
     files = {_identity(layer): file_name(n, layer) for n, layer in enumerate(before)}
     try:
         for number, layer in enumerate(layers):
             path, known = place / file_name(number, layer), files.get(_identity(layer))
-            if known is not None and (held / known).is_file():
+            if known is not None and (old / known).is_file():
                 path.parent.mkdir(exist_ok=True)
-                (held / known).rename(path)
+                (old / known).rename(path)
             else:
                 write_tensors(_tensors(layer), path)
     finally:
-        shutil.rmtree(held, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
     for name in (STACK, RECIPE):
         (folder / name).unlink(missing_ok=True)
     if layers:
@@ -95,15 +92,7 @@ def write_layers(layers: Sequence[Layer], folder: Path, before: Sequence[Layer] 
 
 
 def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
-    """Read the stack of a scene; empty if there is none.
-
-    Args:
-        folder: Of the scene.
-        count: How many Gaussians the base has.
-
-    Raises:
-        StyleSplatError: If a file is missing or damaged, or belongs to another scene.
-    """
+    """Read the stack of a scene whose base has `count` Gaussians."""
     stack = read_json_as(folder / STACK, _Stack, AGAIN)
     with within(f"Cannot read {folder / STACK}"):
         for entry in stack.layers:
@@ -116,34 +105,65 @@ def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
 
 
 def file_name(number: int, layer: Layer) -> str:
-    """The name of a layer's file, given its place in the stack."""
-    called = re.sub(r"[^A-Za-z0-9_-]", "_", layer.object)[:MOST_LETTERS]
-    return f"{number + 1:02}-{called}.safetensors"
+    """The name of a layer's file, given its position in the stack."""
+    name = re.sub(r"[^A-Za-z0-9_-]", "_", layer.object)[:MAX_NAME_PART]
+    return f"{number + 1:02}-{name}.safetensors"
+
+
+def recipe_of(layers: Sequence[Layer]) -> dict[str, Any]:
+    """The content of `recipe.json`: the objects, bottom layer first, and how they were painted.
+
+    The settings of the first layer apply to all; each object lists those that differ. `intensity`
+    and `form` are the values of now.
+    """
+    shared = dict(layers[0].settings)
+    return {"objects": [_recipe_entry(layer, shared) for layer in layers], "settings": shared}
+
+
+def as_tuple(values: Any) -> tuple[Any, ...]:
+    """A value of a recipe that may be missing, single or a list."""
+    if values is None:
+        return ()
+    return tuple(values) if isinstance(values, list | tuple) else (values,)
+
+
+def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
+    weights = layer.weights
+    entry = {
+        "name": layer.object,
+        "style": _single([source.path for source in layer.styles]),
+        "sha256": _single([source.sha256 for source in layer.styles]),
+        "intensity": layer.strength if layer.visible else 0.0,
+        "form": layer.form,
+        "settings": {k: v for k, v in layer.settings.items() if k not in shared or v != shared[k]},
+        "features": layer.features,
+        "weights": weights and weights.path,
+        "weights_sha256": weights and weights.sha256,
+    }
+    return entry | ({"precision": layer.precision} if layer.precision else {})
+
+
+def _single(items: list[Any]) -> Any:
+    return items[0] if len(items) == 1 else items
 
 
 def _identity(layer: Layer) -> tuple[int, ...]:
-    """What is equal only if a file of the layer need not be written again."""
+    """Equal for two layers only if their files have the same content."""
     return tuple(id(tensor) for tensor in (layer.rows, layer.sh0, layer.relief, layer.parents))
 
 
 def _entry(number: int, layer: Layer) -> dict[str, Any]:
+    names = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
     return {
         "file": file_name(number, layer),
-        "object": layer.object,
-        "kind": layer.kind,
-        "strength": layer.strength,
-        "form": layer.form,
-        "visible": layer.visible,
+        **{name: getattr(layer, name) for name in names},
         "styles": [vars(source) for source in layer.styles],
-        "settings": layer.settings,
-        "features": layer.features,
         "weights": layer.weights and vars(layer.weights),
-        "precision": layer.precision,
     }
 
 
 def _tensors(layer: Layer) -> dict[str, Tensor]:
-    """What the file of a layer holds. Higher bands that are all 0 are left out."""
+    """The content of a layer's file; higher bands that are all 0 are left out."""
     own, canvas = layer.relief.split([len(layer.rows), len(layer.parents)])
     tensors = {
         "rows": layer.rows,
@@ -165,7 +185,7 @@ def _bands(shN: Tensor) -> Tensor:
 
 
 def _declared(count: int) -> dict[str, Declared]:
-    """What the file of a layer on so many Gaussians holds."""
+    """What the file of a layer on a base of `count` Gaussians holds."""
     index = Declared(("R",), torch.int64, low=0, high=count - 1)
     row = Declared(("R",))
     canvas = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
@@ -195,23 +215,18 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
                 f"Cannot read {path}: {name} has a wrong number of bands. {AGAIN}"
             )
         tensors[name] = pad_bands(tensors[name])
+    plain = ("object", "strength", "form", "visible", "kind", "settings", "features", "precision")
+    own = ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")
+    columns: dict[str, Any] = {name: getattr(entry, name) for name in plain}
+    columns |= {name: tensors[name] for name in own}
     means, quats, scales, opacities, sh0, shN = (tensors[f"canvas_{name}"] for name in CANVAS)
-    weights = entry.weights
     return Layer(
-        object=entry.object,
-        **{n: tensors[n] for n in ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")},
+        **columns,
         canvas=Splats(means, quats, scales, opacities, sh0, shN),
         canvas_sh0=tensors["canvas_before"],
         relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),
-        strength=entry.strength,
-        form=entry.form,
-        visible=entry.visible,
-        kind=entry.kind,
         styles=tuple(map(_source, entry.styles)),
-        settings=entry.settings,
-        features=entry.features,
-        weights=weights and _source(weights),
-        precision=entry.precision,
+        weights=entry.weights and _source(entry.weights),
     )
 
 

@@ -1,0 +1,353 @@
+"""Write files and folders whole or not at all: beside their place, then renamed into it.
+
+One process at a time changes a place: `changing` holds a lock on it. A killed process leaves at
+most a hidden draft, which nobody reads.
+"""
+
+import ctypes
+import errno
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from uuid import uuid4
+
+from filelock import FileLock, Timeout
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import cannot_write, is_file, is_folder, is_there, real_path, real_place
+from stylesplat.progress import say
+
+REPLACING = "`--overwrite` (in Python overwrite=True)"  # how a user allows a replacement
+PARTIAL = ".partial"  # suffix of the folder that keeps the work of an interrupted run
+MARK = "[0-9a-f]{12}"  # what `mark` returns
+DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it will replace
+MAX_NAME_BYTES = 255  # of one part of a path, on all common file systems
+PATIENCE = 10.0  # seconds to wait for another process: `select` takes as long, `train` longer
+ANYBODY = 0o666  # mode of a lock file: another user may lock the same place later
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: relative to the cwd; swap two names
+RENAME_SWAP = 2  # the same of macOS
+
+
+def mark() -> str:
+    """Twelve random digits that make a hidden name unique."""
+    return uuid4().hex[:12]
+
+
+def beside(path: Path) -> Path:
+    """A new hidden name in the folder of a path, with the same suffix."""
+    return path.with_name(f".{path.stem}.{mark()}{path.suffix}")
+
+
+def left_beside(path: Path) -> list[Path]:
+    """The drafts of a path that killed processes left."""
+    ours = re.compile(rf"\.{re.escape(path.stem)}\.{MARK}{re.escape(path.suffix)}")
+    return [p for p in path.parent.glob(".*") if ours.fullmatch(p.name)]
+
+
+def partial_of(path: Path) -> Path:
+    """The folder beside a result that keeps the work of an interrupted run."""
+    path = real_path(path)
+    return path.with_name(path.name + PARTIAL)
+
+
+@contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """Yields a path to write to; the file becomes `path` if the block succeeds, else it is deleted.
+
+    The draft lies in the same folder and has the same suffix; missing folders are made. It is
+    flushed to the disk before it is renamed, so a power cut leaves the old file or the new one.
+    """
+    path = Path(path)
+    draft = beside(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield draft
+        with draft.open("rb+") as file:
+            os.fsync(file.fileno())  # a full disk may show only now
+        draft.replace(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        with suppress(OSError):
+            draft.unlink()
+
+
+@contextmanager
+def atomic_folder(
+    path: Path | str, *, overwrite: bool, marker: str, stale: Sequence[str] = ()
+) -> Iterator[Path]:
+    """Yields an empty folder, which becomes `path` if the block succeeds, else it is deleted.
+
+    With `overwrite`, a folder that holds the file `marker` is replaced as a whole. In any other
+    folder only files of the same names are replaced, and the files named in `stale` (read when the
+    block ends) are deleted; everything else there stays.
+    """
+    path = Path(path).resolve()
+    with changing(path):
+        refuse_occupied(path, marker=marker, overwrite=overwrite)
+        with _draft_of(path) as draft:
+            draft.mkdir(parents=True)
+            yield draft
+            if not path.exists() or not _has_entries(path) or (path / marker).is_file():
+                _replace_folder(draft, path)
+            else:
+                _move_files(draft, path, [Path(n) for n in stale if (path / n).exists()])
+
+
+@contextmanager
+def revise_folder(path: Path | str) -> Iterator[Path]:
+    """Yields a copy of a folder, which takes its place if the block succeeds, else it is deleted.
+
+    The files of the copy are hard links, so replace them (as `atomic_path` does) and never write
+    into one. The earlier version is deleted, so no link remains.
+    """
+    path = Path(path).resolve()
+    with changing(path), _draft_of(path) as draft:
+        ignore = shutil.ignore_patterns(DRAFT + "*")
+        shutil.copytree(path, draft, symlinks=True, ignore=ignore, copy_function=_link)
+        yield draft
+        _replace_folder(draft, path)
+
+
+@contextmanager
+def changing(path: Path | str) -> Iterator[None]:
+    """Let no other process change a file or folder during the block; calls may be nested.
+
+    The kernel holds the lock, so it ends with its process. The lock file lies beside the path, or
+    in the temporary directory where that folder is not writable; it is deleted with the lock.
+    """
+    path = real_place(Path(path))
+    try:
+        path.exists()
+    except OSError as error:  # the name is too long, or a folder may not be entered
+        raise cannot_write(path, error) from error
+    made = [parent for parent in path.parents if not parent.exists()]
+    with suppress(OSError):  # the writer reports an unusable place
+        path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(_lock_file(path), is_singleton=True, fallback_to_soft=False, mode=ANYBODY)
+    held = False
+    try:
+        held = _acquire(lock, path)
+        yield
+    finally:
+        if held and lock.lock_counter == 1:
+            with suppress(OSError):
+                Path(lock.lock_file).unlink()  # before the release: a waiting process notices
+        if held:
+            lock.release()
+        for parent in made:
+            with suppress(OSError):  # it is used by now
+                parent.rmdir()
+
+
+def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -> None:
+    """Raise a StyleSplatError unless `atomic_folder` can make this folder; ask before the work."""
+    path = Path(path)
+    if is_file(path):
+        raise StyleSplatError(f"{path} is a file. Choose another name for the folder.")
+    refuse_unwritable(path)
+    if path.exists() and not overwrite and _has_entries(path):
+        found = f"an earlier result ({marker})" if (path / marker).is_file() else "something else"
+        raise StyleSplatError(
+            f"The folder {path} holds {found}. Choose another one, or replace it with {REPLACING}."
+        )
+
+
+def refuse_file(path: Path | str, *, overwrite: bool = False) -> None:
+    """Raise a StyleSplatError unless a file can be made here; ask before the work."""
+    path = Path(path)
+    if is_folder(path):
+        raise StyleSplatError(f"{path} is a folder. Choose another name for the file.")
+    if is_there(path) and not overwrite:
+        raise StyleSplatError(
+            f"{path} exists. Choose another name, or replace it with {REPLACING}."
+        )
+    _refuse_place(real_place(path))
+
+
+def refuse_unwritable(path: Path | str) -> None:
+    """Raise a StyleSplatError unless a folder can be made here, or the one here be changed."""
+    path = real_place(Path(path))
+    if not (is_folder(path) and os.access(path, os.W_OK | os.X_OK)):
+        _refuse_place(path)
+
+
+def _refuse_place(path: Path) -> None:
+    """Raise a StyleSplatError if names are too long, or the nearest folder cannot be written to."""
+    there = next(parent for parent in path.parents if os.path.lexists(parent))
+    if not there.is_dir():
+        raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
+    parts = (*path.parts[:-1], beside(path).name)
+    if any(len(os.fsencode(part)) > MAX_NAME_BYTES for part in parts):
+        raise cannot_write(path, OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG)))
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise cannot_write(path, OSError(errno.EACCES, os.strerror(errno.EACCES)))
+
+
+def _has_entries(path: Path) -> bool:
+    return any(not entry.name.startswith(DRAFT) for entry in path.iterdir())
+
+
+@contextmanager
+def _draft_of(path: Path) -> Iterator[Path]:
+    """Where the new version of a folder is made: beside it, or inside if the two cannot swap.
+
+    They cannot if the folder is a volume of its own, or if this process was started in it: a shell
+    would be left in a deleted folder.
+    """
+    swaps = not path.exists() or (
+        path.stat().st_dev == path.parent.stat().st_dev
+        and os.access(path.parent, os.W_OK | os.X_OK)
+        and not Path.cwd().is_relative_to(path)
+    )
+    draft = path.with_name(f".{path.name}.{mark()}") if swaps else path / f"{DRAFT}{mark()}"
+    try:
+        yield draft
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _replace_folder(draft: Path, path: Path) -> None:
+    """Give a draft the place of a folder; the draft is then the earlier version, or gone."""
+    if path.exists() and draft.parent == path:
+        kept = {*_files_in(draft)}
+        _move_files(draft, path, [name for name in _files_in(path) if name not in kept])
+        return
+    _sync_folders(draft)
+    if not path.exists():
+        draft.rename(path)
+    elif not _exchange(draft, path):
+        old = beside(path)
+        path.rename(old)
+        try:
+            draft.rename(path)
+        except BaseException:
+            old.rename(path)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    _sync_folder(path.parent)
+
+
+def _move_files(draft: Path, path: Path, gone: Iterable[Path]) -> None:
+    """Move the files of a draft into a folder one by one, and delete some there.
+
+    Whatever could be refused is refused before the first one is moved.
+    """
+    gone = [*gone]
+    _refuse_obstacles(path, [*_files_in(draft), *gone])
+    try:
+        _finish_move(draft, path, gone)
+    except KeyboardInterrupt:  # what has begun is completed
+        _finish_move(draft, path, gone)
+        raise
+    _sync_folders(path)
+
+
+def _finish_move(draft: Path, path: Path, gone: list[Path]) -> None:
+    for name in _files_in(draft):
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (draft / name).replace(path / name)
+    for name in gone:
+        (path / name).unlink(missing_ok=True)
+        with suppress(OSError):  # not empty
+            (path / name).parent.rmdir()
+
+
+def _refuse_obstacles(path: Path, names: Iterable[Path]) -> None:
+    """Raise a StyleSplatError for a link that leads outside, and for a folder in a file's place."""
+    for name in names:
+        target = path / name
+        there = next(parent for parent in target.parents if os.path.lexists(parent))
+        if not there.resolve().is_relative_to(path):
+            raise StyleSplatError(
+                f"Cannot write {target}: {there} leads outside {path}. Remove it."
+            )
+        if not there.is_dir() or (target.is_dir() and not target.is_symlink()):
+            taken = target if there.is_dir() else there
+            raise StyleSplatError(
+                f"Cannot write {target}: {taken} is in the way. Move it elsewhere."
+            )
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """All files and links in a folder and below, relative to it, in order; drafts aside."""
+    found = (p for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
+    names = sorted(p.relative_to(folder) for p in found)
+    return [name for name in names if not name.parts[0].startswith(DRAFT)]
+
+
+def _link(source: str | Path, target: str | Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # the file system has no hard links
+        shutil.copy2(source, target)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swap the names of two folders in one step; False where the system cannot."""
+    try:
+        system = ctypes.CDLL(None)
+    except (OSError, TypeError):  # Windows
+        return False
+    paths = os.fsencode(one), os.fsencode(other)
+    if hasattr(system, "renameat2"):  # Linux
+        return system.renameat2(AT_FDCWD, paths[0], AT_FDCWD, paths[1], RENAME_EXCHANGE) == 0
+    return hasattr(system, "renamex_np") and system.renamex_np(*paths, RENAME_SWAP) == 0  # macOS
+
+
+def _sync_folders(folder: Path) -> None:
+    """Flush the names in a folder and below to the disk; files are flushed when written."""
+    for path in (folder, *folder.rglob("*")):
+        if path.is_dir() and not path.is_symlink():
+            _sync_folder(path)
+
+
+def _sync_folder(path: Path) -> None:
+    with suppress(OSError):  # not every system can
+        folder = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _lock_file(path: Path) -> Path:
+    if os.access(path.parent, os.W_OK | os.X_OK):
+        return path.with_name(f".{path.name}.lock")
+    digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / f"stylesplat-{digest}.lock"
+
+
+def _acquire(lock: FileLock, path: Path) -> bool:
+    """Returns whether the lock is held: a file system without locks gets a warning instead."""
+    try:
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            say(f"Waiting for another stylesplat that changes {path}.")
+            lock.acquire(timeout=PATIENCE)
+    except Timeout as error:
+        raise StyleSplatError(
+            f"Cannot change {path}: another stylesplat is at work on it. "
+            "Wait until it is done, or end it."
+        ) from error
+    except (OSError, NotImplementedError) as error:
+        # Whoever writes reports a name that is too long, or a folder that cannot be made
+        if getattr(error, "errno", None) not in (errno.ENAMETOOLONG, errno.ENOENT):
+            _warn_unlocked(path.parent)
+        return False
+    return True
+
+
+@cache
+def _warn_unlocked(folder: Path) -> None:
+    say(f"{folder} is on a file system without locks. Change it from one process at a time.")

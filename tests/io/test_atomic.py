@@ -1,0 +1,405 @@
+"""Files and folders are written whole or not at all, by one process at a time."""
+
+import errno
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+import stylesplat
+from stylesplat.errors import StyleSplatError
+from stylesplat.io import atomic
+from stylesplat.io.atomic import (
+    atomic_folder,
+    atomic_path,
+    changing,
+    refuse_file,
+    refuse_occupied,
+    refuse_unwritable,
+    revise_folder,
+)
+from unprivileged import as_nobody, public_folder
+
+MARKER = "scene.json"
+LONG = "a" * 250  # characters that a name may have, but not together with a draft's mark
+needs_root = pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
+Writer = Callable[[Path], AbstractContextManager[Path]]
+
+
+def claim(path: Path) -> AbstractContextManager[Path]:
+    return atomic_folder(path, overwrite=True, marker=MARKER)
+
+
+def fill(folder: Path, **files: str) -> Path:
+    """Files by name, in which `_` stands for a dot and `__` for a slash."""
+    for name, text in files.items():
+        path = folder / name.replace("__", "/").replace("_", ".")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
+
+
+def tree(folder: Path) -> dict[str, str]:
+    files = (p for p in folder.rglob("*") if p.is_file() and not p.is_symlink())
+    return {p.relative_to(folder).as_posix(): p.read_text() for p in files}
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_write_replaces_the_file_and_makes_folders(tmp_path: Path):
+    for text in ("first", "second"):
+        with atomic_path(tmp_path / "deep" / "a.txt") as draft:
+            assert draft.parent == tmp_path / "deep" and draft.suffix == ".txt"
+            draft.write_text(text)
+    assert tree(tmp_path) == {"deep/a.txt": "second"}
+
+
+@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt])
+def test_a_failed_write_changes_nothing(error: type[BaseException], tmp_path: Path):
+    fill(tmp_path, a_txt="old", out__scene_json="old")
+    with pytest.raises(error), atomic_path(tmp_path / "a.txt") as draft:
+        draft.write_text("half")
+        raise error
+    for writer in (claim, revise_folder):
+        with pytest.raises(error), writer(tmp_path / "out") as draft:
+            fill(draft, b_txt="half")
+            raise error
+    assert tree(tmp_path) == {"a.txt": "old", "out/scene.json": "old"}
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+@pytest.mark.parametrize("writer", [atomic_path, claim])
+def test_disk_full_is_said(writer: Writer, number: int, tmp_path: Path):
+    with (
+        pytest.raises(StyleSplatError, match=r"out: disk full\. Free some"),
+        writer(tmp_path / "out"),
+    ):
+        raise OSError(number, "No space left")
+    assert tree(tmp_path) == {}
+
+
+def test_a_disk_that_is_full_only_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    target = fill(tmp_path, a_txt="old") / "a.txt"
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StyleSplatError, match="disk full"), atomic_path(target) as draft:
+        draft.write_text("new")
+    assert tree(tmp_path) == {"a.txt": "old"}
+
+
+def test_a_file_is_on_the_disk_before_it_gets_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    done: list[str] = []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda file: (done.append("sync"), fsync(file)))
+    monkeypatch.setattr(os, "replace", lambda *paths: (done.append("name"), replace(*paths)))
+    with atomic_path(tmp_path / "a.txt") as draft:
+        draft.write_text("new")
+    assert done == ["sync", "name", "sync"], "the file, its name, its folder"
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_new_or_empty_folder(exists: bool, tmp_path: Path):
+    target = tmp_path / "deep" / "scene"
+    if exists:
+        target.mkdir(parents=True)
+    with atomic_folder(target, overwrite=False, marker=MARKER) as draft:
+        fill(draft, scene_json="new")
+        assert not target.exists() or tree(target) == {}
+    assert tree(tmp_path) == {"deep/scene/scene.json": "new"}
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("note_txt", "something else"), ("scene_json", "an earlier result")]
+)
+def test_an_occupied_folder_needs_overwrite(name: str, found: str, tmp_path: Path):
+    fill(tmp_path / "out", **{name: "old"})
+    with (
+        pytest.raises(StyleSplatError, match=rf"holds {found}.*`--overwrite`"),
+        atomic_folder(tmp_path / "out", overwrite=False, marker=MARKER),
+    ):
+        pytest.fail("the block must not run")
+    assert list(tree(tmp_path / "out").values()) == ["old"]
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+@pytest.mark.parametrize("inside", [True, False])
+def test_overwrite_replaces_our_own_folder_as_a_whole(
+    exchange: bool, inside: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    target = fill(tmp_path / "out", scene_json="old", stale_txt="old", sub__stale_txt="old")
+    if not exchange:  # where the system cannot swap two names
+        monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
+    if inside:  # where the shell stands in the folder, which therefore has to stay
+        monkeypatch.chdir(target)
+    inode = target.stat().st_ino
+    with claim(target) as draft:
+        fill(draft, scene_json="new", more__b_txt="new")
+    assert tree(tmp_path) == {"out/scene.json": "new", "out/more/b.txt": "new"}
+    assert inside == (target.stat().st_ino == inode)
+
+
+def test_overwrite_keeps_the_other_files_of_a_foreign_folder(tmp_path: Path):
+    target = fill(tmp_path / "home", thesis_txt="precious", a_txt="old", sub__gone_txt="old")
+    stale = ["sub/gone.txt", "never.txt"]
+    with atomic_folder(target, overwrite=True, marker=MARKER, stale=stale) as draft:
+        fill(draft, scene_json="new", a_txt="new")
+    assert tree(target) == {"thesis.txt": "precious", "a.txt": "new", "scene.json": "new"}
+    assert names(tmp_path) == ["home"] and not (target / "sub").exists()
+
+
+def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    target = fill(tmp_path / "out", scene_json="old")
+    rename, calls = Path.rename, []
+
+    def second_fails(self: Path, to: Path) -> Path:
+        calls.append(to)
+        if len(calls) == 2:
+            raise OSError(errno.EIO, "Input/output error")
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", second_fails)
+    monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
+    with pytest.raises(StyleSplatError, match="Input/output error"), claim(target) as draft:
+        fill(draft, scene_json="new")
+    assert len(calls) == 3 and tree(tmp_path) == {"out/scene.json": "old"}
+
+
+def test_nothing_is_written_through_a_link_that_leads_outside(tmp_path: Path):
+    victim, folder = fill(tmp_path / "victim", a_txt="precious"), fill(tmp_path / "f", b_txt="1")
+    (folder / "sub").symlink_to(victim)
+    with (
+        pytest.raises(StyleSplatError, match=r"a\.txt: .*sub leads outside .*f\. Remove it"),
+        claim(folder) as draft,
+    ):
+        fill(draft, sub__a_txt="2", b_txt="2")
+    assert tree(victim) == {"a.txt": "precious"} and (folder / "b.txt").read_text() == "1"
+    assert names(folder) == ["b.txt", "sub"]
+
+
+@pytest.mark.parametrize("name", ["a", "a__b_txt__c_txt"])
+def test_a_file_does_not_replace_a_folder(name: str, tmp_path: Path):
+    folder = fill(tmp_path / "f", a__b_txt="1")
+    with (
+        pytest.raises(StyleSplatError, match=r"is in the way\. Move it elsewhere"),
+        claim(folder) as draft,
+    ):
+        fill(draft, **{name: "2"})
+    assert tree(tmp_path) == {"f/a/b.txt": "1"}
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_revision_keeps_links_and_what_it_does_not_change(
+    inside: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    folder = fill(tmp_path / "scene", a_txt="1", b_txt="1", sub__c_txt="1")
+    (folder / "photos").symlink_to(tmp_path)
+    (folder / "gone").symlink_to("nowhere")
+    if inside:
+        monkeypatch.chdir(folder)
+    inode = (folder / "a.txt").stat().st_ino
+    with revise_folder(folder) as draft, atomic_path(draft / "b.txt") as file:
+        file.write_text("2")
+        (draft / "sub" / "c.txt").unlink()
+    assert tree(folder) == {"a.txt": "1", "b.txt": "2"}
+    assert (folder / "a.txt").stat().st_ino == inode and (folder / "a.txt").stat().st_nlink == 1
+    assert (folder / "photos").readlink() == tmp_path
+    assert (folder / "gone").readlink() == Path("nowhere")
+    assert names(tmp_path) == ["scene"]
+
+
+@pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
+def test_good_places_stay_as_they_are(refuse: Callable, tmp_path: Path):
+    refuse(tmp_path / "new")
+    refuse(tmp_path / "deep/er/new")
+    refuse(tmp_path / "a name: with 'signs'.ply")
+    refuse_occupied(tmp_path, marker=MARKER)
+    assert not names(tmp_path)
+
+
+@pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
+@pytest.mark.parametrize(
+    ("place", "fault"),
+    [
+        ("file/scene", r"file is a file. Choose another folder"),
+        ("file/deep/scene", r"file is a file. Choose another folder"),
+        (LONG, r"File name too long. Choose a shorter name"),
+        (f"new/{'b' * 300}/scene", r"File name too long. Choose a shorter name"),
+    ],
+)
+def test_bad_places(refuse: Callable, place: str, fault: str, tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StyleSplatError, match=fault):
+        refuse(tmp_path / place)
+    with (
+        pytest.raises(StyleSplatError, match=r"Cannot write .*b\.txt: (File exists|Not a dir)"),
+        atomic_path(tmp_path / "file" / "b.txt"),
+    ):
+        pass
+    assert names(tmp_path) == ["file"]
+
+
+def test_files_and_folders_do_not_replace_each_other(tmp_path: Path):
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StyleSplatError, match=r"file is a file. Choose another name"):
+        refuse_occupied(tmp_path / "file", marker="", overwrite=True)
+    with pytest.raises(StyleSplatError, match=r"folder is a folder. Choose another name"):
+        refuse_file(tmp_path / "folder", overwrite=True)
+    with pytest.raises(StyleSplatError, match=r"file exists.*--overwrite.*overwrite=True"):
+        refuse_file(tmp_path / "file")
+    refuse_file(tmp_path / "file", overwrite=True)
+
+
+@needs_root
+def test_places_of_others():
+    with public_folder() as folder:
+        (folder / "own").mkdir()
+        (folder / "own").chmod(0o777)
+        (folder / "theirs").mkdir()
+        with as_nobody():
+            refuse_unwritable(folder / "own")  # nothing can be made beside it, but in it
+            refuse_unwritable(folder / "own/new")
+            for place in ("theirs", "theirs/new", "new"):
+                with pytest.raises(StyleSplatError, match=r"denied. Choose a place that this"):
+                    refuse_unwritable(folder / place)
+            with pytest.raises(StyleSplatError, match="denied"):
+                refuse_file(folder / "theirs/new.ply")
+
+
+HOLDER = """
+import sys, time
+from filelock import FileLock
+with FileLock(sys.argv[1]):
+    print("held", flush=True)
+    time.sleep(float(sys.argv[2]))
+"""
+
+
+def hold(path: Path, seconds: float) -> subprocess.Popen:
+    """Another process that holds a lock from now on."""
+    command = [sys.executable, "-c", HOLDER, path, str(seconds)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "held\n"
+    return process
+
+
+def test_a_lock_lies_beside_and_goes(tmp_path: Path):
+    with changing(tmp_path / "scene"):
+        assert names(tmp_path) == [".scene.lock"]
+        with changing(tmp_path / "x" / ".." / "scene"):
+            assert names(tmp_path) == [".scene.lock"]
+        assert names(tmp_path) == [".scene.lock"], "the inner one does not give it back"
+    with changing(tmp_path / "a" / "b" / "scene"):
+        assert names(tmp_path / "a" / "b") == [".scene.lock"]
+        (tmp_path / "a" / "kept").touch()
+    assert names(tmp_path / "a") == ["kept"]
+
+
+def test_another_process_is_told_of_and_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
+):
+    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
+    other = hold(tmp_path / ".scene.lock", 60)
+    try:
+        with (
+            pytest.raises(StyleSplatError, match=r"scene: another stylesplat is at work on it"),
+            changing(tmp_path / "scene"),
+        ):
+            pytest.fail("the block must not run")
+    finally:
+        other.kill()
+        other.communicate()
+    assert said == [f"Waiting for another stylesplat that changes {tmp_path / 'scene'}."]
+    with changing(tmp_path / "scene"):  # a killed process does not keep it
+        pass
+    assert names(tmp_path) == [] and len(said) == 1
+
+
+def test_a_waiting_process_gets_the_lock(tmp_path: Path, said: list[str]):
+    other = hold(tmp_path / ".scene.lock", 1.0)
+    with changing(tmp_path / "scene"):
+        assert len(said) == 1
+    other.communicate()
+
+
+def test_threads_exclude_one_another(tmp_path: Path):
+    inside, most = 0, 0
+
+    def enter() -> None:
+        nonlocal inside, most
+        with changing(tmp_path / "scene"):
+            inside += 1
+            most = max(most, inside)
+            time.sleep(0.01)
+            inside -= 1
+
+    threads = [threading.Thread(target=enter) for _ in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == 1 and names(tmp_path) == []
+
+
+COUNTER = """
+import sys
+from pathlib import Path
+from stylesplat.io.atomic import changing
+folder = Path(sys.argv[1])
+total = folder / "total"
+for _ in range(40):
+    with changing(folder / "scene"):
+        total.write_text(str(int(total.read_text()) + 1))
+"""
+
+
+def test_processes_exclude_one_another_though_the_lock_file_goes(tmp_path: Path):
+    (tmp_path / "total").write_text("0")
+    environment = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
+    command = [sys.executable, "-c", COUNTER, tmp_path]
+    counting = [subprocess.Popen(command, env=environment) for _ in range(3)]
+    assert [process.wait() for process in counting] == [0, 0, 0]
+    assert tree(tmp_path) == {"total": "120"}
+
+
+def test_where_nothing_can_be_made_beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    place, elsewhere = tmp_path / "place", tmp_path / "elsewhere"
+    place.mkdir()
+    elsewhere.mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != place)
+    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
+    with changing(place / "scene"):
+        assert names(place) == []
+        (one,) = names(elsewhere)
+        with changing(place / "other"):
+            assert len(names(elsewhere)) == 2
+    assert one.startswith("stylesplat-") and names(elsewhere) == []
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOLCK, "No locks available"), NotImplementedError()]
+)
+def test_without_locks_it_goes_on_and_says_so(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
+):
+    def acquire(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(FileLock, "acquire", acquire)
+    for _ in range(2):
+        with changing(tmp_path / "scene"):
+            pass
+    assert len(said) == 1 and said[0].startswith(f"{tmp_path} is on a file system without locks")
