@@ -19,8 +19,8 @@ from pictures_of_walks import walk
 from plain_layers import plain_layer
 from scenes import random_splats, two_cameras
 from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
+from stylesplat.io.gaussian_lists import SUFFIXES, write_objects
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.object_files import SUFFIXES, write_objects
 from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.models.found_so_far import open_progress
 from stylesplat.masks.models.track import State

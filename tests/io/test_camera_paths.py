@@ -50,7 +50,7 @@ def test_nerfstudios_frames_are_its_cameras(tmp_path: Path):
     assert read_camera_path(tmp_path / "path.json", CAMERAS, fps=12).fps == 12
     other = read_camera_path(written(nerfstudio(render_height=36.0), tmp_path), CAMERAS)
     assert other.cameras.size == (48, 36)
-    with pytest.raises(StyleSplatError, match=r"has its frames.*--fps"):
+    with pytest.raises(StyleSplatError, match=r"holds every frame.*--fps"):
         read_camera_path(tmp_path / "path.json", CAMERAS, seconds=2)
 
 

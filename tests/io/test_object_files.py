@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.object_files import read_objects, write_objects
+from stylesplat.io.gaussian_lists import read_objects, read_rows, write_objects
 from stylesplat.io.ply import write_ply_table
-from stylesplat.io.row_lists import read_rows
 from stylesplat.scene.listed import Listed, ListedObjects
 
 COUNT = 8

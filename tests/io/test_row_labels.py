@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.gaussian_lists import read_row_labels
 from stylesplat.io.ply import write_ply_table
-from stylesplat.io.row_labels import read_row_labels
 
 LABELS = [0, 3, 3, 70000, 0]
 COUNT = len(LABELS)

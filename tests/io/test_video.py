@@ -7,8 +7,7 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.gif import write_gif
-from stylesplat.io.video import write_video
+from stylesplat.io.video import write_gif, write_video
 
 COLORS = ((200, 60, 30), (20, 160, 230), (240, 240, 240))
 

@@ -170,7 +170,7 @@ def test_transparency_is_kept(suffix: str, tmp_path: Path):
         (CLEAR, ".jpg", r"\.jpg has no transparency here\. Choose a --background"),
         (CLEAR, ".mp4", r"\.mp4 has no transparency"),
         (CLEAR, ".gif", r"\.gif has no transparency"),
-        (STEPS, ".png", r"go into a folder, beside what a step is \(depth\.json\)"),
+        (STEPS, ".png", r"go into a folder, beside the size of a step \(depth\.json\)"),
         (STEPS, ".mp4", "go into a folder"),
         (DEPTHS, ".png", r"Depths in world units go into \.tif files, not into \.png"),
         (DEPTHS, ".webm", r"not into \.webm\. Name a folder or a \.tif"),

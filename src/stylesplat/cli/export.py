@@ -49,7 +49,7 @@ class Export:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.io.atomic import refuse_file
-        from stylesplat.io.object_files import SUFFIXES
+        from stylesplat.io.gaussian_lists import SUFFIXES
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.export import export, export_each, export_objects
 

@@ -126,7 +126,7 @@ class Render:
 
     def _frames(self) -> int | None:
         """Of a round trip. A GIF plays half as many a second, and has half as many."""
-        from stylesplat.io.gif import FPS as GIF_FPS
+        from stylesplat.io.video import GIF_FPS as GIF_FPS
         from stylesplat.io.view_files import is_gif
         from stylesplat.scene.key_frames import frame_count
         from stylesplat.verbs.orbit import FPS, FRAMES

@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.figures.palettes import meant, nearest, palette_of
-from stylesplat.io.splats.morton import morton_order
-from stylesplat.io.splats.rotations import LARGEST, smallest_three
+from stylesplat.io.splats.packing import LARGEST, morton_order, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.constants import MIN_ALPHA

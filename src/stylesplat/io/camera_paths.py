@@ -1,4 +1,4 @@
-"""Camera paths: nerfstudio's JSON, frame by frame, and key frames of our own."""
+"""Camera paths: nerfstudio's JSON with a camera per frame, and key frames of our own."""
 
 import math
 from dataclasses import dataclass
@@ -30,12 +30,12 @@ Matrix = Annotated[list[Number], Meta(min_length=16, max_length=16)]
 
 
 class _Pose(msgspec.Struct):
-    """A frame of nerfstudio's."""
+    """A frame of nerfstudio's path."""
 
     camera_to_world: Matrix
     """Row by row, in OpenGL's axes: y up, z back."""
     fov: Degrees
-    """Of the height."""
+    """Vertical."""
 
 
 class _Nerfstudio(msgspec.Struct):
@@ -49,17 +49,17 @@ class _Nerfstudio(msgspec.Struct):
 
 
 class _Key(msgspec.Struct, forbid_unknown_fields=True):
-    """A photo's camera, or a place and what to look at from there."""
+    """The camera of a photo, or a position and a point to look at."""
 
     view: str | None = None
     position: Vector | None = None
     look_at: Vector | None = None
     fov: Degrees | None = None
-    """Of the height; of the photo, or of one of median width, where there is none."""
+    """Vertical; by default that of the photo, or of the median photo."""
 
 
 class _Keys(msgspec.Struct, forbid_unknown_fields=True):
-    """Our own."""
+    """Our own path."""
 
     keyframes: Annotated[list[_Key], Meta(min_length=2, max_length=10_000)]
     seconds: Annotated[float, Meta(gt=0, le=MOST_FRAMES)] = SECONDS
@@ -69,7 +69,7 @@ class _Keys(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class CameraPath:
-    """What a file of a path says."""
+    """A path with a camera for each frame."""
 
     cameras: Cameras
     """A camera for each frame."""
@@ -85,24 +85,24 @@ def read_camera_path(
     fps: float | int | None = None,
     seconds: float | int | None = None,
 ) -> CameraPath:
-    """Read a camera path: nerfstudio's (one with `camera_path`), or key frames.
+    """Read a camera path: nerfstudio's (a file with `camera_path`), or key frames.
 
     Args:
-        path: A JSON file. Places are in the world of the scene.
-        views: The scene's cameras, for key frames that name one, what is up, and the lens.
+        path: A JSON file. Positions are in the world of the scene.
+        views: The scene's cameras: key frames name them, and they give the up direction and lens.
         fps: Frames a second instead of the file's.
-        seconds: How long the way through key frames takes, instead of what the file says.
+        seconds: Duration of the way through key frames instead of the file's.
 
     Raises:
-        StyleSplatError: If the file is missing or holds anything else, or a length was given for
-            a path that has its frames.
+        StyleSplatError: If the file is missing or holds anything else, or a duration was given
+            for a path of nerfstudio's, which has its frames.
     """
     content, what = read_json(path, most=MAX_JSON), f"Cannot read {path}"
     if "camera_path" in content:
         if seconds is not None:
             raise StyleSplatError(
-                f"{path} has its frames, so their number is given. Choose how many a second with "
-                "--fps."
+                f"{path} holds every frame, so its duration is fixed. Choose the frames a second "
+                "with --fps."
             )
         found: _Nerfstudio = fitting(content, _Nerfstudio, what, REMEDY)
         return CameraPath(_nerfstudio(found, what), float(fps or found.fps))
@@ -158,5 +158,5 @@ def _looking(
 
 
 def _focal(fov: float) -> float:
-    """Over the height."""
+    """The focal length over the height."""
     return 0.5 / math.tan(math.radians(fov) / 2)

@@ -1,4 +1,4 @@
-"""YAML as recipes and jobs need it: texts, numbers, lists, maps whose keys are texts; all JSON."""
+"""YAML for recipes and job files: texts, numbers, lists, and maps with text keys; JSON too."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -32,11 +32,7 @@ PLAIN = (
 
 
 def parse_yaml(text: str | bytes) -> Any:
-    """Read YAML or JSON, whose keys become texts.
-
-    Raises:
-        StyleSplatError: If it is neither, or has what recipes have no use for.
-    """
+    """Read YAML or JSON; keys become texts. Tags and other features without use are refused."""
     if len(text) > MAX_YAML:
         raise StyleSplatError(
             f"it is longer than recipes are: {MAX_YAML} bytes at most. Check the name."
@@ -54,10 +50,7 @@ Place = tuple[str | int, ...]  # the keys and numbers that lead to a value
 
 
 def lines_of(text: str | bytes) -> dict[Place, int]:
-    """The line, from 1, of each key and list item of a text that `parse_yaml` takes.
-
-    What a reference repeats has the line where it was written first; what `<<` brings in has none.
-    """
+    """The line, from 1, of each key and list item; what an alias repeats has its first line."""
     loader = _Loader(text)
     try:
         root = loader.get_single_node()
@@ -82,10 +75,7 @@ def _lines(node: Any, place: Place) -> Iterator[tuple[Place, int]]:
 
 
 class _Loader(yaml.SafeLoader):
-    """Keys are unique texts, so that `3:` and `no:` are names; there are no tags.
-
-    References may repeat what was written before, as far as that stays small.
-    """
+    """Keys are unique texts, so that `3:` and `no:` are names; no tags; aliases within bounds."""
 
     yaml_implicit_resolvers: ClassVar = {}
 
@@ -127,7 +117,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _measured(node: Any, known: dict[int, tuple[int, int] | None]) -> tuple[int, int]:
-    """How many values a node stands for, and how deep they lie, by node; None while inside it."""
+    """The number of values below a node, aliases expanded, and their depth; None while inside."""
     if id(node) not in known:
         known[id(node)] = None
         inside = [] if isinstance(node, yaml.ScalarNode) else node.value

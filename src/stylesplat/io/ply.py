@@ -25,7 +25,7 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 ASCII, LITTLE_ENDIAN, BIG_ENDIAN = "ascii", "binary_little_endian", "binary_big_endian"
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
-AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while it is taken apart
+AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while columns are copied
 REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
 
@@ -43,119 +43,91 @@ class _Element(NamedTuple):
 
 @dataclass(frozen=True)
 class PlyRows:
-    """The vertices of a file, in order, some at a time."""
+    """The vertices of a file, in blocks."""
 
     count: int
-    """How many there are."""
+    """Number of rows."""
     dtype: np.dtype
     """Their columns."""
     blocks: Iterator[Shaped[np.ndarray, " B"]]
-    """The rows."""
+    """The rows in order."""
 
 
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
-    """Read the vertices of a PLY file into a structured array.
-
-    Raises:
-        StyleSplatError: As `ply_rows` does.
-    """
+    """Read the vertices of a PLY file into a structured array."""
     with ply_rows(path, at_once=sys.maxsize) as rows:
         return next(rows.blocks, np.empty(0, rows.dtype))
 
 
 @contextmanager
 def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
-    """The vertices of a PLY file, read some at a time: files may be larger than the free memory.
+    """The vertices of a PLY file in blocks of `at_once` rows: files may exceed the free memory.
 
-    The counts that the header claims are checked against the file's size before any memory is
-    taken. Elements that follow the vertices, such as faces, are skipped; so are bytes that the
-    header does not announce, which the user is told.
-
-    Args:
-        path: The file.
-        at_once: Rows of a block.
-
-    Raises:
-        StyleSplatError: If the file is missing, no PLY or truncated, or its vertices hold lists or
-            come after other elements.
+    The counts of the header are checked against the file's size before memory is allocated.
+    Elements after the vertices, such as faces, are skipped; a message reports bytes that the header
+    does not announce. Vertices with lists, or after other elements, are a StyleSplatError.
     """
     with open_binary(path) as file:
         try:
-            rows, left, what = _opened(file, at_once)
+            rows, extra, unit = _open_rows(file, at_once)
         except (ValueError, OverflowError) as error:
             raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error
-        say_left_over(path, left, what)
+        report_extra(path, extra, unit)
         yield rows
 
 
-def _opened(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
-    """The rows, and how much follows what the header announces."""
-    header, start = _split(file.read(MAX_HEADER))
-    encoding, vertices, later = _parse(header)
-    file.seek(start)
-    if encoding == ASCII:
-        table, left = _ascii_rows(file.read(), vertices, later)
-        return PlyRows(len(table), table.dtype, iter([table])), left, "line"
-    dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
-    size = os.fstat(file.fileno()).st_size - start
-    left = _left_over(size, vertices.rows, dtype, later)
-    return PlyRows(vertices.rows, dtype, _blocks(file, vertices.rows, dtype, at_once)), left, "byte"
-
-
-def _blocks(
-    file: BinaryIO, count: int, dtype: np.dtype, at_once: int
-) -> Iterator[Shaped[np.ndarray, " B"]]:
-    for start in range(0, count, at_once):
-        yield np.fromfile(file, dtype, min(at_once, count - start))
-
-
-def say_left_over(path: Path | str, count: int, what: str = "byte") -> None:
-    """Tell the user that a file holds more than its header announces, if it does."""
+def report_extra(path: Path | str, count: int, unit: str = "byte") -> None:
+    """Say that a file holds more than its header announces, if it does."""
     if count:
         plural = "" if count == 1 else "s"
         say(
-            f"{path} goes on for {count} {what}{plural} after what its header announces: left "
+            f"{path} goes on for {count} {unit}{plural} after what its header announces: left "
             "unread. If anything is missing, export it again."
         )
 
 
 def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
-    """Write a structured array as little-endian binary PLY.
-
-    Raises:
-        StyleSplatError: If the file cannot be written.
-    """
+    """Write a structured array as little-endian binary PLY."""
     write_ply_rows(PlyRows(len(table), table.dtype, iter([table])), path)
 
 
 def write_ply_rows(rows: PlyRows, path: Path | str) -> None:
-    """Write rows as little-endian binary PLY, as they come.
-
-    Raises:
-        StyleSplatError: If the file cannot be written.
-    """
+    """Write rows as little-endian binary PLY, block by block."""
     names = rows.dtype.names
     assert names is not None
     columns = [f"property {PLY_NAMES[rows.dtype[n].str[1:]]} {n}" for n in names]
     lines = ["ply", f"format {LITTLE_ENDIAN} 1.0", f"element vertex {rows.count}"]
     header = "\n".join([*lines, *columns, "end_header\n"]).encode("ascii")
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
+    with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(header)
         for block in rows.blocks:
             file.write(np.ascontiguousarray(block).data)
 
 
-def _split(content: bytes) -> tuple[list[str], int]:
-    """The lines of the header, and where the rows begin."""
+def _open_rows(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
+    """The rows, and how many bytes or lines the header does not announce."""
+    content = file.read(MAX_HEADER)
     end = re.search(rb"^end_header\r?\n", content, re.MULTILINE)
     if not re.match(rb"ply\r?\n", content) or end is None:
         raise ValueError("it is not a PLY file")
-    lines = content[: end.start()].decode("ascii", errors="replace").splitlines()
-    return lines, end.end()
+    header = content[: end.start()].decode("ascii", errors="replace").splitlines()
+    encoding, vertices, later = _parse(header)
+    file.seek(end.end())
+    if encoding == ASCII:
+        table, extra = _ascii_rows(file.read(), vertices, later)
+        return PlyRows(len(table), table.dtype, iter([table])), extra, "line"
+    dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
+    size = os.fstat(file.fileno()).st_size - end.end()
+    extra = _extra_bytes(size, vertices.rows, dtype, later)
+    blocks = (
+        np.fromfile(file, dtype, min(at_once, vertices.rows - start))
+        for start in range(0, vertices.rows, at_once)
+    )
+    return PlyRows(vertices.rows, dtype, blocks), extra, "byte"
 
 
 def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
-    """The encoding, the vertices, and what follows them."""
+    """The encoding, the vertices, and the elements after them."""
     encoding, elements = "", list[_Element]()
     for line in header:
         match line.split():
@@ -178,21 +150,16 @@ def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
     filled = [element for element in elements if element.rows or element.name == VERTEX]
     if not encoding or not filled or not filled[0].columns:
         raise ValueError("its header names no format or no vertices")
-    return encoding, _plain_vertices(filled), filled[1:]
-
-
-def _plain_vertices(elements: list[_Element]) -> _Element:
-    """The first element, if it is of vertices that have a fixed size."""
-    first = elements[0]
+    first = filled[0]
     if first.name != VERTEX:
         raise ValueError(f"expected vertices first, but its header has 'element {first.name}'")
     if first.lists:
         raise ValueError(f"expected plain vertices, but their {first.lists[0]!r} is a list")
-    return first
+    return encoding, first, filled[1:]
 
 
-def _left_over(size: int, count: int, dtype: np.dtype, later: list[_Element]) -> int:
-    """How many of so many bytes nobody announced."""
+def _extra_bytes(size: int, count: int, dtype: np.dtype, later: list[_Element]) -> int:
+    """How many of the bytes after the header it does not announce."""
     first = count * dtype.itemsize
     if size < first:
         raise ValueError(f"it is truncated: {count} vertices take {first} bytes, got {size}")
@@ -202,22 +169,22 @@ def _left_over(size: int, count: int, dtype: np.dtype, later: list[_Element]) ->
             f"it is truncated: {later[0].name!r} and what follows take {least} bytes or more, got "
             f"{size - first}"
         )
-    sized = not any(element.lists for element in later)
-    return size - first - least if sized else 0
+    has_lists = any(element.lists for element in later)
+    return 0 if has_lists else size - first - least
 
 
 def _ascii_rows(
     body: bytes, vertices: _Element, later: list[_Element]
 ) -> tuple[Shaped[np.ndarray, " N"], int]:
-    """The vertices, and how many lines nobody announced."""
+    """The vertices, and how many lines the header does not announce."""
     lines = body.decode("ascii", errors="replace").splitlines()
     lines = [line for line in lines if line.strip()]
     if len(lines) < vertices.rows:
         raise ValueError(f"the header claims {vertices.rows} vertices, got {len(lines)} lines")
-    left = len(lines) - vertices.rows - sum(element.rows for element in later)
-    if left < 0:
-        raise ValueError(f"it is truncated: {-left} lines after the vertices are missing")
+    extra = len(lines) - vertices.rows - sum(element.rows for element in later)
+    if extra < 0:
+        raise ValueError(f"it is truncated: {-extra} lines after the vertices are missing")
     dtype = np.dtype(vertices.columns)
     if not vertices.rows:
-        return np.empty(0, dtype), left
-    return np.loadtxt(lines[: vertices.rows], dtype, ndmin=1), left
+        return np.empty(0, dtype), extra
+    return np.loadtxt(lines[: vertices.rows], dtype, ndmin=1), extra

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path, PurePosixPath
 
 import torch
@@ -10,17 +10,16 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file, refuse_occupied
 from stylesplat.io.files import inside
-from stylesplat.io.gif import write_gif
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.json_files import write_json
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.video import KINDS, write_video
+from stylesplat.io.video import CODECS, write_gif, write_video
 
 GIF, TIFF, PNG, WEBP = ".gif", (".tif", ".tiff"), ".png", ".webp"
-VIDEOS = (*KINDS, GIF)
+VIDEOS = (*CODECS, GIF)
 COLORS = (PNG, ".jpg", ".jpeg", WEBP)  # one picture; several make WebP an animation
 WITH_ALPHA = (PNG, WEBP)
-# Names of files that nobody means as a folder
+# Suffixes of files, which nobody wants as the name of a folder
 FOREIGN = (
     *(".avi", ".m4v", ".wmv", ".flv", ".mpg", ".mpeg", ".ogv", ".apng", ".avif", ".bmp", ".exr"),
     *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip", ".ts", ".3gp"),
@@ -41,11 +40,11 @@ FOREIGN = (
         ".rar",
     ),
 )
-SCALE = "depth.json"  # beside depths of 16 bits: what a step is
+SCALE = "depth.json"  # beside depths of 16 bits: the size of a step
 
 
 def png_names(names: Sequence[str], suffix: str = PNG) -> list[str]:
-    """The photos' names as PNGs inside a folder; those that would be the same keep their suffixes.
+    """The photos' names with another suffix; where two would be equal, the old suffix stays.
 
     Example:
         >>> png_names(["cam0/1.jpg", "cam1/1.jpg", "a.jpg", "a.png", "../b.jpg"])
@@ -60,12 +59,7 @@ def png_names(names: Sequence[str], suffix: str = PNG) -> list[str]:
 
 
 def refuse_taken(output: Path, *, overwrite: bool) -> None:
-    """Check that views may be written, before the work that renders them.
-
-    Raises:
-        StyleSplatError: If the name is of a file that we cannot make, or there is something in the
-            place, and it may not be replaced.
-    """
+    """Raise a StyleSplatError unless `write_views` can write here; ask before the work."""
     suffix = output.suffix.lower()
     if suffix in FOREIGN and not output.is_dir():
         raise StyleSplatError(
@@ -88,21 +82,11 @@ def write_views(
     scale: float | None = None,
     fps: float | int | None = None,
 ) -> None:
-    """Write each view under the photo's name, sub-folders kept; or all as a video; or one.
+    """Write each view under the photo's name, sub-folders kept; or all as a video; or one picture.
 
-    In a folder colours and ids are PNGs and depths in world units TIFFs.
-
-    Args:
-        names: Of the photos.
-        pictures: Images, label ids or depths; taken one by one.
-        output: A folder; a video, which takes images only; or a picture, if there is one view.
-        overwrite: Whether what is there may be replaced.
-        scale: World units that depths of 16 bits count in; written beside them.
-        fps: Frames a second of a video; by default 30, and 14 of a GIF.
-
-    Raises:
-        StyleSplatError: If the place is taken or cannot be written to, or views of this kind, or
-            as many, cannot be written in that form.
+    In a folder colours and ids become PNGs and depths in world units TIFFs. `pictures` are images,
+    label ids or depths and are taken one by one. `scale` is the step of depths of 16 bits in world
+    units, which is written beside them; `fps` is by default 30, and 14 of a GIF.
     """
     moving = is_video(output, len(names))
     if fps is not None and not moving:
@@ -113,44 +97,45 @@ def write_views(
             "--view NAME, or name a folder."
         )
     rest = iter(pictures)
-    some = [*islice(rest, 1)]
-    if some:
-        _refuse_unfit(some[0], output)
-    pictures = chain(some, rest)
+    first = next(rest, None)
+    if first is not None:
+        _refuse_unfit(first, output)
+        rest = chain([first], rest)
     if _is_file(output):
         with changing(output):
             if moving:
-                _write_video(pictures, output, {} if fps is None else {"fps": fps})
+                write = write_gif if is_gif(output) else write_video
+                write(rest, output, **({} if fps is None else {"fps": fps}))
             else:
-                for picture in pictures:
+                for picture in rest:
                     _write_picture(picture, output)
         return
     with atomic_folder(output, overwrite=overwrite, marker="") as folder:
-        suffix = TIFF[0] if some and some[0].is_floating_point() else PNG
-        for name, picture in zip(png_names(names, suffix), pictures, strict=True):
+        suffix = TIFF[0] if first is not None and first.is_floating_point() else PNG
+        for name, picture in zip(png_names(names, suffix), rest, strict=True):
             _write_picture(picture, inside(folder, name))
         if scale is not None:
             write_json({"world_units_per_step": scale, "nothing": 0}, folder / SCALE)
 
 
 def is_video(output: Path, count: int) -> bool:
-    """Whether so many views are written as a video, or an animation, there."""
+    """Whether `count` views are written as a video or an animation."""
     suffix = output.suffix.lower()
     return suffix in VIDEOS and (suffix != WEBP or count != 1)
 
 
 def is_gif(output: Path) -> bool:
-    """Whether that video is a GIF."""
+    """Whether the video is a GIF."""
     return output.suffix.lower() == GIF
 
 
 def _is_file(output: Path) -> bool:
-    """Whether views are written into one file there."""
+    """Whether views are written into one file."""
     return output.suffix.lower() in (*VIDEOS, *COLORS, *TIFF)
 
 
 def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
-    """Refuse files that cannot hold such pictures."""
+    """Raise a StyleSplatError for a file that cannot hold such pictures."""
     suffix = output.suffix.lower()
     colors, transparent = picture.ndim == 3, picture.ndim == 3 and picture.shape[-1] == 4
     if transparent and _is_file(output) and suffix not in WITH_ALPHA:
@@ -160,8 +145,8 @@ def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
         )
     if picture.dtype == torch.uint16 and _is_file(output):
         raise StyleSplatError(
-            f"Depths of 16 bits go into a folder, beside what a step is ({SCALE}). Name a folder, "
-            "or write depth-float into a .tif."
+            f"Depths of 16 bits go into a folder, beside the size of a step ({SCALE}). Name a "
+            "folder, or write depth-float into a .tif."
         )
     wanted = TIFF if picture.is_floating_point() else (PNG,)
     if not colors and _is_file(output) and suffix not in wanted:
@@ -174,15 +159,6 @@ def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
         raise StyleSplatError(f"{suffix} is for depth-float. Write colours into a .png.")
 
 
-def _write_video(
-    pictures: Iterable[ViewPicture], output: Path, rate: dict[str, float | int]
-) -> None:
-    if is_gif(output):
-        write_gif(pictures, output, **rate)
-    else:
-        write_video(pictures, output, **rate)
-
-
 def _write_picture(picture: ViewPicture, path: Path) -> None:
     if picture.ndim == 3:
         write_image(picture, path)
@@ -193,7 +169,7 @@ def _write_picture(picture: ViewPicture, path: Path) -> None:
 
 
 def _inside(name: str) -> PurePosixPath:
-    """A photo's name as a path that does not leave its folder."""
+    """A photo's name as a path that stays in its folder."""
     path = PurePosixPath(name)
     parts = path.parts[1:] if path.is_absolute() else path.parts
     return PurePosixPath(*("_" if part == ".." else part for part in parts or ("_",)))

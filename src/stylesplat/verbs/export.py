@@ -10,8 +10,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file
-from stylesplat.io.object_files import SIDECAR, write_objects
-from stylesplat.io.row_lists import STATE
+from stylesplat.io.gaussian_lists import SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
 from stylesplat.scene.listed import ListedObjects
 from stylesplat.scene.scene import Scene

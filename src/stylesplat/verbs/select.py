@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.row_lists import read_rows
+from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.drawn_boxes import Places, check_box, parse_places

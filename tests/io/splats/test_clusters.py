@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from stylesplat.io.splats import clusters
-from stylesplat.io.splats.clusters import clustered
-from stylesplat.io.splats.codebooks import VALUES, codebook_of, coded
+from stylesplat.io.splats import packing
+from stylesplat.io.splats.packing import CODEBOOK_SIZE, encode, fit_codebook, tree_kmeans
 
 
 def rows(count: int, columns: int = 9) -> np.ndarray:
@@ -17,16 +16,16 @@ def error(values: np.ndarray, entries: np.ndarray, labels: np.ndarray) -> float:
 @pytest.mark.parametrize(("count", "most"), [(1, 1), (5, 5), (300, 256), (3000, 2048)])
 def test_there_are_no_more_entries_than_wanted(count: int, most: int):
     values = rows(count)
-    entries, labels = clustered(values, most)
+    entries, labels = tree_kmeans(values, most)
     assert 0.8 * most <= len(entries) <= most
     assert labels.shape == (count,) and 0 <= labels.min() and labels.max() < len(entries)
 
 
 def test_a_tree_is_nearly_as_good_as_comparing_with_all(monkeypatch: pytest.MonkeyPatch):
     values = rows(4000, 6)
-    tree = error(values, *clustered(values, 1024))
-    monkeypatch.setattr(clusters, "FIRST", 1024)
-    flat = error(values, *clustered(values, 1024))
+    tree = error(values, *tree_kmeans(values, 1024))
+    monkeypatch.setattr(packing, "FIRST_CLUSTERS", 1024)
+    flat = error(values, *tree_kmeans(values, 1024))
     assert tree < 1.3 * flat  # random choice without a tree or k-means: 1.9
     assert tree < 0.2 * values.var()
 
@@ -34,40 +33,40 @@ def test_a_tree_is_nearly_as_good_as_comparing_with_all(monkeypatch: pytest.Monk
 def test_many_equal_rows_take_few_entries():
     """As painted objects have them, whose higher bands are all 0."""
     values = np.concatenate([rows(2000), np.zeros((20000, 9), np.float32)])
-    entries, labels = clustered(values, 16384)
+    entries, labels = tree_kmeans(values, 16384)
     assert len(entries) < 2400 and error(values, entries, labels) < 1e-4
 
 
 def test_each_entry_is_the_middle_of_its_rows():
     values = rows(2000)
-    entries, labels = clustered(values, 512)
+    entries, labels = tree_kmeans(values, 512)
     for entry in np.unique(labels)[:50]:
         np.testing.assert_allclose(entries[entry], values[labels == entry].mean(axis=0), atol=1e-5)
 
 
 def test_equal_rows_stay_what_they_are():
     values = np.repeat(rows(3), 50, axis=0)
-    entries, labels = clustered(values, 128)
+    entries, labels = tree_kmeans(values, 128)
     np.testing.assert_allclose(entries[labels], values, rtol=1e-5)  # sums of float32
 
 
 def test_a_codebook_is_better_than_even_steps():
     numbers = np.random.default_rng(0).normal(size=20_000).astype(np.float32)
-    codebook = codebook_of(numbers)
-    assert codebook.shape == (VALUES,) and (np.diff(codebook) >= 0).all()
-    found = ((codebook[coded(numbers, codebook)] - numbers) ** 2).mean()
-    even = (np.ptp(numbers) / (VALUES - 1)) ** 2 / 12
+    codebook = fit_codebook(numbers)
+    assert codebook.shape == (CODEBOOK_SIZE,) and (np.diff(codebook) >= 0).all()
+    found = ((codebook[encode(numbers, codebook)] - numbers) ** 2).mean()
+    even = (np.ptp(numbers) / (CODEBOOK_SIZE - 1)) ** 2 / 12
     assert found < 0.6 * even
 
 
 def test_outliers_are_not_lost():
     numbers = np.append(np.random.default_rng(0).normal(size=10_000), [500.0, -2000.0])
-    codebook = codebook_of(numbers)
-    assert np.abs(codebook[coded(numbers, codebook)] - numbers).max() < 1
+    codebook = fit_codebook(numbers)
+    assert np.abs(codebook[encode(numbers, codebook)] - numbers).max() < 1
 
 
 @pytest.mark.parametrize("numbers", [[], [3.5], [2.0] * 50, [1.0, 2.0]])
 def test_few_numbers_are_exact(numbers: list[float]):
     values = np.array(numbers)
-    codebook = codebook_of(values)
-    np.testing.assert_allclose(codebook[coded(values, codebook)], values)
+    codebook = fit_codebook(values)
+    np.testing.assert_allclose(codebook[encode(values, codebook)], values)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylesplat.io.splats.compressed_ply import write_compressed_ply
-from stylesplat.io.splats.morton import morton_order
+from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.scene.splats import SH_C0, Splats
 

@@ -6,15 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.splats.lossless_webp import webp_of
-from stylesplat.io.splats.morton import morton_order
+from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 
 COUNT = 100
@@ -165,7 +163,7 @@ PICTURES: dict[str, tuple[bytes, str]] = {
     "lossy": (webp(12, 12, quality=50), "'quats.webp': it is a lossy or moving picture"),
     "no picture": (b"no picture", "'quats.webp': it is no WebP picture"),
     "empty": (b"", "'quats.webp': it is no WebP picture"),
-    "no rotations": (webp_of(np.zeros((12, 12, 4), np.uint8)), "100 rotations do not tell"),
+    "no rotations": (webp(12, 12, lossless=True, exact=True), "100 rotations do not tell"),
 }
 
 

@@ -10,7 +10,7 @@ import zstandard
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.splats.gsply_data import to_gsply
+from stylesplat.io.splats.compressed_ply import to_gsply
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras

@@ -4,13 +4,14 @@ import re
 from pathlib import Path
 
 import gsply
+import numpy as np
+import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.ply import say_left_over
-from stylesplat.io.splats.gsply_data import from_gsply, to_gsply
-from stylesplat.io.splats.morton import morton_order
-from stylesplat.io.splats.splat_ply import REST_COUNTS
+from stylesplat.io.ply import report_extra
+from stylesplat.io.splats.packing import morton_order
+from stylesplat.io.splats.splat_ply import REST_COUNTS, check_splats
 from stylesplat.scene.splats import Splats
 
 CHUNK = 256  # Gaussians that share their bounds
@@ -22,50 +23,68 @@ MAX_HEADER = 1 << 16  # bytes
 
 def is_compressed(content: bytes) -> bool:
     """Whether a PLY file is of this kind, from its first bytes."""
-    header = _header(content)
+    header = content[: _header_size(content)]
     return b"\nelement chunk " in header and b"packed_position" in header
 
 
 def read_compressed_ply(path: Path | str, content: bytes) -> Splats:
-    """Read a compressed PLY file that was loaded already; what follows the Gaussians is left.
-
-    Raises:
-        StyleSplatError: If it is damaged, or its header claims other counts than it holds.
-    """
-    fault = _fault(content) or _short(content)
-    if fault:
-        raise StyleSplatError(f"Cannot read {path}: {fault}. Export it again.")
-    announced = _announced(content)
-    say_left_over(path, len(content) - announced)
-    try:
-        data = gsply.decompress_from_bytes(content[:announced])
-    except (ValueError, KeyError, IndexError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. Export it again.") from error
-    return from_gsply(data, path)
+    """Read the content of a compressed PLY file; what follows the Gaussians is ignored."""
+    counts, kinds = _elements(content[: _header_size(content)])
+    fault = _fault(counts, kinds)
+    if fault is None:
+        rows = sum(counts[name] * sum(SIZES[kind] for kind in kinds[name]) for name in counts)
+        announced = _header_size(content) + rows
+        if announced > len(content):
+            fault = f"its header announces a file of {announced} bytes, it holds {len(content)}"
+        else:
+            report_extra(path, len(content) - announced)
+            try:
+                return from_gsply(gsply.decompress_from_bytes(content[:announced]), path)
+            except (ValueError, KeyError, IndexError) as error:
+                fault = str(error)
+    raise StyleSplatError(f"Cannot read {path}: {fault}. Export it again.")
 
 
 def write_compressed_ply(splats: Splats, path: Path | str) -> None:
-    """Write the form that SuperSplat compresses splats to, their numbers rounded.
+    """Write the form that SuperSplat compresses splats to, in Morton order, its numbers rounded.
 
-    Neighbours in space share a chunk, so the Gaussians come in another order. In each chunk a
-    position and a size have 10 or 11 bits between its bounds, a colour and an opacity 8, a
-    rotation 32 altogether; higher bands of colour have 8 bits between -4 and 4.
-
-    Raises:
-        StyleSplatError: If the file cannot be written.
+    In each chunk of neighbours a position and a scale have 10 or 11 bits between its bounds, a
+    colour and an opacity 8, a rotation 32 altogether; higher bands have 8 bits between -4 and 4.
     """
-    sorted_splats = splats[morton_order(splats.means)]
-    content = gsply.compress_to_bytes(to_gsply(sorted_splats))
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(content)
+    content = gsply.compress_to_bytes(to_gsply(splats[morton_order(splats.means)]))
+    with atomic_path(path) as draft:
+        draft.write_bytes(content)
 
 
-def _fault(content: bytes) -> str | None:
-    """What is wrong with the header's counts and columns, if anything; the reader trusts them."""
-    counts, kinds = _elements(content)
+def from_gsply(data: gsply.GSData, path: Path | str) -> Splats:
+    """Splats from gsply's container, which has PLY's conventions."""
+    count = len(data.means)
+    higher = np.zeros((count, 0, 3), np.float32) if data.shN is None else data.shN
+    columns = (data.means, data.quats, data.scales, data.opacities, data.sh0, higher)
+    means, quats, scales, opacities, sh0, shN = (
+        torch.from_numpy(np.ascontiguousarray(values, np.float32)) for values in columns
+    )
+    splats = Splats(means, quats, scales, opacities.reshape(count), sh0.reshape(count, 1, 3), shN)
+    return check_splats(splats, path)
+
+
+def to_gsply(splats: Splats) -> gsply.GSData:
+    """Splats as gsply's container, their quaternions as they are."""
+    return gsply.GSData(
+        means=splats.means.numpy(),
+        scales=splats.scales.numpy(),
+        quats=splats.quats.numpy(),
+        opacities=splats.opacities.numpy(),
+        sh0=splats.sh0[:, 0].numpy(),
+        shN=splats.shN.numpy(),
+    )
+
+
+def _fault(counts: dict[bytes, int], kinds: dict[bytes, list[bytes]]) -> str | None:
+    """What is wrong with the counts and columns of the header, which gsply trusts."""
     if not counts:
         return "its header names no elements"
-    if not all(kind in SIZES for some in kinds.values() for kind in some):
+    if not all(kind in SIZES for each in kinds.values() for kind in each):
         return "its header has properties of other types than this format"
     vertices = counts.get(b"vertex", 0)
     if counts.get(b"chunk") != -(-vertices // CHUNK) or counts.get(b"sh", vertices) != vertices:
@@ -76,24 +95,8 @@ def _fault(content: bytes) -> str | None:
     return None
 
 
-def _short(content: bytes) -> str | None:
-    """What is missing of what the header announces."""
-    announced = _announced(content)
-    if len(content) >= announced:
-        return None
-    return f"its header announces a file of {announced} bytes, it holds {len(content)}"
-
-
-def _announced(content: bytes) -> int:
-    """How many bytes the file has to have by its header."""
-    counts, kinds = _elements(content)
-    rows = sum(counts[name] * sum(SIZES[kind] for kind in kinds[name]) for name in counts)
-    return len(_header(content)) + len(_end(content)) + rows
-
-
-def _elements(content: bytes) -> tuple[dict[bytes, int], dict[bytes, list[bytes]]]:
-    """The rows of each element, and the types of its properties."""
-    header = _header(content)
+def _elements(header: bytes) -> tuple[dict[bytes, int], dict[bytes, list[bytes]]]:
+    """The number of rows and the types of the properties of each element."""
     starts = [*ELEMENT.finditer(header)]
     ends = [*(match.start() for match in starts[1:]), len(header)]
     spans = {match[1]: header[match.end() : end] for match, end in zip(starts, ends, strict=False)}
@@ -101,11 +104,7 @@ def _elements(content: bytes) -> tuple[dict[bytes, int], dict[bytes, list[bytes]
     return counts, {name: PROPERTY.findall(span) for name, span in spans.items()}
 
 
-def _end(content: bytes) -> bytes:
-    found = re.search(rb"end_header\r?\n", content[:MAX_HEADER])
-    return found[0] if found else b""
-
-
-def _header(content: bytes) -> bytes:
-    end = _end(content)
-    return content[: content.index(end)] if end else b""
+def _header_size(content: bytes) -> int:
+    """Bytes of the header with its last line; 0 without one."""
+    end = re.search(rb"end_header\r?\n", content[:MAX_HEADER])
+    return end.end() if end else 0

@@ -1,4 +1,4 @@
-"""Splats as .splat, the 32-byte rows of antimatter15/splat: one colour per Gaussian."""
+"""Splats as .splat, rows of 32 bytes as in antimatter15/splat: one colour per Gaussian."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
-from stylesplat.io.splats.rotations import unit_quats
+from stylesplat.io.splats.packing import unit_quats
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.splats import SH_C0, Splats
 
@@ -20,11 +20,7 @@ HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 
 def read_dot_splat(path: Path | str) -> Splats:
-    """Read a .splat file.
-
-    Raises:
-        StyleSplatError: If the file is missing, truncated, or holds numbers that are not finite.
-    """
+    """Read a .splat file."""
     content = read_bytes(path)
     if len(content) % ROW.itemsize:
         raise StyleSplatError(
@@ -53,12 +49,12 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     rows["scale"] = splats.scales[order].exp().clamp(min=SMALLEST).numpy()
     rows["rgba"] = _bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
     rows["quat"] = _bytes(128 + 128 * unit_quats(splats.quats))[order]
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(rows.tobytes())
+    with atomic_path(path) as draft:
+        draft.write_bytes(rows.tobytes())
 
 
 def dot_splat_order(splats: Splats) -> Int[Tensor, " N"]:
-    """Which Gaussian each row is."""
+    """The Gaussian of each row: the largest and most opaque first."""
     sizes = splats.scales.sum(dim=1).exp() * torch.sigmoid(splats.opacities)
     return torch.argsort(sizes, descending=True, stable=True)
 

@@ -1,153 +1,156 @@
-"""Splats out of glTF 2.0 files (`.glb`, `.gltf`) with Khronos' KHR_gaussian_splatting.
+"""Splats from glTF 2.0 files (`.glb`, `.gltf`) with Khronos' KHR_gaussian_splatting.
 
-The extension is Khronos' (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos): its scales
-are standard deviations and its opacities shares, where PLY has logarithms and logits; its
-harmonics are the INRIA code's, sign by sign.
+The extension (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos) has standard deviations
+and opacities where PLY has logarithms and logits; its harmonics are the INRIA code's.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from stylesplat.errors import brief
-from stylesplat.io.splats.gltf_accessors import Numbers
-from stylesplat.io.splats.gltf_document import (
+from stylesplat.errors import StyleSplatError, brief
+from stylesplat.io.splats.gltf_file import (
     DISPLAYED,
+    SPLATTING,
     SPZ,
     Gltf,
-    Packed,
+    Node,
+    PackedSpz,
     Primitive,
     Splatting,
+    attribute,
     harmonic,
     higher_bands,
-    named,
     open_gltf,
     open_json,
 )
-from stylesplat.io.splats.gltf_places import placed_splats
 from stylesplat.io.splats.splat_ply import check_splats, of_degree
 from stylesplat.io.splats.spz import spz_within
 from stylesplat.progress import say
+from stylesplat.scene.frames import Frame
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.turned import moved
 
-SMALLEST_ROW = 12  # bytes of a Gaussian, were all that it has the same three numbers
+SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
 SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
 POINTS = 0  # the mode of a primitive that is drawn as points
 BANDS = (0, 3, 8, 15)  # higher bands up to each degree
+# glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+HALF_TURN_XYZW = [0.0, 0.0, 1.0, 0.0]
+TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
+EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
+APPLY = "Apply the transforms of its nodes where you made it, and export it again."
 
 
 def read_gltf(path: Path | str) -> Splats:
     """Read the splats that a glTF file shows, into PLY's axes.
 
-    What the nodes do to them is done, and the world is turned half about z: glTF's has y up, that
-    of COLMAP, INRIA's code and `import` has y down. So a file that StyleSplat wrote comes back as
-    it was, and one that PlayCanvas made of a PLY has that PLY's frame. Several sets of splats
-    become one.
-
-    Raises:
-        StyleSplatError: If the file is missing, of other content than its name says, damaged,
-            holds no splats, or stores or places them in a way that is not read.
+    The transforms of the nodes are applied, and the world is turned by half about z: glTF's has y
+    up, that of COLMAP, INRIA's code and `import` has y down. So a file that StyleSplat wrote comes
+    back as it was, and one that PlayCanvas made of a PLY has that PLY's frame. Several sets of
+    splats become one.
     """
     gltf = open_gltf(Path(path))
-    numbers = Numbers(gltf)
     parts, count = list[Splats](), 0
-    for primitive, frame in placed_splats(gltf):
-        part = check_splats(_splats(numbers, primitive), path)
+    for primitive, frame in _placed_splats(gltf):
+        part = check_splats(_splats(gltf, primitive), path)
         parts.append(part if frame is None else check_splats(moved(part, frame), path))
         count += len(part)
-        if count * SMALLEST_ROW > numbers.size:
-            fault = f"it shows {count} Gaussians, which {numbers.size} bytes cannot hold"
+        if count * SMALLEST_ROW > gltf.size:
+            fault = f"it shows {count} Gaussians, which {gltf.size} bytes cannot hold"
             raise gltf.refusal(fault, "Export it without instances.")
-    return parts[0] if len(parts) == 1 else _together(parts)
+    if len(parts) == 1:
+        return parts[0]
+    degree = max(part.sh_degree for part in parts)
+    columns = zip(*(of_degree(part, degree).tensors().values() for part in parts), strict=True)
+    means, quats, scales, opacities, sh0, shN = map(torch.cat, columns)
+    return Splats(means, quats, scales, opacities, sh0, shN)
 
 
 def announced_in_gltf(path: Path | str) -> int:
-    """How many Gaussians a glTF file says that it shows; what it has of them is not read.
-
-    Raises:
-        StyleSplatError: If the file is missing, its JSON is damaged, or it holds no splats.
-    """
-    numbers = Numbers(open_json(Path(path)))
-    places = (each.attributes.get("POSITION") for each, _ in placed_splats(numbers.gltf))
-    return sum(numbers.accessor(n, "POSITION").count for n in places if n is not None)
+    """How many Gaussians a glTF file shows, from its JSON alone."""
+    gltf = open_json(Path(path))
+    positions = (each.attributes.get("POSITION") for each, _ in _placed_splats(gltf))
+    return sum(gltf.accessor(n, "POSITION").count for n in positions if n is not None)
 
 
-def _splats(numbers: Numbers, primitive: Primitive) -> Splats:
+def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
     """The splats of a primitive, in its own frame."""
-    gltf = numbers.gltf
     assert primitive.extensions.splatting is not None
     splatting = primitive.extensions.splatting
     _check_kind(gltf, primitive, splatting)
     packed = [splatting.extensions[name] for name in SPZ if name in splatting.extensions]
     if packed:
-        return _unpacked(numbers, primitive, packed[0])
+        return _unpack_spz(gltf, primitive, packed[0])
     degree = _degree(gltf, primitive)
-    means = _column(numbers, primitive, "POSITION", 3)
-    quats = _column(numbers, primitive, named("ROTATION"), 4)
-    scales = _column(numbers, primitive, named("SCALE"), 3)
+    means = _column(gltf, primitive, "POSITION", 3)
+    quats = _column(gltf, primitive, attribute("ROTATION"), 4)
+    scales = _column(gltf, primitive, attribute("SCALE"), 3)
     if (scales < 0).any():
         raise gltf.refusal(f"{int((scales < 0).sum())} standard deviations are negative")
     shN = torch.empty(len(means), BANDS[degree], 3)
     for band, name in enumerate(higher_bands(degree)):
-        shN[:, band] = _column(numbers, primitive, name, 3)
+        shN[:, band] = _column(gltf, primitive, name, 3)
     return Splats(
         means=means,
         quats=quats[:, [3, 0, 1, 2]],
         scales=scales.clamp_(min=SMALLEST).log_(),
-        opacities=_logits(numbers, primitive),
-        sh0=_column(numbers, primitive, harmonic(0, 0), 3)[:, None],
+        opacities=_opacities(gltf, primitive),
+        sh0=_column(gltf, primitive, harmonic(0, 0), 3)[:, None],
         shN=shN,
     )
 
 
-def _unpacked(numbers: Numbers, primitive: Primitive, packed: Any) -> Splats:
-    """Those of a primitive as SPZ: its axes are the primitive's, unlike those of a `.spz`."""
+def _unpack_spz(gltf: Gltf, primitive: Primitive, packed: Any) -> Splats:
+    """The splats of a primitive as SPZ, in the axes of the primitive, unlike those of a `.spz`."""
     try:
-        view = msgspec.convert(packed, Packed).buffer_view
+        view = msgspec.convert(packed, PackedSpz).buffer_view
     except msgspec.ValidationError as error:
-        raise numbers.gltf.refusal(f"what it says of its SPZ is none ({error})") from error
-    splats = spz_within(bytes(numbers.stretch(view, "SPZ")), numbers.gltf.path)
-    numbers.count_unpacked(view, sum(column.nbytes for column in splats.tensors().values()))
-    places = primitive.attributes.get("POSITION")
-    expected = len(splats) if places is None else numbers.accessor(places, "POSITION").count
+        raise gltf.refusal(f"what it says of its SPZ is none ({error})") from error
+    splats = spz_within(bytes(gltf.view_bytes(view, "SPZ")), gltf.path)
+    gltf.count_unpacked(view, sum(column.nbytes for column in splats.tensors().values()))
+    positions = primitive.attributes.get("POSITION")
+    expected = len(splats) if positions is None else gltf.accessor(positions, "POSITION").count
     if len(splats) != expected:
         fault = f"its splats have {expected} places, but {len(splats)} rows of SPZ"
-        raise numbers.gltf.refusal(fault)
+        raise gltf.refusal(fault)
     return splats
 
 
-def _logits(numbers: Numbers, primitive: Primitive) -> Float[Tensor, " N"]:
-    """Those of the opacities: 0 and 1, which have none, count as half a step from there."""
-    name = named("OPACITY")
-    values = _column(numbers, primitive, name, 1)[:, 0]
+def _opacities(gltf: Gltf, primitive: Primitive) -> Float[Tensor, " N"]:
+    """Logits; opacities of 0 and 1, which have none, become half a step more or less."""
+    name = attribute("OPACITY")
+    values = _column(gltf, primitive, name, 1)[:, 0]
     outside = int(((values < 0) | (values > 1)).sum())
     if outside:
-        raise numbers.gltf.refusal(f"{outside} opacities are not between 0 and 1")
-    step = numbers.step(primitive.attributes[name], name)
+        raise gltf.refusal(f"{outside} opacities are not between 0 and 1")
+    step = gltf.step(primitive.attributes[name], name)
     low = SMALLEST if step < 1e-6 else step / 2  # float32 is fine near 0, and coarse near 1
     return values.double().clamp(low, 1 - step / 2).logit().float()
 
 
-def _column(numbers: Numbers, primitive: Primitive, name: str, width: int) -> Float[Tensor, "N D"]:
-    """The rows of an attribute, as many as there are places."""
+def _column(gltf: Gltf, primitive: Primitive, name: str, width: int) -> Float[Tensor, "N D"]:
+    """The rows of an attribute, as many as there are positions."""
     if name not in primitive.attributes:
-        raise numbers.gltf.refusal(f"its splats have no {name}")
-    index, places = primitive.attributes[name], primitive.attributes.get("POSITION", 0)
-    count = numbers.accessor(index, name).count
-    expected = numbers.accessor(places, "POSITION").count
+        raise gltf.refusal(f"its splats have no {name}")
+    index, positions = primitive.attributes[name], primitive.attributes.get("POSITION", 0)
+    count = gltf.accessor(index, name).count
+    expected = gltf.accessor(positions, "POSITION").count
     if count != expected:
-        fault = f"its splats have {expected} places, but {count} rows of {name}"
-        raise numbers.gltf.refusal(fault)
-    return torch.from_numpy(numbers.rows(index, name, width))
+        raise gltf.refusal(f"its splats have {expected} places, but {count} rows of {name}")
+    return torch.from_numpy(gltf.rows(index, name, width))
 
 
 def _check_kind(gltf: Gltf, primitive: Primitive, splatting: Splatting) -> None:
-    """Refuse splats that are stored or drawn in another way; say what else is different."""
+    """Refuse splats that are stored or drawn in another way."""
     unread = [name for name in splatting.extensions if "compression" in name and name not in SPZ]
     if unread:
         fault = f"its splats are compressed ({unread[0]:.60}), which is not read here"
@@ -159,14 +162,14 @@ def _check_kind(gltf: Gltf, primitive: Primitive, splatting: Splatting) -> None:
         raise gltf.refusal(f"its splats are no points, but of mode {primitive.mode}")
     if splatting.color_space != DISPLAYED:
         say(
-            f"{gltf.path} has its colours in {brief(splatting.color_space)!r}: they are taken for "
-            f"{DISPLAYED}, in which they may look darker."
+            f"{gltf.path} has its colours in {brief(splatting.color_space)!r}: they are read as "
+            f"{DISPLAYED}, so they may look darker."
         )
 
 
 def _degree(gltf: Gltf, primitive: Primitive) -> int:
-    """Up to which degree there are harmonics; a degree is whole and follows the one below."""
-    there = [name for name in primitive.attributes if name.startswith(named("SH_DEGREE_"))]
+    """The degree of the harmonics: each degree must be complete, with all below it."""
+    there = [name for name in primitive.attributes if name.startswith(attribute("SH_DEGREE_"))]
     for degree in reversed(range(len(BANDS))):
         wanted = {harmonic(0, 0), *higher_bands(degree)}
         if wanted <= {*there}:
@@ -181,10 +184,87 @@ def _degree(gltf: Gltf, primitive: Primitive) -> int:
     return degree
 
 
-def _together(parts: list[Splats]) -> Splats:
-    """One after the other, with the colours of the highest degree that one has."""
-    degree = max(part.sh_degree for part in parts)
-    parts = [of_degree(part, degree) for part in parts]
-    columns = zip(*(part.tensors().values() for part in parts), strict=True)
-    means, quats, scales, opacities, sh0, shN = map(torch.cat, columns)
-    return Splats(means, quats, scales, opacities, sh0, shN)
+def _placed_splats(gltf: Gltf) -> Iterator[tuple[Primitive, Frame | None]]:
+    """The splats of the scene and the transform of each to our world; None leaves them as they are.
+
+    If no node of the scene shows splats, all splats of the file count, without a transform.
+    """
+    shown = [*_shown(gltf)] or [
+        (each, np.eye(4))
+        for mesh in range(len(gltf.document.meshes))
+        for each in _primitives(gltf, mesh)
+    ]
+    if not shown:
+        raise _no_splats(gltf)
+    for primitive, matrix in shown:
+        yield primitive, _frame(gltf, matrix)
+
+
+def _no_splats(gltf: Gltf) -> StyleSplatError:
+    names = gltf.document.extensions_used
+    other = next((n for n in names if "splat" in n and n != SPLATTING), None)
+    if other is not None:
+        fault = f"its splats are stored by {other:.60}, which is not read here"
+        return gltf.refusal(fault, f"Export it with {SPLATTING} alone, or as .ply or .spz.")
+    fault = f"it holds no splats, but an ordinary model (nothing in it has {SPLATTING})"
+    return gltf.refusal(fault, "Give a file of Gaussian splats.")
+
+
+def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
+    """The splats that the scene shows, with their transforms to glTF's world."""
+    document, visited = gltf.document, set[int]()
+    if document.scenes:
+        roots = document.scenes[min(document.scene, len(document.scenes) - 1)].nodes
+    else:
+        children = {child for node in document.nodes for child in node.children}
+        roots = [index for index in range(len(document.nodes)) if index not in children]
+    stack = [(root, np.eye(4)) for root in reversed(roots)]
+    while stack:
+        index, above = stack.pop()
+        if index in visited or index >= len(document.nodes):
+            raise gltf.refusal(f"its nodes are no tree (at node {index} of {len(document.nodes)})")
+        visited.add(index)
+        node = document.nodes[index]
+        matrix = above @ _matrix(gltf, node)
+        if node.mesh is not None:
+            yield from ((each, matrix) for each in _primitives(gltf, node.mesh))
+        stack += [(child, matrix) for child in reversed(node.children)]
+
+
+def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
+    """The primitives of a mesh that are splats."""
+    meshes = gltf.document.meshes
+    if mesh >= len(meshes):
+        raise gltf.refusal(f"a node shows mesh {mesh} of {len(meshes)}")
+    return [each for each in meshes[mesh].primitives if each.extensions.splatting is not None]
+
+
+def _matrix(gltf: Gltf, node: Node) -> Float[np.ndarray, "4 4"]:
+    """The transform of a node to its parent."""
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T  # column-major
+    matrix = np.eye(4)
+    if not 1e-100 < float(np.abs(node.rotation).max()) < 1e100:  # float64 holds the squares
+        raise gltf.refusal("a node's rotation is none", APPLY)
+    matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
+    matrix[:3, 3] = node.translation
+    return matrix
+
+
+def _frame(gltf: Gltf, matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
+    """A transform to glTF's world as one to ours; None for the identity."""
+    with np.errstate(all="ignore"):  # an overflow is refused below
+        linear = matrix[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        rotation = linear / scale
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (scale > 0 and error < TOLERANCE and np.isfinite(matrix).all()):
+        raise gltf.refusal("a node mirrors, shears or stretches its splats", APPLY)
+    u, _, vt = np.linalg.svd(HALF_TURN @ rotation)
+    rotation, shift = u @ vt, HALF_TURN @ matrix[:3, 3]
+    if np.abs(rotation - rotation.round()).max() < EXACT_WITHIN:
+        rotation = rotation.round() + 0.0  # no -0
+    scale = 1.0 if abs(scale - 1) < EXACT_WITHIN else scale
+    if scale == 1 and (rotation == np.eye(3)).all() and not shift.any():
+        return None
+    return Frame(torch.from_numpy(rotation), scale, torch.from_numpy(shift))

@@ -18,10 +18,9 @@ from stylesplat.io.splats.compressed_ply import (
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
-from stylesplat.io.splats.morton import morton_order
+from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.read_gltf import read_gltf
-from stylesplat.io.splats.sog_reader import read_sog
-from stylesplat.io.splats.sog_writer import write_sog
+from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import (
     needed_degree,
     of_degree,
@@ -33,7 +32,7 @@ from stylesplat.io.splats.write_gltf import write_glb, write_gltf
 from stylesplat.scene.splats import Splats
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
-SMALLER: dict[str, Callable[[Splats, Path], None]] = {
+WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but plain PLY
     COMPRESSED: write_compressed_ply,
     ".spz": write_spz,
     ".splat": write_dot_splat,
@@ -48,11 +47,8 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
-    .splat, glTF, and SOG, be it a bundle or the meta.json of a folder. No memory is taken for a
+    .splat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is allocated for a
     count that was not checked against the file.
-
-    Raises:
-        StyleSplatError: If the file is missing, of another kind, damaged or empty.
     """
     path = Path(path)
     readers: dict[str, Callable[[Path], Splats]] = {
@@ -73,7 +69,7 @@ def read_splats(path: Path | str) -> Splats:
 
 
 def row_order(splats: Splats, path: Path | str) -> Int[Tensor, " N"]:
-    """Which Gaussian each row of a file of that name is when it is written."""
+    """The Gaussian of each row when splats are written into a file of that name."""
     suffix = _suffix(Path(path))
     if suffix in (COMPRESSED, ".sog"):
         return morton_order(splats.means)
@@ -88,66 +84,43 @@ def write_splats(
     sh_degree: int | None = None,
     besides: Mapping[str, Tensor] | None = None,
 ) -> None:
-    """Write splats for a viewer, in the format that the file's suffix names.
+    """Write splats in the format that the file's suffix names; `export` describes the formats.
 
-    `.ply` keeps every bit. `.spz` is about six times smaller, `.sog` seven times or more,
-    `.compressed.ply` about four times: positions, colours and rotations are rounded. `.splat` has
-    one colour per Gaussian, seen the same from everywhere. `.glb` and `.gltf` have all as float32.
-
-    Args:
-        splats: What to write.
-        path: A file name ending in `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog`, `.glb`
-            or `.gltf`.
-        overwrite: Whether a file of that name may be replaced.
-        sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
-            is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
-            INRIA's, the others have as many as are not all zero.
-        besides: More columns of a `.ply` by name, of float32, int32 or uint8.
-
-    Raises:
-        StyleSplatError: If the suffix is none of these or has no such degree or columns, the file
-            exists and may not be replaced, it cannot be written, or the splats reach farther than
-            `.spz` can express or are none that glTF can hold.
+    By default no band of colour is lost: `.ply` has the columns of degree 3, the others as many as
+    are not all zero. `besides` holds more columns of a `.ply`, of float32, int32 or uint8.
     """
     path = Path(path)
-    _refuse_unwritable(path, sh_degree)
-    if besides and _suffix(path) != ".ply":
+    suffix = _suffix(path)
+    if suffix not in (".ply", *WRITERS):
+        raise StyleSplatError(
+            f"Cannot export to {path}: unknown suffix {path.suffix!r}. "
+            f"Use .ply, {', '.join(WRITERS)}, or .html for a page."
+        )
+    if sh_degree is not None:
+        check_choice(sh_degree, "degree of colour", range(MAX_DEGREE + 1))
+    if suffix == ".splat" and sh_degree:
+        raise StyleSplatError(
+            f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
+            "Leave the degree out, or choose a .ply or .spz."
+        )
+    if besides and suffix != ".ply":
         raise StyleSplatError(
             f"Cannot export to {path}: it has no more columns than its format says. Choose a .ply."
         )
     if path.exists() and not overwrite:
         raise StyleSplatError(f"{path} exists already. Replace it with {REPLACING}.")
     splats = splats.detach().to("cpu")
-    suffix = _suffix(path)
     if sh_degree is None:
         sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
     if suffix == ".ply":
         write_splat_ply(splats, path, bands=splats.shN.shape[1], besides=besides)
     else:
-        SMALLER[suffix](splats, path)
-
-
-def _refuse_unwritable(path: Path, sh_degree: int | None) -> None:
-    """Raise a StyleSplatError if the name is of no format, or of one without that degree."""
-    suffix = _suffix(path)
-    if suffix not in (".ply", *SMALLER):
-        raise StyleSplatError(
-            f"Cannot export to {path}: unknown suffix {path.suffix!r}. "
-            f"Use .ply, {', '.join(SMALLER)}, or .html for a page."
-        )
-    if sh_degree is None:
-        return
-    check_choice(sh_degree, "degree of colour", range(MAX_DEGREE + 1))
-    if suffix == ".splat" and sh_degree:
-        raise StyleSplatError(
-            f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
-            "Leave the degree out, or choose a .ply or .spz."
-        )
+        WRITERS[suffix](splats, path)
 
 
 def _suffix(path: Path) -> str:
-    """What tells the format."""
+    """The suffix that tells the format."""
     name = path.name.lower()
     return COMPRESSED if name.endswith(COMPRESSED) else path.suffix.lower()
 

@@ -23,20 +23,14 @@ OPACITY = ("opacity",)
 SCALES = tuple(f"scale_{i}" for i in range(3))
 QUATS = tuple(f"rot_{i}" for i in range(4))
 REMEDY = "Remove those Gaussians, or make the file again."
-SMALLEST_TURN = 1e-10  # of a part of a rotation: squares of less vanish in float32
+SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 NORMALS = ("nx", "ny", "nz")  # always 0; some viewers count on them
 
 
 def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
     """Read splats of degree 0 to 3, their columns in any order; other columns are ignored.
 
-    Args:
-        path: The file.
-        bands: Whether to read the higher bands of colour, which are three quarters of it.
-
-    Raises:
-        StyleSplatError: If the file is missing, truncated or too long, lacks a column or holds
-            numbers that are not finite.
+    Without `bands` the higher bands of colour, three quarters of the file, are skipped.
     """
     with ply_rows(path, at_once=AT_ONCE) as rows:
         rest = _find_rest(rows.dtype, path)
@@ -45,16 +39,16 @@ def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
         groups = (MEANS, QUATS, SCALES, OPACITY, SH0)
         arrays = [np.empty((count, len(names)), np.float32) for names in groups]
         higher = np.empty((count, own, 3), np.float32)
-        places = {
+        targets = {
             name: array[:, i]
             for names, array in zip(groups, arrays, strict=True)
             for i, name in enumerate(names)
         }
-        places |= {name: higher[:, i % own, i // own] for i, name in enumerate(rest)}
+        targets |= {name: higher[:, i % own, i // own] for i, name in enumerate(rest)}
         first = 0
         for block in rows.blocks:
-            for name, place in places.items():
-                place[first : first + len(block)] = block[name]
+            for name, target in targets.items():
+                target[first : first + len(block)] = block[name]
             first += len(block)
     means, quats, scales, opacities, sh0 = map(torch.from_numpy, arrays)
     shN = torch.from_numpy(higher)
@@ -62,11 +56,7 @@ def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
 
 
 def check_splats(splats: Splats, path: Path | str) -> Splats:
-    """The splats of a file, if all numbers can be of splats and all Gaussians have a rotation.
-
-    Raises:
-        StyleSplatError: If not.
-    """
+    """Return the splats of a file; raise a StyleSplatError if `splat_fault` finds one."""
     fault = splat_fault(splats)
     if fault:
         raise StyleSplatError(f"Cannot read {path} as splats: {fault}. {REMEDY}")
@@ -74,13 +64,13 @@ def check_splats(splats: Splats, path: Path | str) -> Splats:
 
 
 def splat_fault(splats: Splats) -> str | None:
-    """Why these cannot be splats: a number is not finite or absurd, or a rotation is none."""
+    """Why these are no splats: a number is not finite or out of range, or a quaternion is 0."""
     try:
         for name, declared in GAUSSIANS.items():
             check_range(name, getattr(splats, name), declared)
     except ValueError as error:
         return str(error)
-    unturned = int((splats.quats.abs() < SMALLEST_TURN).all(dim=1).sum())
+    unturned = int((splats.quats.abs() < SMALLEST_QUAT).all(dim=1).sum())
     return f"the rotations of {unturned} Gaussians are 0" if unturned else None
 
 
@@ -91,17 +81,10 @@ def write_splat_ply(
     bands: int = FULL_BANDS,
     besides: Mapping[str, Tensor] | None = None,
 ) -> None:
-    """Write the values as they are, bit by bit, with `shN` padded by zeros.
+    """Write the values bit by bit, with `shN` padded by zeros to `bands` bands.
 
-    Args:
-        splats: What to write.
-        path: The file to make.
-        bands: How many higher bands of colour it has, no fewer than the splats; by default as
-            many as INRIA's code demands, those of degree 3.
-        besides: More columns by name, of float32, int32 or uint8, a number for each Gaussian.
-
-    Raises:
-        StyleSplatError: If the file cannot be written.
+    INRIA's code demands those of degree 3. `besides` holds more columns by name, of float32, int32
+    or uint8.
     """
     rest = _rest(3 * bands)
     names = (*MEANS, *NORMALS, *SH0, *rest, *OPACITY, *SCALES, *QUATS)
@@ -140,19 +123,19 @@ def _columns(
 
 
 def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
-    """Higher colour bands of degree 3, those beyond the splats' own degree being 0."""
+    """Higher bands of degree 3: missing ones are 0."""
     missing = FULL_BANDS - shN.shape[1]
     return torch.nn.functional.pad(shN, (0, 0, 0, missing)) if missing else shN
 
 
 def of_degree(splats: Splats, degree: int) -> Splats:
-    """The splats with the bands of a degree: higher ones are left out, missing ones are 0."""
+    """The splats with the bands of a degree: higher ones are dropped, missing ones are 0."""
     padded = pad_bands(splats.shN)
     return replace(splats, shN=padded[:, : (degree + 1) ** 2 - 1])
 
 
 def needed_degree(splats: Splats) -> int:
-    """The lowest degree of colour bands that leaves out zeros only."""
+    """The lowest degree that drops only zeros."""
     used = splats.shN.ne(0).any(dim=2).any(dim=0).nonzero()
     return math.isqrt(int(used.max()) + 1) if len(used) else 0
 
@@ -162,7 +145,7 @@ def _rest(count: int) -> tuple[str, ...]:
 
 
 def _find_rest(dtype: np.dtype, path: Path | str) -> tuple[str, ...]:
-    """Names of the higher bands' columns, having checked that all columns are there."""
+    """The columns of the higher bands; a missing column is a StyleSplatError."""
     names = dtype.names or ()
     rest = _rest(sum(name.startswith("f_rest_") for name in names))
     missing = [n for n in (*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, *rest) if n not in names]

@@ -16,7 +16,7 @@ import zstandard
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
-from stylesplat.io.splats.gsply_data import from_gsply, to_gsply
+from stylesplat.io.splats.compressed_ply import from_gsply, to_gsply
 from stylesplat.scene.splats import Splats
 
 WRITTEN = 4  # version; 3 is larger by a twelfth
@@ -37,26 +37,18 @@ LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
 
 
 def read_spz(path: Path | str) -> Splats:
-    """Read an SPZ file into PLY's axes.
-
-    Raises:
-        StyleSplatError: If the file is missing, damaged, or claims more Gaussians than it can hold.
-    """
+    """Read an SPZ file into PLY's axes."""
     path = Path(path)
     content = read_bytes(path)
-    with _told(path):
+    with _errors_of(path):
         _check(content)
         data = gsply.read_spz(path)
-    return _flipped(from_gsply(data, path))
+    return _flip(from_gsply(data, path))
 
 
 def spz_within(content: bytes, path: Path) -> Splats:
-    """Read SPZ that lies in another file, here `path`, in SPZ's own axes.
-
-    Raises:
-        StyleSplatError: If it is damaged, or claims more Gaussians than it can hold.
-    """
-    with _told(path):
+    """Read SPZ that is embedded in another file, here `path`, in SPZ's own axes."""
+    with _errors_of(path):
         _check(content)
         with TemporaryDirectory() as folder:  # gsply reads files alone
             unpacked = Path(folder) / "a.spz"
@@ -66,8 +58,8 @@ def spz_within(content: bytes, path: Path) -> Splats:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Tell what is wrong in one line; gsply ends with the name of the file, which may be gone."""
+def _errors_of(path: Path) -> Iterator[None]:
+    """Name the file in errors; gsply's own end with the name of a file that may be gone."""
     try:
         yield
     except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
@@ -76,11 +68,7 @@ def _told(path: Path) -> Iterator[None]:
 
 
 def write_spz(splats: Splats, path: Path | str) -> None:
-    """Write SPZ of version 4: six times smaller than PLY, or more, its numbers rounded.
-
-    Raises:
-        StyleSplatError: If the splats reach farther than SPZ can express.
-    """
+    """Write SPZ of version 4: six times smaller than PLY or more, its numbers rounded."""
     reach = float(splats.means.abs().max()) if len(splats) else 0.0
     bits = [b for b in FRACTION if reach * 2**b <= POSITION]
     if not bits:
@@ -88,14 +76,14 @@ def write_spz(splats: Splats, path: Path | str) -> None:
             f"Cannot export to {path}: the splats reach {reach:.0f} units from the origin, which "
             "SPZ cannot express. Export a .ply."
         )
-    flipped = _flipped(splats)
+    flipped = _flip(splats)
     data = to_gsply(replace(flipped, opacities=flipped.opacities.clamp(-SURE, SURE)))
-    with atomic_path(path) as temporary:
-        gsply.write_spz(temporary, data, version=WRITTEN, fractional_bits=max(bits))
+    with atomic_path(path) as draft:
+        gsply.write_spz(draft, data, version=WRITTEN, fractional_bits=max(bits))
 
 
-def _flipped(splats: Splats) -> Splats:
-    """The same splats, turned half around the x axis."""
+def _flip(splats: Splats) -> Splats:
+    """Turn splats by half around the x axis."""
     bands = splats.shN.shape[1]
     return Splats(
         means=splats.means * FLIP,
@@ -108,7 +96,7 @@ def _flipped(splats: Splats) -> Splats:
 
 
 def _check(content: bytes) -> None:
-    """Raise a ValueError unless the header's count fits the file, before memory is taken for it."""
+    """Raise a ValueError unless the count in the header fits the file: gsply allocates by it."""
     packed = zlib.decompressobj(wbits=31) if content.startswith(GZIP) else None
     head = packed.decompress(content, HEADER.size) if packed else content[: HEADER.size]
     magic, version, count, degree, *_ = HEADER.unpack(head)
@@ -126,7 +114,7 @@ def _check(content: bytes) -> None:
 
 
 def _check_streams(content: bytes) -> None:
-    """Raise a ValueError unless the streams of version 4 are as long as its table says."""
+    """Raise a ValueError unless the streams of version 4 are as long as their table says."""
     *_, streams, table = TABLE.unpack_from(content)
     start = table + streams * STREAM.size
     for index in range(streams):

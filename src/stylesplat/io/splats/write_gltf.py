@@ -1,7 +1,7 @@
 """Splats as glTF 2.0 with Khronos' KHR_gaussian_splatting: `.glb`, or `.gltf`, which is all text.
 
 Programs that do not know the extension show a cloud of coloured points. The splats are written as
-they are, in their own frame; that glTF's y is up is stated by the node that places them.
+they are, in their own frame; the node that places them turns them to glTF's y-up world.
 """
 
 import base64
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.splats.gltf_document import (
+from stylesplat.io.splats.gltf_file import (
     BINARY,
     CHUNK,
     DISPLAYED,
@@ -26,27 +26,26 @@ from stylesplat.io.splats.gltf_document import (
     MAGIC,
     SPLATTING,
     VERSION,
+    WIDTHS,
+    attribute,
     harmonic,
     higher_bands,
-    named,
 )
-from stylesplat.io.splats.gltf_places import HALF_TURN_XYZW
-from stylesplat.io.splats.read_gltf import POINTS, SMALLEST
-from stylesplat.io.splats.rotations import unit_quats
+from stylesplat.io.splats.packing import unit_quats
+from stylesplat.io.splats.read_gltf import HALF_TURN_XYZW, POINTS, SMALLEST
 from stylesplat.io.splats.splat_ply import REMEDY, splat_fault
 from stylesplat.scene.splats import SH_C0, Splats
 
 FLOAT, SHORT = 5126, 5123
 SIZES = {FLOAT: 4, SHORT: 2}  # bytes
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-VERTICES = 34962  # what a stretch of bytes is for: attributes
+VERTICES = 34962  # the target of a view that holds attributes
 MAX_SIZE = 2**32 - 1  # bytes of a GLB
 GENERATOR = "StyleSplat"
 EMBEDDED = "data:application/octet-stream;base64,"
 
 
 class Column(NamedTuple):
-    """An attribute, whose numbers are made when they are written."""
+    """An attribute, whose values are computed when they are written."""
 
     name: str
     kind: str
@@ -61,12 +60,8 @@ class Column(NamedTuple):
 def write_glb(splats: Splats, path: Path | str) -> None:
     """Write a GLB: float32 throughout, rotations as unit quaternions, colours of all degrees.
 
-    Opacities and standard deviations are stored themselves, not their logits and logarithms, so
-    opacities are within 1e-7 and sizes within 1e-6 of themselves when they are read again.
-
-    Raises:
-        StyleSplatError: If there are no Gaussians, a number is not finite, or it does not fit into
-            the 4 GiB that a GLB can have.
+    glTF stores opacities and standard deviations, not logits and logarithms; when they are read
+    again, opacities differ by at most 1e-7 and scales by 1e-6.
     """
     path = Path(path)
     columns, document = _parts(splats, path)
@@ -79,30 +74,26 @@ def write_glb(splats: Splats, path: Path | str) -> None:
             f"Cannot export to {path}: it would have {whole} bytes, a GLB has {MAX_SIZE} at most. "
             "Export a .ply, or leave out degrees of colour (`--sh-degree 0`)."
         )
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
+    with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(HEADER.pack(MAGIC, VERSION, whole) + CHUNK.pack(len(text), JSON) + text)
         file.write(CHUNK.pack(size, BINARY))
         file.writelines(_bytes(columns))
 
 
 def write_gltf(splats: Splats, path: Path | str) -> None:
-    """Write the same as JSON, its numbers within as base64: a third larger, and still one file.
-
-    Raises:
-        StyleSplatError: If there are no Gaussians, or a number is not finite.
-    """
+    """Write the same as JSON with the numbers in base64: a third larger, still one file."""
     path = Path(path)
     columns, document = _parts(splats, path)
     document["buffers"][0]["uri"] = EMBEDDED
     before, after = json.dumps(document, indent=1).encode().split(EMBEDDED.encode())
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
+    with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(before + EMBEDDED.encode())
         file.writelines(_as_text(_bytes(columns)))
         file.write(after)
 
 
 def _parts(splats: Splats, path: Path) -> tuple[list[Column], dict[str, Any]]:
-    """What is written, and the JSON that tells of it."""
+    """The attributes, and the JSON that describes them."""
     fault = splat_fault(splats) if len(splats) else None
     if fault:
         raise StyleSplatError(f"Cannot export to {path}: {fault}. {REMEDY}")
@@ -121,7 +112,7 @@ def _bytes(columns: list[Column]) -> Iterator[memoryview]:
 
 
 def _as_text(pieces: Iterable[memoryview]) -> Iterator[bytes]:
-    """Base64 of what follows each other; three bytes are four letters."""
+    """Base64 of the joined pieces; three bytes become four letters."""
     left = b""
     for piece in pieces:
         joined = left + piece
@@ -132,15 +123,17 @@ def _as_text(pieces: Iterable[memoryview]) -> Iterator[bytes]:
 
 
 def _columns(splats: Splats) -> list[Column]:
-    """What is written, in its order; every size is a multiple of four, as the format wants."""
+    """The attributes in their order; each size is a multiple of four, as the format demands."""
     colors = [splats.sh0[:, 0], *splats.shN.unbind(dim=1)]
     names = [harmonic(0, 0), *higher_bands(splats.sh_degree)]
     return [
         Column("POSITION", "VEC3", FLOAT, lambda: splats.means),
         Column("COLOR_0", "VEC4", SHORT, lambda: _fallback(splats)),
-        Column(named("ROTATION"), "VEC4", FLOAT, lambda: unit_quats(splats.quats)[:, [1, 2, 3, 0]]),
-        Column(named("SCALE"), "VEC3", FLOAT, lambda: splats.scales.exp().clamp_(min=SMALLEST)),
-        Column(named("OPACITY"), "SCALAR", FLOAT, splats.opacities.sigmoid),
+        Column(
+            attribute("ROTATION"), "VEC4", FLOAT, lambda: unit_quats(splats.quats)[:, [1, 2, 3, 0]]
+        ),
+        Column(attribute("SCALE"), "VEC3", FLOAT, lambda: splats.scales.exp().clamp_(min=SMALLEST)),
+        Column(attribute("OPACITY"), "SCALAR", FLOAT, splats.opacities.sigmoid),
         *(
             Column(name, "VEC3", FLOAT, lambda color=color: color)
             for name, color in zip(names, colors, strict=True)
@@ -148,8 +141,12 @@ def _columns(splats: Splats) -> list[Column]:
     ]
 
 
+def _xyzw(splats: Splats) -> Tensor:
+    return unit_quats(splats.quats)[:, [1, 2, 3, 0]]
+
+
 def _fallback(splats: Splats) -> Shaped[Tensor, "N 4"]:
-    """The colours of points: linear, as glTF wants them, and what is seen through them."""
+    """Linear colours and alpha for programs that draw points."""
     shown = (SH_C0 * splats.sh0[:, 0] + 0.5).clamp_(0, 1)
     linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)  # sRGB
     rgba = torch.cat([linear, splats.opacities.sigmoid()[:, None]], dim=1)
@@ -157,7 +154,6 @@ def _fallback(splats: Splats) -> Shaped[Tensor, "N 4"]:
 
 
 def _document(columns: list[Column], splats: Splats) -> dict[str, Any]:
-    """The JSON."""
     views, accessors, offset = [], [], 0
     for index, column in enumerate(columns):
         size = column.size(len(splats))
