@@ -44,3 +44,10 @@ def test_upside_down():
     cameras = seen_from(CAMERAS, over)
     up = -seen_from(cameras, known_frames(cameras)["nerfstudio"]).viewmats[:, 1, :3].mean(dim=0)
     assert up[2] > 0
+
+
+def test_frames_lead_back():
+    turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
+    points = torch.rand(9, 3).double()
+    for frame in (Frame(turn, 1.7, torch.tensor([1.0, -2.0, 0.5]).double()), Frame(turn)):
+        torch.testing.assert_close(frame.inverse().place(frame.place(points)), points)

@@ -28,7 +28,7 @@ from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.naming import with_names
-from stylesplat.stylization.carried_over import carried_over
+from stylesplat.stylization.transfer_annotations import transfer_annotations
 from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
@@ -62,14 +62,14 @@ def import_(
         labels: The label id of every Gaussian, or a file of them or of objects (see
             `read_objects`); they take the place of the capture's label maps.
         like: The scene that the splat was made of by another program: its views, objects and
-            paintings are carried over (see `carried_over`).
+            paintings are carried over (see `transfer_annotations`).
         device: Where to render.
 
     Returns:
         The scene. Its metrics are `seconds`, `gaussians`, and with photos `psnr` and `ssim`, with
         label maps `confidence` (mean share of a Gaussian's pixels that have its label),
         `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps; with
-        labels `label_ids` and `unlabelled_gaussians`; or what `carried_over` says.
+        labels `label_ids` and `unlabelled_gaussians`; or what `transfer_annotations` says.
 
     Raises:
         StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
@@ -89,7 +89,7 @@ def import_(
         splats, listed, counts = _labelled(splats, labels)
         capture = capture and replace(capture, label_maps=None, object_names={})
     if like is not None:
-        scene = carried_over(splats, like, name=str(file or "The splat"))
+        scene = transfer_annotations(splats, like, name=str(file or "The splat"))
     elif capture is None:
         scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
         say(
