@@ -56,60 +56,42 @@ def layer(key: str, value: object) -> Change:
     return put("layers", 0, key, value=value)
 
 
+SCENE: dict[str, tuple[object, ...]] = {
+    "capture": (3, "a\0b", "\ud800"),
+    "test_views": (3, [3], ["a\nb"]),
+    "settings": (3, {"downscale": 0}, {"downscale": 10**400}, {"downscale": float("nan")}),
+}
+CAMERA: dict[str, tuple[object, ...]] = {
+    "size": ([-4, 3], [0, 3], [60_000, 60_000], [1.5, 3], [3]),
+    "name": ("", 3, "a\nb", "sub/b.png"),
+    "viewmat": ([[0.0] * 4] * 4, [[1.0] * 4] * 3, [[float("nan")] * 4] * 4, [[1e300] * 4] * 4),
+    "K": ([[0.0] * 3] * 3, [[float("nan")] * 3] * 3),
+}
+LAYER: dict[str, tuple[object, ...]] = {
+    "object": (*BAD_NAMES[:-3], 3, "7"),
+    "file": ("../picks.safetensors", "01-a/b.safetensors", "..", "01-fox.safetensors\n", 3),
+    "kind": ("photo", 3),
+    "styles": (3, [3], [{"path": "a\0"}], [{"sha256": "x" * 200}]),
+    "settings": (None, {"form": "x"}, {"form": 9}),
+    "strength": ("x", -1, 9, float("nan")),
+    "form": ("x", -1, 9),
+    "visible": ("x", 1),
+    "features": (3, "a\nb"),
+    "weights": (3, "a"),
+}
 JSON_MUTANTS: list[tuple[str, Change]] = [
-    *(("scene.json", put("capture", value=value)) for value in (3, [], "a\0b", "\ud800")),
-    *(("scene.json", put("test_views", value=value)) for value in (3, "a", [3], ["a\nb"], None)),
-    *(("scene.json", put("settings", value=value)) for value in (3, [], None, "x")),
-    *(
-        ("scene.json", put("settings", value={"downscale": value}))
-        for value in (0, -1, 1e9, 10**400, float("nan"), float("inf"), "2", True, None)
-    ),
-    *(("cameras.json", put("dtype", value=value)) for value in ("float16", 3, None, ["float32"])),
-    *(("cameras.json", put("cameras", value=value)) for value in ([], {}, None, [[]], [None])),
-    *(
-        ("cameras.json", camera("size", value=value))
-        for value in ([-4, 3], [0, 3], [200_000, 2], [60_000, 60_000], [1.5, 3], [3], 3, [2, 2, 2])
-    ),
-    *(
-        ("cameras.json", camera("name", value=value))
-        for value in ("", 3, None, "a\nb", "sub/b.png")
-    ),
-    *(
-        ("cameras.json", camera("viewmat", 0, 0, value=value))
-        for value in (float("nan"), float("inf"), 1e300, 10**400, "1", None, [], 7.0)
-    ),
-    ("cameras.json", camera("viewmat", value=[[0.0] * 4] * 4)),
-    ("cameras.json", camera("viewmat", value=[[1.0] * 4] * 3)),
-    *(("cameras.json", camera("K", 0, 0, value=value)) for value in (0, -5, 1e30, float("nan"))),
-    ("cameras.json", camera("K", value=[[0.0] * 3] * 3)),
+    *(("scene.json", put(key, value=v)) for key, values in SCENE.items() for v in values),
+    *(("cameras.json", camera(key, value=v)) for key, values in CAMERA.items() for v in values),
+    *(("layers.json", layer(key, v)) for key, values in LAYER.items() for v in values),
+    ("cameras.json", put("dtype", value="float16")),
+    *(("cameras.json", put("cameras", value=value)) for value in ([], {}, [None])),
     *(("objects.json", put(name, value={})) for name in BAD_NAMES),
-    *(("objects.json", put("fox", value=value)) for value in (None, 3, [], "x")),
-    *(
-        ("objects.json", put("fox", value={"ids": value}))
-        for value in (3, None, [-1], [2**24], ["7"], [[7]], [10**30], {"a": 1})
+    *(("objects.json", put("fox", value=v)) for v in (3, {"ids": 3}, {"ids": [-1, "7"]})),
+        ("objects.json", put("fox", value=v))
+        for v in (3, {"ids": 3}, {"ids": [-1]}, {"ids": ["7"]})
     ),
     ("metrics.json", put("train", value=3)),
-    *(("layers.json", put("layers", value=value)) for value in ([], {}, None, [3], [{}])),
-    *(("layers.json", layer("object", name)) for name in (*BAD_NAMES[:-3], 3, None, "9" * 5000)),
-    ("layers.json", layer("object", "7")),
-    *(
-        ("layers.json", layer("file", value))
-        for value in (
-            *("../picks.safetensors", "/etc/passwd", "01-a/b.safetensors", "..", "", 3, None),
-            *("01-fox.safetensors\n", "01-..safetensors", "1-fox.safetensors", "01-fox.ply"),
-        )
-    ),
-    *(("layers.json", layer("kind", value)) for value in ("photo", 3, None)),
-    *(("layers.json", layer("styles", value)) for value in (3, [3], {}, ["a"], [{"path": 3}])),
-    *(("layers.json", layer("styles", [{"path": value}])) for value in ([3], "a\0", {})),
-    *(("layers.json", layer("styles", [{"sha256": value}])) for value in (3, "x" * 200, "a\nb")),
-    *(("layers.json", layer("settings", value)) for value in (None, 3, [["a", 1]])),
-    *(("layers.json", layer("settings", {"form": value})) for value in ("x", -1, 9, None)),
-    *(("layers.json", layer("strength", value)) for value in ("x", -1, 9, float("nan"), [])),
-    *(("layers.json", layer("form", value)) for value in ("x", -1, 9, float("nan"), [])),
-    *(("layers.json", layer("visible", value)) for value in ("x", 1, None)),
-    *(("layers.json", layer("features", value)) for value in (3, [], "a\nb")),
-    *(("layers.json", layer("weights", value)) for value in (3, [], "a")),
+    *(("layers.json", put("layers", value=value)) for value in ([], {}, [3], [{}])),
 ]
 
 
@@ -123,16 +105,8 @@ def test_json_that_does_not_fit(folder: Path, name: str, change: Change):
 @pytest.mark.parametrize("name", ["scene", "cameras", "objects", "metrics", "layers"])
 @pytest.mark.parametrize(
     "content",
-    [
-        b"[" * 3000,
-        b'{"a":' * 3000,
-        b'{"version": 1, "a": ' + b"[" * 500 + b"]" * 500 + b"}",
-        b'{"version": ' + b"9" * 6000 + b"}",
-        b"null",
-        b"\xff\xfe",
-        b"\0",
-    ],
-    ids=range(7),
+    [b"[" * 3000, b'{"a": ' + b"[" * 500 + b"]" * 500 + b"}", b"null", b"\xff\xfe"],
+    ids=range(4),
 )
 def test_json_that_is_none_or_deep(folder: Path, name: str, content: bytes):
     (folder / f"{name}.json").write_bytes(content)
@@ -166,16 +140,7 @@ TENSOR_MUTANTS: list[tuple[str, Change]] = [
             *((FOX, name) for name in ("shares", "sh0", "shN", "opacity_factors", "relief")),
             *((FOX, f"canvas_{name}") for name in ("means", "scales", "opacities", "relief")),
         )
-        for change in (
-            torch.Tensor.half,
-            torch.Tensor.double,
-            torch.Tensor.int,
-            filled(torch.nan),
-            filled(torch.inf),
-            filled(1e30),
-            lambda tensor: tensor[None].clone(),
-            lambda tensor: tensor[:1].clone(),
-        )
+        for change in (torch.Tensor.half, filled(torch.nan), filled(1e30), lambda t: t[:1].clone())
     ),
     *(
         (file, without(name))
