@@ -18,7 +18,6 @@ from stylesplat.verbs.load import load
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
 
 MakeCapture = Callable[..., Path]
-SHARED = Path("/work/shared/data")
 FISHEYE = ("OPENCV_FISHEYE", (60.0, 62.0, 31.0, 25.0, 0.04, -0.01, 0.003, -0.001))
 BARREL = ("OPENCV", (60.0, 62.0, 31.0, 25.0, 0.15, -0.02, 0.002, -0.001))
 
@@ -239,17 +238,3 @@ def test_a_shift_that_is_none(make_capture: MakeCapture):
     model.write(folder / "sparse/0")
     with pytest.raises(StyleSplatError, match=r"1 of the 3 poses .* NaN .* that of 003\.png"):
         load(folder)
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the developers' data")
-@pytest.mark.parametrize(
-    ("name", "count", "size", "points"),
-    [("fox", 50, (540, 960), 12178), ("desk", 51, (946, 532), 4402)],
-)
-def test_real_captures(name: str, count: int, size: tuple[int, int], points: int):
-    capture = load(SHARED / name, downscale=2.0)
-    assert len(capture) == count and capture.cameras.size == (size[0] // 2, size[1] // 2)
-    assert capture.points is not None and len(capture.points) == points
-    assert capture.photos[0].shape == (size[1] // 2, size[0] // 2, 3)
-    assert capture.label_maps is not None and capture.label_maps[0] is not None
-    assert capture.label_maps[0].shape == (size[1] // 2, size[0] // 2)
