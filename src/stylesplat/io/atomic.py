@@ -39,7 +39,7 @@ def mark() -> str:
     return uuid4().hex[:12]
 
 
-def beside(path: Path) -> Path:
+def _draft_name(path: Path) -> Path:
     """A new hidden name in the folder of a path, with the same suffix."""
     return path.with_name(f".{path.stem}.{mark()}{path.suffix}")
 
@@ -64,7 +64,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     flushed to the disk before it is renamed, so a power cut leaves the old file or the new one.
     """
     path = Path(path)
-    draft = beside(path)
+    draft = _draft_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
@@ -184,7 +184,7 @@ def _refuse_place(path: Path) -> None:
     there = next(parent for parent in path.parents if os.path.lexists(parent))
     if not there.is_dir():
         raise StyleSplatError(f"Cannot make {path}: {there} is a file. Choose another folder.")
-    parts = (*path.parts[:-1], beside(path).name)
+    parts = (*path.parts[:-1], _draft_name(path).name)
     if any(len(os.fsencode(part)) > MAX_NAME_BYTES for part in parts):
         raise cannot_write(path, OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG)))
     if not os.access(there, os.W_OK | os.X_OK):
@@ -226,7 +226,7 @@ def _replace_folder(draft: Path, path: Path) -> None:
     if not path.exists():
         draft.rename(path)
     elif not _exchange(draft, path):
-        old = beside(path)
+        old = _draft_name(path)
         path.rename(old)
         try:
             draft.rename(path)

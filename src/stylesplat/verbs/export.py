@@ -1,4 +1,4 @@
-"""`export`: splats in the formats of other programs, or as a page that shows them."""
+"""`export`: splats in the formats of other programs, or as a web page."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,32 +39,31 @@ def export(
 
     Args:
         what: A scene, or splats alone.
-        path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`, as
-            SuperSplat compresses, four times smaller; in `.spz`, about six times smaller; in
+        path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`,
+            SuperSplat's form, four times smaller; in `.spz`, about six times smaller; in
             `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb` or
             `.gltf`, glTF with Khronos' KHR_gaussian_splatting, as float32; or in `.html`, a page
             that any browser opens from
             the disk, without a network, and that compares a styled scene with what it was before.
-        objects: Names or label ids of what to write alone; by default everything. It lies where
-            it does in the scene, so that parts fit together again.
-        without: Names or label ids of what to leave out.
-        selected: Names or label ids of what a `.ply` marks as selected in SuperSplat.
-        columns: Whether a `.ply` has `label` and `share` of each Gaussian besides.
-        sidecar: Whether a file beside it, of its name and `.objects.npz`, lists the objects in
-            the order of its rows.
+        objects: Names or label ids of the objects to write; by default everything. Positions are
+            those in the scene, so that parts fit together again.
+        without: Names or label ids of objects to leave out.
+        selected: Names or label ids of objects that a `.ply` marks as selected in SuperSplat.
+        columns: Whether a `.ply` gets the columns `label` and `share`.
+        sidecar: Whether a second file, `path` with `.objects.npz` added, lists the objects in the
+            order of the file's rows.
         overwrite: Whether a file of that name may be replaced.
-        sh_degree: Up to which degree, 0 to 3, colours may depend on where they are seen from; what
-            is above is left out. By default nothing is: `.ply` has the columns of degree 3, as
-            INRIA's, the others have as many as are not all zero.
+        sh_degree: Highest degree of spherical harmonics, 0 to 3, that is written. By default no
+            band is lost: `.ply` has the columns of degree 3, as INRIA's, the others as many as are
+            not all zero.
 
     Returns:
         How many Gaussians were written.
 
     Raises:
-        StyleSplatError: If the suffix is none of these or has no such degree, the file exists and
-            may not be replaced, it cannot be written, the splats reach farther than `.spz` can
-            express or are none that glTF can hold, the scene has no such object, nothing is
-            left, or nothing would show on a page.
+        StyleSplatError: If the format is unknown or cannot hold the splats, the file exists and
+            `overwrite` is off, it cannot be written, the scene has no such object, or nothing is
+            left to write.
     """
     path = Path(path)
     beside = path.with_name(path.name + SIDECAR)
@@ -94,11 +93,11 @@ def export(
 def export_objects(
     scene: Scene, path: Path | str, *, objects: Sequence[str] = (), overwrite: bool = False
 ) -> int:
-    """Write which Gaussians of a scene are what object, and how much of them is.
+    """Write the Gaussians of each object of a scene, and their shares.
 
     Args:
         scene: With objects; its `.ply` has the same rows.
-        path: A file name ending in `.npz` or `.json`; see `read_objects`.
+        path: A file name ending in `.npz` or `.json`.
         objects: Names or label ids; by default all objects.
         overwrite: Whether a file of that name may be replaced.
 
@@ -106,8 +105,8 @@ def export_objects(
         How many objects were written.
 
     Raises:
-        StyleSplatError: If the scene has no objects, or not these; or the file exists and may not
-            be replaced, or cannot be written.
+        StyleSplatError: If the scene lacks these objects, or the file exists and `overwrite` is
+            off, or it cannot be written.
     """
     refuse_file(path, overwrite=overwrite)
     listed = listed_objects(_scene(scene), objects)
@@ -124,7 +123,7 @@ def export_each(
     overwrite: bool = False,
     sh_degree: int | None = None,
 ) -> list[Path]:
-    """Write each object of a scene into a file of its name, and the rest into one more.
+    """Write each object of a scene into its own file, and the rest into `rest`.
 
     Args:
         scene: With objects.
@@ -134,7 +133,7 @@ def export_each(
         sh_degree: See `export`.
 
     Returns:
-        The files, `rest` being what belongs to no object.
+        The files.
 
     Raises:
         StyleSplatError: As `export` does, or if the scene has no objects.
@@ -150,7 +149,7 @@ def export_each(
 def _besides(
     what: Scene | Splats, selected: Sequence[str], listed: ListedObjects | None
 ) -> dict[str, Tensor]:
-    """Columns of a `.ply` that say what is what."""
+    """The additional columns of a `.ply`."""
     columns = dict[str, Tensor]()
     if listed is not None:
         columns |= {LABEL: listed.numbered().to(torch.int32), SHARE: listed.shares()}

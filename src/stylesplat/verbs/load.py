@@ -11,16 +11,15 @@ from stylesplat.scene.capture import Capture
 def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
     """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
 
-    Only the headers of the photos are read; the photos themselves are on access, each time anew,
-    and then undistorted. The world stays as it is in the files. Of photos with transparency a few
-    are looked at: if they are cut out, what is opaque is an object called `object`, unless there
-    are label maps.
+    Only the headers of the photos are read now; photos are decoded and undistorted on each access.
+    The world frame is that of the files. If photos are cut out (a few with an alpha channel are
+    decoded to find out), the opaque part is an object called `object`, unless there are label maps.
 
     Args:
         path: The capture's folder.
-        downscale: How many times smaller photos, label maps and cameras shall be.
+        downscale: Factor by which photos, label maps and cameras are made smaller.
         masks: The folder of label maps; by default the capture's `object_mask/` if it has one.
-            False leaves label maps out, unread, and the object of cut-out photos too.
+            False ignores label maps, and the object of cut-out photos too.
 
     Raises:
         StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or

@@ -38,7 +38,7 @@ Row = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]  # which 
 Pose = Annotated[list[Row], msgspec.Meta(min_length=3, max_length=4)]
 
 
-class Frame(msgspec.Struct):
+class _Frame(msgspec.Struct):
     """The entry of a photo, merged with the entries that apply to all."""
 
     file_path: str
@@ -61,7 +61,7 @@ class Frame(msgspec.Struct):
     is_fisheye: bool = False
 
 
-class Transforms(msgspec.Struct):
+class _Transforms(msgspec.Struct):
     """The file, without the keys that a frame may have too."""
 
     frames: list[dict[str, Any]] = []
@@ -76,7 +76,7 @@ def read_transforms(folder: Path) -> PosedFiles:
     """
     path = folder / TRANSFORMS
     content = read_json(path)
-    whole = fitting(content, Transforms, f"{path} is malformed", AGAIN)
+    whole = fitting(content, _Transforms, f"{path} is malformed", AGAIN)
     if not whole.frames:
         raise StyleSplatError(f"{path} has no frames, so no cameras. Pose the photos again.")
     try:
@@ -131,7 +131,7 @@ def write_transforms(
 def _read_frame(
     path: Path, content: dict[str, Any]
 ) -> tuple[Path, Lens | None, Float[Tensor, "4 4"]]:
-    frame = fitting(content, Frame, f"A frame of {path} is malformed", AGAIN)
+    frame = fitting(content, _Frame, f"A frame of {path} is malformed", AGAIN)
     check_path(frame.file_path)
     photo = _find_photo(path.parent / frame.file_path)
     pose = torch.eye(4, dtype=torch.float64)
@@ -145,7 +145,7 @@ def _find_photo(path: Path) -> Path:
     return next((p for p in candidates if p.is_file()), path)
 
 
-def _read_lens(frame: Frame, photo: Path) -> Lens | None:
+def _read_lens(frame: _Frame, photo: Path) -> Lens | None:
     if frame.w is None and not os.path.lexists(photo):
         return None
     width, height = _size(frame, photo)
@@ -167,7 +167,7 @@ def _read_lens(frame: Frame, photo: Path) -> Lens | None:
     return Lens.from_colmap(pycolmap.Camera(model=model, width=width, height=height, params=params))
 
 
-def _size(frame: Frame, photo: Path) -> tuple[int, int]:
+def _size(frame: _Frame, photo: Path) -> tuple[int, int]:
     if frame.w is None:
         return image_sizes(photo, reduced=False)[1]
     if frame.h is None:
