@@ -16,7 +16,7 @@ from stylesplat.scene.sh_basis import sh_basis
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 
-SHARED = Path("/work/shared/data/splats/metalsplatter")
+SHARED = Path(__file__).parents[2] / "shared" / "data" / "splats" / "metalsplatter"
 
 
 def random_splats(count: int = 50, bands: int = 15) -> Splats:

@@ -1,5 +1,6 @@
 """Tensors on disk: safetensors files whose names, types, shapes and ranges are declared."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,7 +102,8 @@ def check_range(name: str, tensor: Tensor, declared: Declared) -> None:
             raise ValueError(f"{name} has values that are neither true nor false")
     elif tensor.numel():
         low, high = tensor.aminmax()  # one pass, enough for nearly every tensor; NaN is in neither
-        if not (declared.low <= low and high <= declared.high):
+        finite = low > -math.inf and high < math.inf  # the declared range may be infinite
+        if not (finite and declared.low <= low and high <= declared.high):
             _raise_range(name, tensor, declared)
     if declared.unique and len(tensor.unique()) < len(tensor):
         raise ValueError(f"{name} are not all different")
