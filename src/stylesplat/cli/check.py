@@ -13,7 +13,7 @@ from stylesplat.cli.posed import earlier_capture
 
 if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture
-    from stylesplat.structure_from_motion.capture_report import CaptureReport
+    from stylesplat.structure_from_motion.diagnostics import CaptureReport
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Check:
         """Do it."""
         from stylesplat.io.captures.capture_folder import is_posed, open_capture
         from stylesplat.io.kinds import kind_of, no_capture
-        from stylesplat.structure_from_motion.sharpness import SIDE
+        from stylesplat.structure_from_motion.image_measures import SIDE
         from stylesplat.verbs.check import check
 
         if self.output is not None:

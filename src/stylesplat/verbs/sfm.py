@@ -25,15 +25,14 @@ from stylesplat.io.recovery import changing
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
-from stylesplat.structure_from_motion.capture_report import CaptureReport
-from stylesplat.structure_from_motion.photo_folder import find_sources
-from stylesplat.structure_from_motion.placing import place
+from stylesplat.structure_from_motion.config import SfmConfig
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.image_measures import SIDE
+from stylesplat.structure_from_motion.photo_folder import PreparedPhotos, find_sources
 from stylesplat.structure_from_motion.prepare import prepare
-from stylesplat.structure_from_motion.prepared import Prepared
 from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
-from stylesplat.structure_from_motion.sfm_config import SfmConfig
-from stylesplat.structure_from_motion.sharpness import SIDE
 from stylesplat.structure_from_motion.undistort import write_colmap
+from stylesplat.structure_from_motion.world_frame import move_to_working_frame
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 
@@ -89,7 +88,7 @@ def sfm(
         digest = digest_of(source)
         prepared = prepare(source, photos, frames=frames)
         found = reconstruct(photos, prepared, work, config=config)
-        frame = place(found.model)
+        frame = move_to_working_frame(found.model)
         with claim_directory(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, photos, new)
             record = _record(source, digest, prepared, found, frame, config)
@@ -151,7 +150,7 @@ def _forget(work: Path) -> None:
 def _record(
     source: Path,
     digest: str,
-    prepared: Prepared,
+    prepared: PreparedPhotos,
     found: Reconstruction,
     frame: Frame,
     config: SfmConfig,

@@ -10,8 +10,7 @@ from torch import Tensor
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.frames import Frame, seen_from
 from stylesplat.scene.poses import look_at
-from stylesplat.structure_from_motion.centre import find_centre
-from stylesplat.structure_from_motion.frame import camera_up, working_frame
+from stylesplat.structure_from_motion.world_frame import camera_up, find_centre, working_frame
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 NOTHING = torch.zeros(0, 3)
@@ -116,12 +115,9 @@ def test_centre_scale_and_heading():
     assert thing.norm() < 0.03, "what they look at, but for the noise of their hands"
     views = there.viewmats[:, 2, :3].mean(dim=0)
     assert abs(views[0]) < 1e-5 and views[2] > 0.5 and views[1] > 0.1, "ahead, and down"
-
-
-def test_all_around_the_first_photo_looks_ahead():
-    there = seen_from(cameras := walk(0, 350, 36), working_frame(cameras, table()))
-    first = there.viewmats[0, 2, :3]
-    assert abs(first[0]) < 1e-5 and first[2] > 0.5
+    around = walk(0, 350, 36)
+    first = seen_from(around, working_frame(around, points)).viewmats[0, 2, :3]
+    assert abs(first[0]) < 1e-5 and first[2] > 0.5, "all around: the first photo looks ahead"
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -143,7 +139,7 @@ def test_cameras_that_look_elsewhere_do_not_move_the_centre():
     cameras = walk(-60, 60, 24)
     aside = cameras_at(cameras.positions[:3], torch.tensor([0.0, 9.0, 4.0]))
     both = cameras + replace(aside, names=("a", "b", "c"))
-    place = find_centre(both, table()).place
+    place = find_centre(both, table()).position
     assert (place - torch.tensor([0, 0, 0.3])).norm() < 0.15
 
 
@@ -154,7 +150,7 @@ def test_views_that_meet_far_behind_or_never_go_by_the_points(meeting: float):
     wall = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
     wall[:, 1] = 0
     centre = find_centre(level, wall)
-    assert centre.place.norm() < 0.15 and not centre.outward
+    assert centre.position.norm() < 0.15 and not centre.outward
     frame = working_frame(level, wall)
     assert 3.5 < 1 / frame.scale < 4.5
 
@@ -168,7 +164,7 @@ def test_a_room_seen_from_within():
         torch.randn(600, 3, generator=torch.Generator().manual_seed(0)), dim=1
     )
     centre = find_centre(cameras, walls)
-    assert centre.outward and centre.place.norm() < 1
+    assert centre.outward and centre.position.norm() < 1
     assert degrees(up_of(working_frame(cameras, walls)), UP) < 1
 
 
@@ -184,13 +180,9 @@ def test_hardly_anything_still_gives_a_frame(count: int, few: int):
     torch.testing.assert_close(frame.rotation @ frame.rotation.T, torch.eye(3).double())
     assert torch.linalg.det(frame.rotation) == pytest.approx(1)
     assert degrees(up_of(frame), UP) < 16, "even that of a plane that is none is near level"
-
-
-def test_straight_down():
-    places = torch.stack([torch.linspace(-1, 1, 5), torch.zeros(5), torch.full((5,), 3.0)], dim=1)
-    cameras = cameras_at(places, torch.tensor([0.0, 0.0, 0.0]))
     down = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     viewmats = cameras.viewmats.clone()
-    viewmats[:, :3, :3], viewmats[:, :3, 3] = down, -places @ down.T
-    frame = working_frame(replace(cameras, viewmats=viewmats), table())
-    assert frame.rotation.isfinite().all()
+    viewmats[:, :3, :3], viewmats[:, :3, 3] = down, -line @ down.T
+    assert (
+        working_frame(replace(cameras, viewmats=viewmats), table()[:few]).rotation.isfinite().all()
+    )
