@@ -9,7 +9,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import MAX_JSON
 from stylesplat.masks.coco import decode_rle
-from stylesplat.masks.foreign import foreign_label_maps
+from stylesplat.masks.import_masks import import_label_maps
 
 NAMES = ("001.png", "002.png", "003.png")
 SHAPE = (6, 8)
@@ -68,9 +68,9 @@ def coco(tmp_path: Path, **changes: object) -> Path:
 
 
 def test_coco(tmp_path: Path):
-    found = foreign_label_maps(coco(tmp_path), NAMES)
+    found = import_label_maps(coco(tmp_path), NAMES)
     assert torch.equal(found.maps["002.png"].read(), 9 * LARGE.long())
-    found = foreign_label_maps(coco(tmp_path, track_id=4), NAMES)
+    found = import_label_maps(coco(tmp_path, track_id=4), NAMES)
     assert torch.equal(found.maps["002.png"].read(), 4 * LARGE.long())
 
 
@@ -90,7 +90,7 @@ def test_coco(tmp_path: Path):
 )
 def test_coco_that_is_damaged(tmp_path: Path, changes: dict, expected: str):
     with pytest.raises(StyleSplatError, match=expected):
-        foreign_label_maps(coco(tmp_path, **changes), NAMES).maps["002.png"].read()
+        import_label_maps(coco(tmp_path, **changes), NAMES).maps["002.png"].read()
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_annotations_of_wrong_types(tmp_path: Path, content: dict):
     path = coco(tmp_path)
     path.write_text(json.dumps({**json.loads(path.read_text()), **content}))
     with pytest.raises(StyleSplatError, match=r"a\.json"):
-        foreign_label_maps(path, NAMES)
+        import_label_maps(path, NAMES)
 
 
 def test_masks_of_one_photo_that_differ_in_size(tmp_path: Path):
@@ -167,7 +167,7 @@ def test_masks_of_one_photo_that_differ_in_size(tmp_path: Path):
     content["annotations"].append(other)
     path.write_text(json.dumps(content))
     with pytest.raises(StyleSplatError, match="differ in size: 2x2 and 8x6"):
-        foreign_label_maps(path, NAMES)
+        import_label_maps(path, NAMES)
 
 
 def test_tracks_without_categories(tmp_path: Path):
@@ -177,13 +177,13 @@ def test_tracks_without_categories(tmp_path: Path):
         each["track_id"] = 5
         each.pop("category_id", None)
     path.write_text(json.dumps(content))
-    found = foreign_label_maps(path, NAMES)
+    found = import_label_maps(path, NAMES)
     assert set(found.maps["002.png"].read().unique().tolist()) <= {0, 5} and not found.names
 
 
 def maps_of(path: Path, names: tuple[str, ...]) -> dict[str, list[int]]:
     """The ids by photo."""
-    maps = foreign_label_maps(path, names).maps
+    maps = import_label_maps(path, names).maps
     return {name: sorted(drawn.read().unique().tolist()) for name, drawn in maps.items()}
 
 
@@ -197,7 +197,7 @@ def test_coco_of_photos_in_folders(tmp_path: Path):
     content["annotations"][0]["image_id"] = 6
     path.write_text(json.dumps(content))
     with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1"):
-        foreign_label_maps(path, cameras)
+        import_label_maps(path, cameras)
 
 
 def test_what_other_programs_add_is_passed_over(tmp_path: Path):
@@ -211,7 +211,7 @@ def test_what_other_programs_add_is_passed_over(tmp_path: Path):
         "categories": [{"id": 9, "name": "pot", "color": "#f00"}],
     }
     path.write_text(json.dumps(content))
-    found = foreign_label_maps(path, NAMES)
+    found = import_label_maps(path, NAMES)
     assert torch.equal(found.maps["002.png"].read(), 9 * LARGE.long())
     assert found.names == {9: "pot"}
 
@@ -219,18 +219,18 @@ def test_what_other_programs_add_is_passed_over(tmp_path: Path):
 def test_it_may_be_larger_than_a_file_of_a_scene(tmp_path: Path):
     path = coco(tmp_path)
     path.write_text(path.read_text() + " " * MAX_JSON)
-    assert "002.png" in foreign_label_maps(path, NAMES).maps
+    assert "002.png" in import_label_maps(path, NAMES).maps
 
 
 @pytest.mark.parametrize("id", [7, 7.0, "7"])
 def test_ids_as_other_programs_write_them(id: object, tmp_path: Path):
-    found = foreign_label_maps(coco(tmp_path, category_id=id), NAMES)
+    found = import_label_maps(coco(tmp_path, category_id=id), NAMES)
     assert set(found.maps["002.png"].read().unique().tolist()) == {0, 7}
-    tracked = foreign_label_maps(coco(tmp_path, track_id=id), NAMES)
+    tracked = import_label_maps(coco(tmp_path, track_id=id), NAMES)
     assert set(tracked.maps["002.png"].read().unique().tolist()) == {0, 7}
 
 
 @pytest.mark.parametrize("id", [0, -1, 1.5, "x", "²", "1" * 99, 10**30, None, [1]])
 def test_ids_that_are_none(id: object, tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"a\.json"):
-        foreign_label_maps(coco(tmp_path, category_id=id), NAMES)
+        import_label_maps(coco(tmp_path, category_id=id), NAMES)

@@ -6,8 +6,13 @@ import torch
 from right_ids import right_ids
 
 from balls import BALLS, CAMERAS, SPLATS
-from stylesplat.masks.ids.grouping import SAME, clusters, mapped, parts_of
-from stylesplat.masks.ids.repair import repair
+from stylesplat.masks.repair import (
+    SAME_IOU,
+    cluster_parts,
+    connected_parts,
+    map_labels,
+    repair_ids,
+)
 from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
@@ -18,7 +23,7 @@ RED, GREEN, BLUE = BALLS
 
 
 def repaired(maps: list[torch.Tensor], splats: Splats = PLAIN) -> list[torch.Tensor]:
-    return repair(splats, CAMERAS, maps)
+    return repair_ids(splats, CAMERAS, maps)
 
 
 def right(maps: list[torch.Tensor]) -> float:
@@ -29,7 +34,7 @@ def changed(rows: range | list[int], **ids: int) -> list[torch.Tensor]:
     """The truth with other ids in some views, by the colour of the ball."""
     new = {0: 0} | {id: id for id in BALLS}
     new |= {{"red": RED, "green": GREEN, "blue": BLUE}[name]: id for name, id in ids.items()}
-    return [mapped(m, new) if row in rows else m for row, m in enumerate(TRUTH)]
+    return [map_labels(m, new) if row in rows else m for row, m in enumerate(TRUTH)]
 
 
 def ids(maps: list[torch.Tensor]) -> set[int]:
@@ -40,7 +45,7 @@ def test_right_ids_stay_and_count_from_one_by_size():
     found = repaired(TRUTH)
     order = sorted(BALLS, key=lambda id: -sum(int((labels == id).sum()) for labels in TRUTH))
     for labels, exact in zip(found, TRUTH, strict=True):
-        assert mapped(labels, {0: 0} | dict(enumerate(order, start=1))).equal(exact.int())
+        assert map_labels(labels, {0: 0} | dict(enumerate(order, start=1))).equal(exact.int())
     assert all(a.equal(b) for a, b in zip(repaired(found), found, strict=True))
 
 
@@ -58,7 +63,10 @@ def test_right_ids_stay_and_count_from_one_by_size():
         pytest.param(changed([4], red=0, green=0, blue=0), 0.93, id="nothing found in a view"),
         pytest.param(changed(range(3), red=91, green=92, blue=93), 0.99, id="anew under other ids"),
         pytest.param(
-            [mapped(m, {0: 0} | {id: 9 * row + id for id in BALLS}) for row, m in enumerate(TRUTH)],
+            [
+                map_labels(m, {0: 0} | {id: 9 * row + id for id in BALLS})
+                for row, m in enumerate(TRUTH)
+            ],
             0.99,
             id="other ids in each view",
         ),
@@ -74,7 +82,7 @@ def test_balls_that_one_id_holds_wherever_they_show_apart_become_two():
     # In three of eight views the two are one part; in the others nothing connects them
     maps = changed(range(8), red=GREEN)
     assert len(ids(maps)) == 3
-    connected = [row for row, m in enumerate(maps) if len([*parts_of(m)]) < 3]
+    connected = [row for row, m in enumerate(maps) if len([*connected_parts(m)]) < 3]
     assert connected
     found = repaired([m if row in connected else TRUTH[row] for row, m in enumerate(maps)])
     assert right(found) > 0.97 and ids(found) == {0, 1, 2, 3}
@@ -111,39 +119,16 @@ def test_what_one_view_alone_shows_is_no_object():
     maps[0][-8:, :8] = 55  # on the table
     found = repaired(maps)
     assert ids(found) == {0, 1, 2, 3} and not found[0][-8:, :8].any()
-    alone = repair(PLAIN, CAMERAS[0], [maps[0]])
+    alone = repair_ids(PLAIN, CAMERAS[0], [maps[0]])
     assert len(ids(alone)) == 5  # there is no other view to ask
 
 
 def test_background_only_and_no_views():
     nothing = [torch.zeros_like(labels) for labels in TRUTH]
     assert all(not labels.any() for labels in repaired(nothing))
-    assert repair(PLAIN, CAMERAS[[]], []) == []
+    assert repair_ids(PLAIN, CAMERAS[[]], []) == []
     one = [TRUTH[0], *nothing[1:]]
     assert all(not labels.any() for labels in repaired(one))
-
-
-def test_a_splat_that_shows_nothing_changes_little():
-    away = replace(PLAIN, means=PLAIN.means + 99)
-    found = repaired(TRUTH, away)
-    assert all((a > 0).sum() <= (b > 0).sum() for a, b in zip(found, TRUTH, strict=True))
-
-
-def test_labels_do_not_matter_nor_do_ids_that_are_large():
-    maps = changed([2, 5], red=GREEN, green=RED)
-    large = [labels * 50_000 for labels in maps]
-    for a, b, c in zip(repaired(maps), repaired(maps, SPLATS), repaired(large), strict=True):
-        assert a.equal(b) and a.equal(c)
-
-
-def test_photos_larger_than_votes_are_counted_at():
-    factor = 20  # 960x720
-    cameras = CAMERAS.downscale(1 / factor)[:3]
-    truth = [resize_labels(labels, (36 * factor, 48 * factor)) for labels in TRUTH[:3]]
-    maps = [truth[0], mapped(truth[1], {0: 0, RED: GREEN, GREEN: RED, BLUE: BLUE}), truth[2]]
-    found = repair(PLAIN, cameras, maps)
-    assert right_ids(maps, truth).right_pixels < 0.8 < 0.97 < right_ids(found, truth).right_pixels
-    assert found[0].shape == truth[0].shape
 
 
 @pytest.mark.parametrize("row", range(8))
@@ -155,29 +140,8 @@ def test_no_view_has_a_say_in_its_own_labels(row: int):
     maps, truth = changed([row], red=GREEN, blue=GREEN), [*TRUTH]
     for labels in (maps, truth):
         labels[row] = resize_labels(labels[row], (36 * factor, 48 * factor))
-    found = repair(PLAIN, replace(CAMERAS, Ks=Ks, sizes=sizes), maps)
+    found = repair_ids(PLAIN, replace(CAMERAS, Ks=Ks, sizes=sizes), maps)
     assert right_ids(maps, truth).right_pixels < 0.65 < 0.9 < right_ids(found, truth).right_pixels
-
-
-def test_a_map_of_another_size_and_back():
-    labels = torch.arange(12).reshape(3, 4)
-    assert resize_labels(resize_labels(labels, (9, 8)), (3, 4)).equal(labels)
-    assert resize_labels(labels, (1, 2)).tolist() == [[5, 7]]
-
-
-def test_connected_parts():
-    labels = torch.zeros(6, 9, dtype=torch.int64)
-    labels[0, 0:3] = labels[4:6, 5:9] = 70_000
-    labels[2:4, 2:5] = 2
-    labels[4, 5] = 0
-    found = [
-        (id, labels[box][part].tolist(), int(part.sum())) for id, box, part in parts_of(labels)
-    ]
-    assert sorted(found) == [(2, [2] * 6, 6), (70_000, [70_000] * 3, 3), (70_000, [70_000] * 7, 7)]
-    rebuilt = torch.zeros_like(labels)
-    for id, box, part in parts_of(labels):
-        rebuilt[box][part] = id
-    assert rebuilt.equal(labels) and not [*parts_of(torch.zeros_like(labels))]
 
 
 def united_by_the_book(both: np.ndarray, either: np.ndarray) -> np.ndarray:
@@ -191,7 +155,7 @@ def united_by_the_book(both: np.ndarray, either: np.ndarray) -> np.ndarray:
             for b in range(a)
         }
         (a, b), most = max(iou.items(), key=lambda item: item[1])
-        if most < SAME:
+        if most < SAME_IOU:
             break
         groups[b] += groups.pop(a)
     result = np.zeros(len(both), int)
@@ -209,6 +173,6 @@ def test_clusters_are_those_of_the_plain_way(seed: int):
     both[near[:, None] == near] *= 1.8
     both, either = both + both.T, either + either.T
     expected = united_by_the_book(both, either)
-    found = clusters(both.copy(), either.copy())
+    found = cluster_parts(both.copy(), either.copy())
     assert 1 < len(np.unique(found)) < 30
     assert np.array_equal(found[:, None] == found, expected[:, None] == expected)

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.models.found_so_far import open_progress
-from stylesplat.masks.models.track import State
+from stylesplat.masks.checkpoint import open_checkpoint
+from stylesplat.masks.tracking import TrackingState
 
 
 def zeros(width: int, shape: tuple[int, ...] = (1, 4, 1), kind: type = np.uint8) -> bytes:
@@ -36,7 +36,7 @@ def zeros(width: int, shape: tuple[int, ...] = (1, 4, 1), kind: type = np.uint8)
     ids=range(9),
 )
 def test_damaged_proposals_are_asked_again(content: bytes, tmp_path: Path):
-    progress = open_progress(tmp_path / "run", {"sizes": [[8, 4]]})
+    progress = open_checkpoint(tmp_path / "run", {"sizes": [[8, 4]]})
     (tmp_path / "run" / "proposals_0.npz").write_bytes(content)
     found = torch.ones(4, 8, dtype=torch.bool)
     (mask,) = progress.proposals(0, lambda: [found])
@@ -47,8 +47,8 @@ def test_damaged_proposals_are_asked_again(content: bytes, tmp_path: Path):
 @pytest.mark.parametrize(
     "change",
     [
-        {"stretches": "1"},
-        {"stretches": -1},
+        {"clips": "1"},
+        {"clips": -1},
         {"next_id": 2**70},
         {"next_id": None},
         {"missed": {"x": 1}},
@@ -58,19 +58,19 @@ def test_damaged_proposals_are_asked_again(content: bytes, tmp_path: Path):
     ids=str,
 )
 def test_a_damaged_state_begins_anew(change: dict, tmp_path: Path, said: list[str]):
-    progress = open_progress(tmp_path / "run", {})
+    progress = open_checkpoint(tmp_path / "run", {})
     labels = torch.ones(4, 8, dtype=torch.int64)
-    progress.save(1, {0: labels}, State(labels, {1: 0}, 2))
-    assert progress.stands()[0] == 1
+    progress.save(1, {0: labels}, TrackingState(labels, {1: 0}, 2))
+    assert progress.load()[0] == 1
     content = json.loads((tmp_path / "run" / "state.json").read_text())
     (tmp_path / "run" / "state.json").write_text(json.dumps(content | change))
-    assert progress.stands() == (0, State())
+    assert progress.load() == (0, TrackingState())
     assert said == ["What an earlier run left is damaged; tracking begins anew."]
 
 
 def test_label_maps_of_another_size_are_refused(tmp_path: Path):
-    progress = open_progress(tmp_path / "run", {"sizes": [[8, 4]]})
-    progress.save(1, {0: torch.ones(4, 9, dtype=torch.int64)}, State())
+    progress = open_checkpoint(tmp_path / "run", {"sizes": [[8, 4]]})
+    progress.save(1, {0: torch.ones(4, 9, dtype=torch.int64)}, TrackingState())
     with pytest.raises(StyleSplatError, match=r"labels_0\.png is of another size .* Delete"):
         progress.labels(0)
 
@@ -84,8 +84,8 @@ def test_a_folder_that_a_kill_left_without_settings(left: list[str], tmp_path: P
         (folder / name).touch()
     if "x.json" in left:
         with pytest.raises(StyleSplatError, match="in the way"):
-            open_progress(folder, {})
+            open_checkpoint(folder, {})
         assert sorted(path.name for path in folder.iterdir()) == left
     else:
-        open_progress(folder, {})
+        open_checkpoint(folder, {})
         assert [path.name for path in folder.iterdir()] == ["settings.json"]

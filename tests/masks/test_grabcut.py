@@ -4,7 +4,14 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.boxes.grabcut import Evidence, Stroke, cut_box, evidence, refine, refuse_box
+from stylesplat.masks.grabcut import (
+    GrabCutImage,
+    Stroke,
+    cut_box,
+    grabcut_image,
+    refine,
+    refuse_box,
+)
 
 HEIGHT, WIDTH = 60, 80
 PHOTO = "a.jpg"
@@ -29,8 +36,8 @@ def painted(*masks: torch.Tensor, wall: float = 120.0) -> torch.Tensor:
     return (photo + 4 * noise).round().clamp(0, 255).to(torch.uint8)
 
 
-def seen(photo: torch.Tensor, nearness: torch.Tensor | None = None) -> Evidence:
-    return evidence(photo, torch.ones(HEIGHT, WIDTH) if nearness is None else nearness)
+def seen(photo: torch.Tensor, nearness: torch.Tensor | None = None) -> GrabCutImage:
+    return grabcut_image(photo, torch.ones(HEIGHT, WIDTH) if nearness is None else nearness)
 
 
 def iou(one: torch.Tensor, other: torch.Tensor) -> float:
@@ -61,7 +68,7 @@ def test_what_colours_do_not_show_nearness_does():
 
 def test_channels_are_stretched_and_do_not_depend_on_the_unit_of_nearness():
     nearness = torch.linspace(0.1, 0.9, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
-    one, other = (seen(painted(DISC), scale * nearness).channels for scale in (1.0, 1000.0))
+    one, other = (seen(painted(DISC), scale * nearness) for scale in (1.0, 1000.0))
     assert abs(one.astype(int) - other.astype(int)).max() <= 1  # rounding of float32
     assert one[..., 3].min() == 0 and one[..., 3].max() == 255
     assert abs(one[..., 1:3].astype(int) - 128)[~DISC.numpy()].mean() < 20, "grey has no chroma"
@@ -90,7 +97,7 @@ def test_an_object_thinner_than_a_bridge_is_no_stray():
 
 
 def test_a_box_that_holds_nothing():
-    flat = Evidence(torch.full((HEIGHT, WIDTH, 4), 90, dtype=torch.uint8).numpy())
+    flat = torch.full((HEIGHT, WIDTH, 4), 90, dtype=torch.uint8).numpy()
     with pytest.raises(StyleSplatError, match=r"box in a\.jpg holds looks like .* tighter"):
         cut_box(flat, BOX, PHOTO)
 

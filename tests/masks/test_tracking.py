@@ -1,3 +1,5 @@
+"""From proposals in single photos to label maps: clips, confirmation, association of ids."""
+
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -6,15 +8,19 @@ import pytest
 import torch
 
 from balls import CAMERAS
-from stylesplat.masks.models.associate import to_masks
-from stylesplat.masks.models.track import (
+from stylesplat.masks.tracking import (
+    CLIP,
     PATIENCE,
-    STRETCH,
     Segmenter,
-    State,
+    TrackingState,
+    associate_ids,
     camera_path,
-    stretches,
-    track,
+    confirm_masks,
+    labels_to_masks,
+    masks_to_labels,
+    separate_masks,
+    split_clips,
+    track_clip,
 )
 from stylesplat.scene.cameras import Cameras
 
@@ -62,41 +68,41 @@ def test_photos_of_one_size_come_together():
     sizes = [(48, 36), (36, 48)] * 4
     path = camera_path(along_a_line([float(i) for i in range(8)], sizes))
     assert sorted(path[:4]) == [0, 2, 4, 6] and sorted(path[4:]) == [1, 3, 5, 7]
-    assert stretches(along_a_line([0.0, 1.0, 2.0], sizes[:3])) == [[0, 2], [1]]
+    assert split_clips(along_a_line([0.0, 1.0, 2.0], sizes[:3])) == [[0, 2], [1]]
 
 
-@pytest.mark.parametrize("count", [1, 2, STRETCH, STRETCH + 1, STRETCH + 2, 2 * STRETCH + 1, 23])
+@pytest.mark.parametrize("count", [1, 2, CLIP, CLIP + 1, CLIP + 2, 2 * CLIP + 1, 23])
 def test_stretches_meet_at_key_photos(count: int):
-    parts = stretches(along_a_line([float(i) for i in range(count)]))
+    parts = split_clips(along_a_line([float(i) for i in range(count)]))
     rows = [row for k, part in enumerate(parts) for row in part[k > 0 :]]
     assert rows == [*range(count)]
     assert all(one[-1] == other[0] for one, other in pairwise(parts))
-    assert all(len(part) == STRETCH + 1 for part in parts[:-1])
+    assert all(len(part) == CLIP + 1 for part in parts[:-1])
     assert count == 1 or all(len(part) > 1 for part in parts)
 
 
-@pytest.mark.parametrize("first", [1, 2, STRETCH, STRETCH + 1, STRETCH + 2])
+@pytest.mark.parametrize("first", [1, 2, CLIP, CLIP + 1, CLIP + 2])
 def test_stretches_end_where_the_size_changes(first: int):
     sizes = [(48, 36)] * first + [(36, 48)] * 3
-    parts = stretches(along_a_line([float(i) for i in range(first + 3)], sizes))
+    parts = split_clips(along_a_line([float(i) for i in range(first + 3)], sizes))
     assert parts[-1] == [first, first + 1, first + 2]
     assert sorted({row for part in parts for row in part}) == [*range(first + 3)]
     assert all(len({sizes[row] for row in part}) == 1 for part in parts)
-    assert len(parts) == (3 if first == STRETCH + 2 else 2)
+    assert len(parts) == (3 if first == CLIP + 2 else 2)
 
 
 def scripted(truth: list[torch.Tensor], seen: dict[int, set[int]] | None = None) -> Segmenter:
     """Follows exactly; in some photos finds only some of the objects."""
 
     def propose(row: int) -> list[torch.Tensor]:
-        found = to_masks(truth[row])
+        found = labels_to_masks(truth[row])
         return [m for id, m in found.items() if seen is None or id in seen.get(row, found)]
 
     def follow(rows, seeds) -> Iterator[dict[int, torch.Tensor]]:
-        start = to_masks(truth[rows[0]])
+        start = labels_to_masks(truth[rows[0]])
         same = {id: [o for o, m in start.items() if (m & seed).any()] for id, seed in seeds.items()}
         for row in rows:
-            masks = to_masks(truth[row])
+            masks = labels_to_masks(truth[row])
             yield {id: masks[o] for id, os in same.items() for o in os if o in masks}
 
     def size(row: int) -> tuple[int, int]:
@@ -116,10 +122,10 @@ def sliding(count: int, ids: tuple[int, ...] = (3, 7)) -> list[torch.Tensor]:
     return maps
 
 
-def tracked(segmenter: Segmenter, count: int) -> tuple[list[torch.Tensor], State]:
-    state, maps = State(), {}
-    for rows in stretches(along_a_line([float(i) for i in range(count)])):
-        found, state = track(rows, state, segmenter)
+def tracked(segmenter: Segmenter, count: int) -> tuple[list[torch.Tensor], TrackingState]:
+    state, maps = TrackingState(), {}
+    for rows in split_clips(along_a_line([float(i) for i in range(count)])):
+        found, state = track_clip(rows, state, segmenter)
         maps |= found
     return [maps[row] for row in range(count)], state
 
@@ -135,7 +141,7 @@ def test_ids_survive_along_the_path():
 
 
 def keys(count: int) -> list[int]:
-    return [part[0] for part in stretches(along_a_line([float(i) for i in range(count)]))]
+    return [part[0] for part in split_clips(along_a_line([float(i) for i in range(count)]))]
 
 
 def unseen(key: int, id: int) -> dict[int, set[int]]:
@@ -144,7 +150,7 @@ def unseen(key: int, id: int) -> dict[int, set[int]]:
 
 
 def test_an_object_missed_once_is_kept_and_one_missed_for_long_is_given_up():
-    count = 5 * STRETCH + 1
+    count = 5 * CLIP + 1
     truth, (_, *later) = sliding(count), keys(count)
     maps, state = tracked(scripted(truth, unseen(later[0], 7)), count)
     assert all((labels > 0).equal(exact > 0) for labels, exact in zip(maps, truth, strict=True))
@@ -159,24 +165,24 @@ def test_an_object_missed_once_is_kept_and_one_missed_for_long_is_given_up():
 
 
 def test_missing_an_object_now_and_then_is_no_reason_to_give_it_up():
-    count = (2 * PATIENCE + 1) * STRETCH + 1
+    count = (2 * PATIENCE + 1) * CLIP + 1
     lost = {row: found for key in keys(count)[1::2] for row, found in unseen(key, 7).items()}
     maps, state = tracked(scripted(sliding(count), lost), count)
     assert state.next_id == 3 and all(len(labels.unique()) == 3 for labels in maps)
 
 
 def test_new_objects_are_picked_up_on_the_way():
-    truth = [*sliding(STRETCH, (3,)), *sliding(2 * STRETCH + 1)[STRETCH:]]
+    truth = [*sliding(CLIP, (3,)), *sliding(2 * CLIP + 1)[CLIP:]]
     maps, _ = tracked(scripted(truth), len(truth))
-    assert [len(labels.unique()) - 1 for labels in maps] == [1] * STRETCH + [2] * (STRETCH + 1)
+    assert [len(labels.unique()) - 1 for labels in maps] == [1] * CLIP + [2] * (CLIP + 1)
     first, last = maps[0], maps[-1]
     assert first[truth[0] == 3].unique().equal(last[truth[-1] == 3].unique())
 
 
 def test_what_one_photo_of_three_shows_gets_no_id():
-    truth = sliding(STRETCH + 1)
-    ghost = {row: {3, 7} if row == 1 else {3} for row in range(STRETCH + 1)}
-    maps, state = tracked(scripted(truth, ghost), STRETCH + 1)
+    truth = sliding(CLIP + 1)
+    ghost = {row: {3, 7} if row == 1 else {3} for row in range(CLIP + 1)}
+    maps, state = tracked(scripted(truth, ghost), CLIP + 1)
     assert state.next_id == 2 and all(labels.max() == 1 for labels in maps)
 
 
@@ -184,9 +190,9 @@ def test_photos_with_nothing_in_them():
     nothing = [torch.zeros(40, 120, dtype=torch.int64)] * 8
     maps, state = tracked(scripted(nothing), 8)
     assert not any(labels.any() for labels in maps) and state.next_id == 1
-    truth = [*nothing[:STRETCH], *sliding(STRETCH + 2)]
+    truth = [*nothing[:CLIP], *sliding(CLIP + 2)]
     maps, _ = tracked(scripted(truth), len(truth))
-    assert not maps[STRETCH - 1].any() and len(maps[-1].unique()) == 3
+    assert not maps[CLIP - 1].any() and len(maps[-1].unique()) == 3
 
 
 def test_one_photo_alone():
@@ -197,7 +203,123 @@ def test_one_photo_alone():
 def test_ids_are_not_reused_after_photos_of_another_size():
     truth = sliding(3)
     turned = [labels.T.contiguous() for labels in truth]
-    _, state = track([0, 1, 2], State(), scripted(truth))
-    maps, state = track([0, 1, 2], state, scripted(turned))
+    _, state = track_clip([0, 1, 2], TrackingState(), scripted(truth))
+    maps, state = track_clip([0, 1, 2], state, scripted(turned))
     assert maps[0].unique().tolist() == [0, 3, 4] and state.next_id == 5
     assert maps[2].shape == turned[0].shape
+
+
+def box(x0: int, x1: int, y0: int = 0, y1: int = 40) -> torch.Tensor:
+    """A rectangle in a photo of 40x100 pixels."""
+    mask = torch.zeros(40, 100, dtype=torch.bool)
+    mask[y0:y1, x0:x1] = True
+    return mask
+
+
+def noise(seed: int, count: int = 6) -> list[torch.Tensor]:
+    """Boxes of any size that may overlap."""
+    generator = torch.Generator().manual_seed(seed)
+    corners = torch.rand(count, 2, 2, generator=generator).sort(dim=2).values
+    corners = (corners * torch.tensor([[100], [40]])).long().tolist()
+    return [box(x0, x1 + 1, y0, y1 + 1) for (x0, x1), (y0, y1) in corners]
+
+
+def disjoint(masks) -> bool:
+    return bool((torch.stack([*masks, box(0, 0)]).sum(dim=0) <= 1).all())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_ever_overlaps(seed: int):
+    views = [noise(seed), noise(seed + 100), noise(seed + 200)]
+    assert disjoint(separate_masks(views[0])) and disjoint(confirm_masks(views))
+    known = dict(enumerate(separate_masks(views[0]), start=1))
+    masks, _ = associate_ids(known, separate_masks(views[1]), 50)
+    assert disjoint(masks.values()) and {*known} <= {*masks}
+
+
+def test_whole_objects_come_before_their_parts():
+    whole, part, beside, tiny = box(0, 30), box(5, 20), box(25, 60), box(70, 71, 0, 1)
+    assert [int(m.sum()) for m in separate_masks([part, tiny, beside, whole])] == [35 * 40, 25 * 40]
+    vast = box(0, 51)
+    assert not separate_masks([vast]) and not separate_masks([])
+
+
+def test_two_of_three_photos_must_agree():
+    one, moved, other = box(0, 20), box(2, 21), box(50, 70)
+    assert [m.tolist() for m in confirm_masks([[one, other], [moved], []])] == [one.tolist()]
+    assert not confirm_masks([[one], [], []]) and not confirm_masks([[], [], []])
+    assert not confirm_masks([[one, one], []])  # the same photo twice is one photo
+
+
+def test_the_photos_own_mask_is_taken_if_it_has_one():
+    one, moved, gone = box(0, 20), box(2, 21), box(50, 70)
+    found = confirm_masks([[one], [moved, gone], [moved, gone]])
+    assert [m.tolist() for m in found] == [one.tolist(), gone.tolist()]
+
+
+def test_without_neighbours_all_is_taken():
+    assert len(confirm_masks([[box(0, 20), box(30, 40)]])) == 2
+
+
+def test_what_most_photos_agree_on_wins_over_the_photos_own_mask():
+    whole, thirds = box(0, 39), [box(0, 13), box(13, 26), box(26, 39)]
+    found = confirm_masks([[whole], thirds, thirds])
+    assert [int(m.sum()) for m in found] == [13 * 40] * 3
+
+
+def test_found_masks_take_the_ids_that_are_known():
+    known = {4: box(0, 20), 9: box(30, 50)}
+    masks, seen = associate_ids(known, [box(32, 54), box(1, 20)], 10)
+    assert {id: m.tolist() for id, m in masks.items()} == {
+        4: box(1, 20).tolist(),
+        9: box(32, 54).tolist(),
+    }
+    assert seen == {4, 9}
+
+
+def test_what_is_not_found_again_stays_but_is_not_seen():
+    masks, seen = associate_ids({4: box(0, 20), 9: box(30, 50)}, [box(0, 20)], 10)
+    assert masks[9].equal(box(30, 50)) and seen == {4}
+
+
+def test_new_objects_get_new_ids():
+    masks, seen = associate_ids({4: box(0, 20)}, [box(40, 60), box(0, 20), box(70, 80)], 11)
+    assert {*masks} == {4, 11, 12} and seen == {4, 11, 12}
+    assert masks[11].equal(box(40, 60)) and masks[12].equal(box(70, 80))
+    assert {*associate_ids({}, [box(0, 9)], 1)[0]} == {1}
+    assert associate_ids({}, [], 1) == ({}, set())
+
+
+def test_a_mask_of_two_objects_does_not_swallow_the_neighbour():
+    known = {1: box(0, 30), 2: box(30, 40)}
+    masks, seen = associate_ids(known, [box(0, 42)], 3)
+    assert masks[2].equal(box(30, 40)) and seen == {1}
+    assert masks[1].equal(box(0, 30) | box(40, 42)) and {*masks} == {1, 2}
+
+
+def test_a_fragment_gets_no_id():
+    known = {1: box(0, 40)}
+    for piece in (box(0, 10), box(35, 44, 0, 10)):
+        masks, seen = associate_ids(known, [piece], 2)
+        assert {*masks} == {1} and masks[1].equal(box(0, 40)) and not seen
+    assert {*associate_ids(known, [box(60, 61, 0, 1)], 2)[0]} == {1}
+
+
+def test_an_object_found_in_two_parts_does_not_become_two():
+    masks, seen = associate_ids({1: box(0, 40)}, [box(0, 24), box(24, 40)], 2)
+    assert {*masks} == {1} and masks[1].equal(box(0, 24)) and seen == {1}
+
+
+def test_a_new_object_beside_one_that_has_become_tiny():
+    # What is left of a known object is too small to be found, and must not stand in the way
+    masks, _ = associate_ids({1: box(0, 1, 0, 1)}, [box(40, 60)], 2)
+    assert {*masks} == {1, 2} and masks[2].equal(box(40, 60))
+
+
+def test_label_maps_and_back():
+    masks = {3: box(0, 20), 300: box(20, 50)}
+    labels = masks_to_labels(masks, (40, 100))
+    assert labels.unique().tolist() == [0, 3, 300]
+    back = labels_to_masks(labels)
+    assert {*back} == {*masks} and all(back[id].equal(masks[id]) for id in masks)
+    assert not labels_to_masks(masks_to_labels({}, (4, 4)))

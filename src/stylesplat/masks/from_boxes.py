@@ -6,10 +6,10 @@ from functools import partial
 from typing import cast
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.boxes.grabcut import Box, Stroke, refuse_box
-from stylesplat.masks.boxes.spread import Seen, spread
-from stylesplat.masks.foreign import overlaid
-from stylesplat.masks.quick_splat import with_maps, with_splat
+from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes
+from stylesplat.masks.grabcut import Box, Stroke, refuse_box
+from stylesplat.masks.import_masks import overlay_masks
+from stylesplat.masks.quick_splat import with_label_maps, working_splat
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
@@ -18,23 +18,18 @@ from stylesplat.scene.scene import Scene, check_name
 
 SIZE = 480  # pixels of the longer side at which objects are cut out
 
-SeenStroke = tuple[str, Stroke]
+PlacedStroke = tuple[str, Stroke]
 """A view's name, and a line in pixels of its photo at full size."""
 Boxes = Mapping[str, Places]
 """By object's name views, and left, top, right, bottom in pixels of the photo at full size."""
-Strokes = Mapping[str, SeenStroke | Sequence[SeenStroke]]
+Strokes = Mapping[str, PlacedStroke | Sequence[PlacedStroke]]
 """By object's name."""
 
 
 def mask_boxes(
     capture: Capture, boxes: Boxes, strokes: Strokes, *, scene: Scene | None, device: str
 ) -> Capture:
-    """Cut objects out of all photos, from boxes in one or a few, without any model.
-
-    Raises:
-        StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
-            stands out, a stroke has no box, or an object cannot be called so.
-    """
+    """Cut objects out of all photos, from boxes in one or a few, without any model."""
     refuse_without_box(boxes)
     full, small = capture.full_cameras, at_most(capture, SIZE)
     placed = [
@@ -48,27 +43,23 @@ def mask_boxes(
         for name, view, stroke in _each_stroke(strokes)
     ]
     _refuse_alone(drawn, placed, full.names)
-    working = with_splat(small, scene, device)
-    cameras, seen = working.capture.cameras, Seen(working.splats, working.capture)
+    working = working_splat(small, scene, device)
+    cameras, images = working.capture.cameras, grabcut_images(working.splats, working.capture)
     names = dict(enumerate(boxes, start=1))
     masks = {}
     for id, name in names.items():
         around = [(row, box) for each, row, box in placed if each == name]
         over = [(row, stroke) for each, row, stroke in drawn if each == name]
-        masks[id] = spread(working.splats, cameras, seen, around, over, name=name)
+        masks[id] = propagate_boxes(working.splats, cameras, images, around, over, name=name)
     maps = [
-        partial(overlaid, [(id, found[row]) for id, found in masks.items()])
+        partial(overlay_masks, [(id, found[row]) for id, found in masks.items()])
         for row in range(len(capture))
     ]
-    return with_maps(capture, maps, names)
+    return with_label_maps(capture, maps, names)
 
 
 def refuse_without_box(boxes: Boxes) -> None:
-    """Refuse to cut out what no box is around, before the photos are looked at.
-
-    Raises:
-        StyleSplatError: If there is no box, or an object cannot be called so.
-    """
+    """Refuse to cut out what no box is around, before the photos are looked at."""
     if not boxes or not all(boxes.values()):
         raise StyleSplatError(
             "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1; "
@@ -83,7 +74,7 @@ def _each_stroke(strokes: Strokes) -> Iterator[tuple[str, str, Stroke]]:
     for name, places in strokes.items():
         check_name(name)
         several = [places] if places and isinstance(places[0], str) else places
-        for place in cast("Sequence[SeenStroke]", several):
+        for place in cast("Sequence[PlacedStroke]", several):
             if len(place) != 2 or not isinstance(place[1], Stroke):
                 raise StyleSplatError(
                     f"Cannot use strokes={place!r}. Give the name of a view and a Stroke."

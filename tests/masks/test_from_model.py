@@ -13,10 +13,10 @@ from balls import CAMERAS, SPLATS
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import save
-from stylesplat.masks.models import from_model as mask_models
-from stylesplat.masks.models.associate import to_masks
-from stylesplat.masks.models.found_so_far import Progress
-from stylesplat.masks.models.sam import Method
+from stylesplat.masks import from_model as mask_models
+from stylesplat.masks.checkpoint import MaskCheckpoint
+from stylesplat.masks.sam import Method
+from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.verbs.load import load
@@ -42,9 +42,9 @@ class Scripted:
         if len(self.asked) == self.stop_after:
             raise KeyboardInterrupt
         self.asked.append(self.row(photo))
-        return [*to_masks(TRUTH[self.row(photo)]).values()]
+        return [*labels_to_masks(TRUTH[self.row(photo)]).values()]
 
-    def follow(
+    def propagate(
         self, photos: Sequence[Tensor], seeds: Mapping[int, Tensor]
     ) -> list[dict[int, Tensor]]:
         first, *rest = (TRUTH[self.row(photo)] for photo in photos)
@@ -75,7 +75,7 @@ def scene(tmp_path: Path) -> Path:
 def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
     model = Scripted(capture)
     monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
-    monkeypatch.setattr(mask_models, "load_follower", lambda *_: model)
+    monkeypatch.setattr(mask_models, "load_propagator", lambda *_: model)
     return model
 
 
@@ -121,7 +121,7 @@ def test_in_memory_with_and_without_a_folder_for_progress(
 def test_without_a_follower_the_splat_carries_masks(
     capture: Path, scene: Path, scripted: Scripted, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(mask_models, "load_follower", lambda *_: pytest.fail("sam has none"))
+    monkeypatch.setattr(mask_models, "load_propagator", lambda *_: pytest.fail("sam has none"))
     run_model(capture, "sam", scene)
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.8
 
@@ -141,26 +141,6 @@ def test_an_interrupted_run_goes_on(
     assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
 
 
-def test_a_run_with_other_settings_begins_anew(
-    capture: Path, scene: Path, scripted: Scripted, said: list[str]
-):
-    scripted.stop_after = 4
-    with pytest.raises(KeyboardInterrupt):
-        run_model(capture, "sam2", scene)
-    scripted.asked, scripted.stop_after = [], 10**6
-    run_model(capture, "edgetam", scene)
-    assert "beginning anew" in "\n".join(said)
-    assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked
-
-
-def test_a_folder_of_the_user_is_in_the_way(capture: Path, scene: Path, scripted: Scripted):
-    (capture / "object_mask.partial").mkdir()
-    (capture / "object_mask.partial" / "mine.txt").write_text("mine")
-    with pytest.raises(StyleSplatError, match="in the way"):
-        run_model(capture, "sam2", scene)
-    assert (capture / "object_mask.partial" / "mine.txt").read_text() == "mine"
-
-
 def test_nothing_found(capture: Path, scene: Path, scripted: Scripted, monkeypatch):
     monkeypatch.setattr(scripted, "propose", lambda _: [])
     with pytest.raises(StyleSplatError, match=r"found no object.*--box"):
@@ -171,7 +151,7 @@ def test_nothing_found(capture: Path, scene: Path, scripted: Scripted, monkeypat
 def test_a_model_that_cannot_be_had_is_said_before_any_work(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(mask_models, "with_splat", lambda *_: pytest.fail("trained"))
+    monkeypatch.setattr(mask_models, "working_splat", lambda *_: pytest.fail("trained"))
     with pytest.raises(StyleSplatError, match="none"):
         run_model(capture, "sam2", None, model=str(tmp_path / "none"))
     assert not (capture / "object_mask.partial").exists()
@@ -214,17 +194,22 @@ def test_damaged_results_are_found_again(capture: Path, scene: Path, scripted: S
     assert found["ids"] == [1, 2, 3]
 
 
-def test_other_photos_begin_anew(capture: Path, scene: Path, scripted: Scripted, said: list[str]):
+@pytest.mark.parametrize("method", ["edgetam", "sam2"])
+def test_other_settings_or_photos_begin_anew(
+    method: Method, capture: Path, scene: Path, scripted: Scripted, said: list[str]
+):
     interrupted(capture, scene, scripted)
-    photo = capture / "images" / CAMERAS.names[0]
-    Image.eval(Image.open(photo), lambda value: 255 - value).save(photo)
-    scripted.rows |= Scripted(capture).rows
-    run_model(capture, "sam2", scene)
-    assert "beginning anew" in "\n".join(said) and 0 in scripted.asked
+    if method == "sam2":
+        photo = capture / "images" / CAMERAS.names[0]
+        Image.eval(Image.open(photo), lambda value: 255 - value).save(photo)
+        scripted.rows |= Scripted(capture).rows
+    run_model(capture, method, scene)
+    assert "beginning anew" in "\n".join(said)
+    assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked
 
 
 def test_photos_without_proposals_are_asked_once(tmp_path: Path):
-    progress = Progress(tmp_path)
+    progress = MaskCheckpoint(tmp_path)
     assert progress.proposals(3, lambda: []) == []
     assert progress.proposals(3, lambda: pytest.fail("asked again")) == []
     mask = torch.rand(5, 13, generator=torch.Generator().manual_seed(0)) > 0.5

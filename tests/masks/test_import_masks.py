@@ -7,7 +7,7 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.masks.foreign import foreign_label_maps, overlaid
+from stylesplat.masks.import_masks import import_label_maps, overlay_masks
 
 NAMES = ("001.png", "002.png", "003.png")
 SHAPE = (6, 8)
@@ -30,7 +30,7 @@ def save_binary(mask: torch.Tensor, path: Path) -> None:
 def test_pictures_of_ids_in_a_sub_folder(tmp_path: Path):
     labels = 3 * LARGE.long() + 300 * SMALL.long()
     write_label_map(labels, tmp_path / "Annotations" / "video" / "002.png")
-    found = foreign_label_maps(tmp_path, NAMES)
+    found = import_label_maps(tmp_path, NAMES)
     assert found.maps.keys() == {"002.png"}
     assert torch.equal(found.maps["002.png"].read(), labels)
 
@@ -43,14 +43,14 @@ def test_a_folder_of_binary_masks_per_object(
         for stem in ("001", "003"):
             save_binary(mask, tmp_path / folder / f"{stem}.png")
     first, second = ids
-    found = foreign_label_maps(tmp_path, NAMES)
+    found = import_label_maps(tmp_path, NAMES)
     assert found.maps.keys() == {"001.png", "003.png"}
     expected = torch.where(SMALL, second, torch.where(LARGE, first, 0))
     assert torch.equal(found.maps["001.png"].read(), expected)
 
 
 def test_the_smaller_mask_lies_on_top_in_either_order():
-    one, other = overlaid([(1, LARGE), (2, SMALL)]), overlaid([(2, SMALL), (1, LARGE)])
+    one, other = overlay_masks([(1, LARGE), (2, SMALL)]), overlay_masks([(2, SMALL), (1, LARGE)])
     assert torch.equal(one, other)
     assert (one == 2).sum() == SMALL.sum()
 
@@ -58,15 +58,15 @@ def test_the_smaller_mask_lies_on_top_in_either_order():
 def test_masks_of_another_capture(tmp_path: Path):
     write_label_map(LARGE.long(), tmp_path / "IMG_1.png")
     with pytest.raises(StyleSplatError, match=r"belongs to a photo of this capture.*001\.png"):
-        foreign_label_maps(tmp_path, NAMES)
+        import_label_maps(tmp_path, NAMES)
     with pytest.raises(StyleSplatError, match=r"no folder or \.json file"):
-        foreign_label_maps(tmp_path / "none", NAMES)
+        import_label_maps(tmp_path / "none", NAMES)
 
 
 def test_ids_of_three_bytes(tmp_path: Path):
     """What `object_mask/` may hold, other programs' pictures may."""
     write_label_map(LARGE.long() * 70_000 + SMALL.long(), tmp_path / "001.png")
-    labels = foreign_label_maps(tmp_path, NAMES).maps["001.png"].read()
+    labels = import_label_maps(tmp_path, NAMES).maps["001.png"].read()
     assert 70_001 in labels.unique().tolist()
 
 
@@ -74,7 +74,7 @@ def test_two_kinds_of_pictures(tmp_path: Path):
     for kind in ("ids", "shown"):
         write_label_map(3 * LARGE.long() + SMALL.long(), tmp_path / kind / "001.png")
     with pytest.raises(StyleSplatError, match="Give the folder of one kind"):
-        foreign_label_maps(tmp_path, NAMES)
+        import_label_maps(tmp_path, NAMES)
 
 
 TWO_CAMERAS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
@@ -82,7 +82,7 @@ TWO_CAMERAS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
 
 def maps_of(folder: Path, names: tuple[str, ...]) -> dict[str, list[int]]:
     """The ids by photo."""
-    maps = foreign_label_maps(folder, names).maps
+    maps = import_label_maps(folder, names).maps
     return {name: sorted(drawn.read().unique().tolist()) for name, drawn in maps.items()}
 
 
@@ -101,7 +101,7 @@ def test_photos_in_folders_are_told_by_their_paths(tmp_path: Path):
 def test_a_folder_of_binary_masks_per_object_with_the_folders_of_the_photos(tmp_path: Path):
     for key in ("pot/cam0/001", "pot/cam1/001", "vase/cam1/002"):
         save_binary(LARGE, tmp_path / f"{key}.png")
-    found = foreign_label_maps(tmp_path, TWO_CAMERAS)
+    found = import_label_maps(tmp_path, TWO_CAMERAS)
     assert found.names == {1: "pot", 2: "vase"}
     expected = {"cam0/001.jpg": [0, 1], "cam1/001.jpg": [0, 1], "cam1/002.jpg": [0, 2]}
     assert maps_of(tmp_path, TWO_CAMERAS) == expected
@@ -112,7 +112,7 @@ def test_bare_names_tell_where_only_one_photo_has_them(tmp_path: Path):
     assert maps_of(tmp_path, TWO_CAMERAS) == {"cam1/002.jpg": [0, 1]}
     write_label_map(3 * LARGE.long() + SMALL.long(), tmp_path / "001.png")
     with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1/001\.jpg"):
-        foreign_label_maps(tmp_path, TWO_CAMERAS)
+        import_label_maps(tmp_path, TWO_CAMERAS)
 
 
 def test_names_that_could_be_many_do_no_harm_where_nobody_needs_them(tmp_path: Path):

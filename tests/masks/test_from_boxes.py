@@ -24,9 +24,9 @@ from ball_boxes import (
 from ball_photos import write_ball_capture
 from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
+from stylesplat.masks import box_propagation
 from stylesplat.masks import quick_splat as working
-from stylesplat.masks.boxes import spread as spread_module
-from stylesplat.masks.boxes.grabcut import Box, Stroke
+from stylesplat.masks.grabcut import Box, Stroke
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
@@ -205,8 +205,8 @@ def test_strokes_reach_the_cut(balls: Capture, monkeypatch: pytest.MonkeyPatch):
         given.append(strokes)
         return real(seen, box, photo, strokes)
 
-    real = spread_module.cut_box
-    monkeypatch.setattr(spread_module, "cut_box", cut)
+    real = box_propagation.cut_box
+    monkeypatch.setattr(box_propagation, "cut_box", cut)
     strokes = {"cup": [(CUP[0], Stroke(((96, 72), (100, 72)), over_object=False))]}
     mask(balls, boxes={"vase": VASE, "cup": CUP}, strokes=strokes, scene=BALLS, device="cpu")
     assert [len(each) for each in given] == [0, 1]
