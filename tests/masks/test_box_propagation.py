@@ -1,8 +1,6 @@
 """The balls at 96x72 pixels. Their rims are soft, and `render_labels` draws them about a pixel
 narrower than colours do, so that masks of them cannot agree by more than 0.9 or so."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -14,13 +12,9 @@ from stylesplat.masks import box_propagation as module
 from stylesplat.masks.box_propagation import (
     Images,
     grabcut_images,
-    lift_masks,
-    nearest_views,
     propagate_boxes,
-    render_votes,
 )
 from stylesplat.masks.grabcut import Box, cut_box
-from stylesplat.progress import Silence, Task, observed
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -78,30 +72,6 @@ def test_the_same_box_gives_the_same_masks(seen: Images, monkeypatch: pytest.Mon
         assert all(torch.equal(*each) for each in zip(first, again, strict=True))
 
 
-class Watcher(Silence):
-    def __init__(self) -> None:
-        self.told, self.left = [], 0.0
-
-    @contextmanager
-    def task(self, what: str, total: float | None, unit: str, done: float) -> Iterator[Task]:
-        self.told.append(what)
-        self.left = total or 0
-        yield self
-
-    def advance(self, amount: float = 1) -> None:
-        self.left -= amount
-
-
-def test_who_watches_is_told_whose_mask_it_is_and_sees_it_end(
-    seen: Images, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(module, "SETTLED", 0.5)  # after the first of several rounds
-    watcher = Watcher()
-    with observed(watcher):
-        propagate_boxes(SPLATS, LARGE, seen, [(1, box(LABELS[1] == 3))], name="red ball")
-    assert watcher.told == ["spreading the mask of 'red ball'"] and watcher.left == 0
-
-
 def test_boxes_in_two_photos(seen: Images):
     truth = [labels == 3 for labels in LABELS]
     places = [(row, box(truth[row])) for row in (0, 4)]
@@ -125,18 +95,6 @@ def test_where_an_object_does_not_show_its_mask_is_empty():
     assert [bool(mask.any()) for mask in found] == [True, True, False]
 
 
-def test_only_what_no_view_has_shown_is_news(seen: Images):
-    """Seen from one side, much of the ball's far side is news; the near side is not."""
-    mask = LABELS[1] == 3
-    lifted = lift_masks(SPLATS, LARGE, {1: mask})
-    near, far = (render_votes(SPLATS, LARGE, lifted, row)[1] for row in (1, 5))
-    assert not near.any()
-    ball = LABELS[5] == 3
-    assert far[ball].mean() > 0.3
-    both = lifted.merged(lift_masks(SPLATS, LARGE, {5: ball}))
-    assert not render_votes(SPLATS, LARGE, both, 5)[1].any()
-
-
 def test_surfaces_that_come_into_view_are_found_by_their_colours(monkeypatch: pytest.MonkeyPatch):
     """A ball in two photos, from 90 degrees apart, of which one has a box."""
     cameras = LARGE[[6, 4]]
@@ -146,27 +104,6 @@ def test_surfaces_that_come_into_view_are_found_by_their_colours(monkeypatch: py
     monkeypatch.setattr(module, "CLOSER", float("inf"))  # nothing is news
     without = iou(propagate_boxes(SPLATS, cameras, photos, places)[1], truth)
     assert with_news > 0.85 > without, "measured: 0.90 and 0.79"
-
-
-def test_lifting_adds_up(seen: Images):
-    """View by view or together, masks say the same of each Gaussian."""
-    masks = {row: LABELS[row] == 300 for row in (0, 3, 6)}
-    together = lift_masks(SPLATS, LARGE, masks)
-    apart = lift_masks(SPLATS, LARGE, {0: masks[0]})
-    for row in (3, 6):
-        apart = apart.merged(lift_masks(SPLATS, LARGE, {row: masks[row]}))
-    assert apart.rows == together.rows == {0, 3, 6}
-    torch.testing.assert_close(apart.votes, together.votes)
-    assert torch.equal(apart.closest, together.closest)
-    assert SPLATS.identities is not None
-    assert together.share[SPLATS.identities[:, 3] > 0].mean() > 0.5
-    assert together.share[SPLATS.identities[:, 1] > 0].mean() < 0.1
-
-
-def test_views_are_taken_from_the_nearest_on(seen: Images):
-    order = nearest_views(LARGE, [1])
-    assert set(order[:2]) == {0, 2} and order[-1] == 5, "around the circle"
-    assert sorted(nearest_views(LARGE, [1, 5])) == [0, 2, 3, 4, 6, 7]
 
 
 def test_the_photo_of_a_bad_box_is_named(seen: Images):

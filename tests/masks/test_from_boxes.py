@@ -17,14 +17,12 @@ from ball_boxes import (
     PLAIN,
     VASE,
     agreement,
-    box,
     fail_at_work,
     work_at_half_size,
 )
 from ball_photos import write_ball_capture
 from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks import box_propagation
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.grabcut import Box, Stroke
 from stylesplat.scene.capture import Capture
@@ -65,13 +63,6 @@ def test_boxes_become_label_maps_with_names(balls: Capture):
     assert min(agreement(masked, 1, 3)) > 0.8
     assert min(agreement(masked, 2, 7)) > 0.7
     assert masked.photos is balls.photos and masked.cameras is balls.cameras
-
-
-def test_boxes_of_one_object_in_two_photos(balls: Capture):
-    boxes = {"vase": [("0000", box(3, 0)), ("0004.jpg", box(3, 4))]}
-    masked = mask(balls, boxes=boxes, scene=BALLS, device="cpu")
-    assert masked.object_names == {1: "vase"}
-    assert min(agreement(masked, 1, 3)) > 0.7  # measured: 0.76
 
 
 @pytest.mark.parametrize("flat", [False, True])
@@ -119,13 +110,6 @@ def test_a_scene_of_other_photos(balls: Capture, no_work: None):
     other = Scene(PLAIN, replace(CAMERAS, names=names))
     with pytest.raises(StyleSplatError, match=r"scene of other photos: it has no view 0000\.jpg"):
         mask(balls, boxes={"vase": VASE}, scene=other)
-
-
-def test_a_scene_with_more_photos_in_another_order(balls: Capture):
-    more = CAMERAS[[7, 6, 5, 4, 3, 2, 1, 0, 0]]
-    more = Scene(PLAIN, replace(more, names=(*more.names[:-1], "more.jpg")))
-    masked = mask(balls, boxes={"vase": VASE}, scene=more, device="cpu")
-    assert min(agreement(masked, 1, 3)) > 0.8
 
 
 NAN, INF = float("nan"), float("inf")
@@ -198,37 +182,9 @@ def test_strokes_that_say_nothing(balls: Capture, no_work: None, stroke, expecte
         mask(balls, boxes={"vase": VASE}, strokes=strokes)
 
 
-def test_strokes_reach_the_cut(balls: Capture, monkeypatch: pytest.MonkeyPatch):
-    given = []
-
-    def cut(seen, box, photo, strokes):
-        given.append(strokes)
-        return real(seen, box, photo, strokes)
-
-    real = box_propagation.cut_box
-    monkeypatch.setattr(box_propagation, "cut_box", cut)
-    strokes = {"cup": [(CUP[0], Stroke(((96, 72), (100, 72)), over_object=False))]}
-    mask(balls, boxes={"vase": VASE, "cup": CUP}, strokes=strokes, scene=BALLS, device="cpu")
-    assert [len(each) for each in given] == [0, 1]
-    assert not given[1][0].over_object
-
-
 def test_a_scene_of_other_photos_with_the_same_names(balls: Capture, no_work: None):
     turned = CAMERAS.viewmats.clone()
     turned[:, 2, 3] += 2.0
     other = Scene(PLAIN, replace(CAMERAS, viewmats=turned))
     with pytest.raises(StyleSplatError, match="does not show what the photos do"):
         mask(balls, boxes={"vase": VASE}, scene=other, device="cpu")
-
-
-def test_photos_of_several_sizes(balls: Capture):
-    """Two of eight, half as large."""
-    odd = load(balls.path or "", downscale=2.0)
-    rows = [0, 1]
-    sizes, Ks = balls.cameras.sizes.clone(), balls.cameras.Ks.clone()
-    sizes[rows], Ks[rows] = odd.cameras.sizes[rows], odd.cameras.Ks[rows]
-    photos = [odd.photos[row] if row in rows else balls.photos[row] for row in range(8)]
-    cameras = replace(balls.cameras, sizes=sizes, Ks=Ks)
-    mixed = replace(balls, cameras=cameras, photos=photos)
-    masked = mask(mixed, boxes={"cup": CUP}, scene=BALLS, device="cpu")
-    assert min(agreement(masked, 1, 7)) > 0.6

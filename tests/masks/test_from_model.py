@@ -14,7 +14,6 @@ from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import save
 from stylesplat.masks import from_model as mask_models
-from stylesplat.masks.checkpoint import MaskCheckpoint
 from stylesplat.masks.sam import Method
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.scene import Scene
@@ -206,13 +205,3 @@ def test_other_settings_or_photos_begin_anew(
     run_model(capture, method, scene)
     assert "beginning anew" in "\n".join(said)
     assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked
-
-
-def test_photos_without_proposals_are_asked_once(tmp_path: Path):
-    progress = MaskCheckpoint(tmp_path)
-    assert progress.proposals(3, lambda: []) == []
-    assert progress.proposals(3, lambda: pytest.fail("asked again")) == []
-    mask = torch.rand(5, 13, generator=torch.Generator().manual_seed(0)) > 0.5
-    assert len(progress.proposals(4, lambda: [mask, ~mask])) == 2
-    again = progress.proposals(4, lambda: pytest.fail("asked again"))
-    assert torch.equal(again[0], mask) and torch.equal(again[1], ~mask)

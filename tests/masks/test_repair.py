@@ -95,17 +95,6 @@ def test_two_balls_under_one_id_in_all_views_are_one_object():
         assert (labels == 2).equal(exact == BLUE)
 
 
-def test_a_fragment_with_a_neighbours_id():
-    maps = [labels.clone() for labels in TRUTH]
-    for row in (3, 5):
-        y, x = (TRUTH[row] == BLUE).nonzero().float().mean(dim=0).long().tolist()
-        patch = maps[row][y - 2 : y + 2, x - 2 : x + 2]
-        patch[patch == BLUE] = RED
-    assert right(maps) < 0.995
-    found = repaired(maps)
-    assert right(found) > 0.998 and ids(found) == {0, 1, 2, 3}
-
-
 def test_half_an_object_is_made_whole():
     maps = [labels.clone() for labels in TRUTH]
     middle = int((TRUTH[3] == GREEN).nonzero()[:, 1].float().mean())

@@ -1,7 +1,6 @@
 """From proposals in single photos to label maps: clips, confirmation, association of ids."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -17,7 +16,6 @@ from stylesplat.masks.tracking import (
     camera_path,
     confirm_masks,
     labels_to_masks,
-    masks_to_labels,
     separate_masks,
     split_clips,
     track_clip,
@@ -54,35 +52,18 @@ def test_shuffled_photos_are_put_in_order():
     assert [places[row] for row in path] == [float(i) for i in range(20)]
 
 
-def test_directions_count_as_places_do():
-    turning = [0.0, 2.0, 0.5, 2.5, 1.0, 3.0, 1.5]  # radians, in one place
-    viewmats = torch.eye(4).repeat(7, 1, 1)
-    for row, angle in enumerate(torch.tensor(turning)):
-        sin, cos = angle.sin(), angle.cos()
-        viewmats[row, :3, :3] = torch.tensor([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
-    cameras = replace(along_a_line([0.0] * 7), viewmats=viewmats)
-    assert [turning[row] for row in camera_path(cameras)] == sorted(turning)
-
-
-def test_photos_of_one_size_come_together():
-    sizes = [(48, 36), (36, 48)] * 4
-    path = camera_path(along_a_line([float(i) for i in range(8)], sizes))
-    assert sorted(path[:4]) == [0, 2, 4, 6] and sorted(path[4:]) == [1, 3, 5, 7]
-    assert split_clips(along_a_line([0.0, 1.0, 2.0], sizes[:3])) == [[0, 2], [1]]
-
-
-@pytest.mark.parametrize("count", [1, 2, CLIP, CLIP + 1, CLIP + 2, 2 * CLIP + 1, 23])
-def test_stretches_meet_at_key_photos(count: int):
-    parts = split_clips(along_a_line([float(i) for i in range(count)]))
-    rows = [row for k, part in enumerate(parts) for row in part[k > 0 :]]
+@pytest.mark.parametrize("count", [1, CLIP, CLIP + 1, 23])
+def test_clips_meet_at_keyframes(count: int):
+    clips = split_clips(along_a_line([float(i) for i in range(count)]))
+    rows = [row for k, clip in enumerate(clips) for row in clip[k > 0 :]]
     assert rows == [*range(count)]
-    assert all(one[-1] == other[0] for one, other in pairwise(parts))
-    assert all(len(part) == CLIP + 1 for part in parts[:-1])
-    assert count == 1 or all(len(part) > 1 for part in parts)
+    assert all(one[-1] == other[0] for one, other in pairwise(clips))
+    assert all(len(clip) == CLIP + 1 for clip in clips[:-1])
+    assert count == 1 or all(len(clip) > 1 for clip in clips)
 
 
 @pytest.mark.parametrize("first", [1, 2, CLIP, CLIP + 1, CLIP + 2])
-def test_stretches_end_where_the_size_changes(first: int):
+def test_clips_end_where_the_size_changes(first: int):
     sizes = [(48, 36)] * first + [(36, 48)] * 3
     parts = split_clips(along_a_line([float(i) for i in range(first + 3)], sizes))
     assert parts[-1] == [first, first + 1, first + 2]
@@ -164,28 +145,6 @@ def test_an_object_missed_once_is_kept_and_one_missed_for_long_is_given_up():
     assert state.next_id == 4  # found anew, not under an id that was in use
 
 
-def test_missing_an_object_now_and_then_is_no_reason_to_give_it_up():
-    count = (2 * PATIENCE + 1) * CLIP + 1
-    lost = {row: found for key in keys(count)[1::2] for row, found in unseen(key, 7).items()}
-    maps, state = tracked(scripted(sliding(count), lost), count)
-    assert state.next_id == 3 and all(len(labels.unique()) == 3 for labels in maps)
-
-
-def test_new_objects_are_picked_up_on_the_way():
-    truth = [*sliding(CLIP, (3,)), *sliding(2 * CLIP + 1)[CLIP:]]
-    maps, _ = tracked(scripted(truth), len(truth))
-    assert [len(labels.unique()) - 1 for labels in maps] == [1] * CLIP + [2] * (CLIP + 1)
-    first, last = maps[0], maps[-1]
-    assert first[truth[0] == 3].unique().equal(last[truth[-1] == 3].unique())
-
-
-def test_what_one_photo_of_three_shows_gets_no_id():
-    truth = sliding(CLIP + 1)
-    ghost = {row: {3, 7} if row == 1 else {3} for row in range(CLIP + 1)}
-    maps, state = tracked(scripted(truth, ghost), CLIP + 1)
-    assert state.next_id == 2 and all(labels.max() == 1 for labels in maps)
-
-
 def test_photos_with_nothing_in_them():
     nothing = [torch.zeros(40, 120, dtype=torch.int64)] * 8
     maps, state = tracked(scripted(nothing), 8)
@@ -193,11 +152,6 @@ def test_photos_with_nothing_in_them():
     truth = [*nothing[:CLIP], *sliding(CLIP + 2)]
     maps, _ = tracked(scripted(truth), len(truth))
     assert not maps[CLIP - 1].any() and len(maps[-1].unique()) == 3
-
-
-def test_one_photo_alone():
-    maps, state = tracked(scripted(sliding(1)), 1)
-    assert len(maps[0].unique()) == 3 and state.next_id == 3
 
 
 def test_ids_are_not_reused_after_photos_of_another_size():
@@ -257,16 +211,6 @@ def test_the_photos_own_mask_is_taken_if_it_has_one():
     assert [m.tolist() for m in found] == [one.tolist(), gone.tolist()]
 
 
-def test_without_neighbours_all_is_taken():
-    assert len(confirm_masks([[box(0, 20), box(30, 40)]])) == 2
-
-
-def test_what_most_photos_agree_on_wins_over_the_photos_own_mask():
-    whole, thirds = box(0, 39), [box(0, 13), box(13, 26), box(26, 39)]
-    found = confirm_masks([[whole], thirds, thirds])
-    assert [int(m.sum()) for m in found] == [13 * 40] * 3
-
-
 def test_found_masks_take_the_ids_that_are_known():
     known = {4: box(0, 20), 9: box(30, 50)}
     masks, seen = associate_ids(known, [box(32, 54), box(1, 20)], 10)
@@ -295,31 +239,3 @@ def test_a_mask_of_two_objects_does_not_swallow_the_neighbour():
     masks, seen = associate_ids(known, [box(0, 42)], 3)
     assert masks[2].equal(box(30, 40)) and seen == {1}
     assert masks[1].equal(box(0, 30) | box(40, 42)) and {*masks} == {1, 2}
-
-
-def test_a_fragment_gets_no_id():
-    known = {1: box(0, 40)}
-    for piece in (box(0, 10), box(35, 44, 0, 10)):
-        masks, seen = associate_ids(known, [piece], 2)
-        assert {*masks} == {1} and masks[1].equal(box(0, 40)) and not seen
-    assert {*associate_ids(known, [box(60, 61, 0, 1)], 2)[0]} == {1}
-
-
-def test_an_object_found_in_two_parts_does_not_become_two():
-    masks, seen = associate_ids({1: box(0, 40)}, [box(0, 24), box(24, 40)], 2)
-    assert {*masks} == {1} and masks[1].equal(box(0, 24)) and seen == {1}
-
-
-def test_a_new_object_beside_one_that_has_become_tiny():
-    # What is left of a known object is too small to be found, and must not stand in the way
-    masks, _ = associate_ids({1: box(0, 1, 0, 1)}, [box(40, 60)], 2)
-    assert {*masks} == {1, 2} and masks[2].equal(box(40, 60))
-
-
-def test_label_maps_and_back():
-    masks = {3: box(0, 20), 300: box(20, 50)}
-    labels = masks_to_labels(masks, (40, 100))
-    assert labels.unique().tolist() == [0, 3, 300]
-    back = labels_to_masks(labels)
-    assert {*back} == {*masks} and all(back[id].equal(masks[id]) for id in masks)
-    assert not labels_to_masks(masks_to_labels({}, (4, 4)))

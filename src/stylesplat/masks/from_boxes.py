@@ -1,6 +1,6 @@
 """`mask --method grabcut`: label maps of objects that the user drew boxes around."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import cast
@@ -29,28 +29,30 @@ Strokes = Mapping[str, PlacedStroke | Sequence[PlacedStroke]]
 def mask_boxes(
     capture: Capture, boxes: Boxes, strokes: Strokes, *, scene: Scene | None, device: str
 ) -> Capture:
-    """Cut objects out of all photos, from boxes in one or a few, without any model."""
+    """Cut objects out of all photos, from boxes in one or a few, without any model.
+
+    Raises:
+        StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
+            stands out, a stroke has no box, or an object cannot be called so.
+    """
     refuse_without_box(boxes)
-    full, small = capture.full_cameras, at_most(capture, SIZE)
-    placed = [
-        (name, row := full.index(view), _scaled(box, full[row], small.cameras[row]))
-        for name, places in boxes.items()
-        for view, box in parse_places(places, 4, "boxes")
-    ]
-    _refuse_twice(placed, full.names)
-    drawn = [
-        (name, row := full.index(view), _scaled_stroke(stroke, full[row], small.cameras[row]))
-        for name, view, stroke in _each_stroke(strokes)
-    ]
-    _refuse_alone(drawn, placed, full.names)
+    small = at_most(capture, SIZE)
+    around = _place_boxes(boxes, capture.full_cameras, small.cameras)
+    over = _place_strokes(strokes, around, capture.full_cameras, small.cameras)
     working = working_splat(small, scene, device)
     cameras, images = working.capture.cameras, grabcut_images(working.splats, working.capture)
     names = dict(enumerate(boxes, start=1))
-    masks = {}
-    for id, name in names.items():
-        around = [(row, box) for each, row, box in placed if each == name]
-        over = [(row, stroke) for each, row, stroke in drawn if each == name]
-        masks[id] = propagate_boxes(working.splats, cameras, images, around, over, name=name)
+    masks = {
+        id: propagate_boxes(
+            working.splats,
+            cameras,
+            images,
+            [(row, box) for (each, row), box in around.items() if each == name],
+            [(row, stroke) for each, row, stroke in over if each == name],
+            name=name,
+        )
+        for id, name in names.items()
+    }
     maps = [
         partial(overlay_masks, [(id, found[row]) for id, found in masks.items()])
         for row in range(len(capture))
@@ -59,7 +61,7 @@ def mask_boxes(
 
 
 def refuse_without_box(boxes: Boxes) -> None:
-    """Refuse to cut out what no box is around, before the photos are looked at."""
+    """Raise a StyleSplatError if there is no box, or an object cannot be called so."""
     if not boxes or not all(boxes.values()):
         raise StyleSplatError(
             "Nothing says what to mask. Draw a box around an object, --box NAME=VIEW:x0,y0,x1,y1; "
@@ -69,8 +71,30 @@ def refuse_without_box(boxes: Boxes) -> None:
         check_name(name)
 
 
-def _each_stroke(strokes: Strokes) -> Iterator[tuple[str, str, Stroke]]:
-    """An object's name, a view's, and what was drawn there."""
+def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str, int], Box]:
+    """Boxes in pixels of the working size, by object's name and row of the view."""
+    placed: dict[tuple[str, int], Box] = {}
+    for name, places in boxes.items():
+        for view, box in parse_places(places, 4, "boxes"):
+            row = full.index(view)
+            if (name, row) in placed:
+                raise StyleSplatError(
+                    f"There are several boxes around {name!r} in {full.names[row]}. Draw one "
+                    "around all of it, or give them different names."
+                )
+            x0, y0, x1, y1 = check_box(box, full[row].size, full.names[row])
+            across, down = _shrinkage(full[row], small[row])
+            scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
+            refuse_box(scaled, small[row].size, full.names[row])
+            placed[name, row] = scaled
+    return placed
+
+
+def _place_strokes(
+    strokes: Strokes, boxes: Mapping[tuple[str, int], Box], full: Cameras, small: Cameras
+) -> list[tuple[str, int, Stroke]]:
+    """Object's name, row of the view, and stroke in pixels of the working size."""
+    placed = []
     for name, places in strokes.items():
         check_name(name)
         several = [places] if places and isinstance(places[0], str) else places
@@ -79,56 +103,23 @@ def _each_stroke(strokes: Strokes) -> Iterator[tuple[str, str, Stroke]]:
                 raise StyleSplatError(
                     f"Cannot use strokes={place!r}. Give the name of a view and a Stroke."
                 )
-            yield name, *place
-
-
-def _refuse_twice(placed: Sequence[tuple[str, int, Box]], views: Sequence[str]) -> None:
-    """Raise a StyleSplatError for a second box around the same object in the same photo."""
-    places = [(name, row) for name, row, _ in placed]
-    for name, row in places:
-        if places.count((name, row)) > 1:
-            raise StyleSplatError(
-                f"There are several boxes around {name!r} in {views[row]}. Draw one around all of "
-                "it, or give them different names."
-            )
-
-
-def _refuse_alone(
-    drawn: Sequence[tuple[str, int, Stroke]],
-    placed: Sequence[tuple[str, int, Box]],
-    views: Sequence[str],
-) -> None:
-    """Raise a StyleSplatError for a stroke in a photo without a box around its object."""
-    for name, row, _ in drawn:
-        if (name, row) not in [each[:2] for each in placed]:
-            raise StyleSplatError(
-                f"There is a stroke for {name!r} in {views[row]}, but no box around it there. "
-                f"Draw one as well: --box {name}={views[row]}:x0,y0,x1,y1."
-            )
-
-
-def _scaled_stroke(stroke: Stroke, camera: Cameras, small: Cameras) -> Stroke:
-    """A stroke in the pixels of the working size; raises a StyleSplatError if it is outside."""
-    (width, height), (name,) = camera.size, camera.names
-    for x, y in stroke.points:
-        if not (0 <= x < width and 0 <= y < height):
-            raise StyleSplatError(
-                f"The stroke's point {x:g},{y:g} is outside {name}, which is {width}x{height} "
-                "pixels. Give pixels of the photo."
-            )
-    across, down = _shrinkage(camera, small)
-    points = tuple((x * across, y * down) for x, y in stroke.points)
-    return replace(stroke, points=points)
-
-
-def _scaled(box: Box, camera: Cameras, small: Cameras) -> Box:
-    """A box in the pixels of the working size; raises a StyleSplatError if it is none."""
-    (name,) = camera.names
-    x0, y0, x1, y1 = check_box(box, camera.size, name)
-    across, down = _shrinkage(camera, small)
-    scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
-    refuse_box(scaled, small.size, name)
-    return scaled
+            row, stroke = full.index(place[0]), place[1]
+            if (name, row) not in boxes:
+                raise StyleSplatError(
+                    f"There is a stroke for {name!r} in {full.names[row]}, but no box around it "
+                    f"there. Draw one as well: --box {name}={full.names[row]}:x0,y0,x1,y1."
+                )
+            width, height = full[row].size
+            for x, y in stroke.points:
+                if not (0 <= x < width and 0 <= y < height):
+                    raise StyleSplatError(
+                        f"The stroke's point {x:g},{y:g} is outside {full.names[row]}, which is "
+                        f"{width}x{height} pixels. Give pixels of the photo."
+                    )
+            across, down = _shrinkage(full[row], small[row])
+            points = tuple((x * across, y * down) for x, y in stroke.points)
+            placed.append((name, row, replace(stroke, points=points)))
+    return placed
 
 
 def _shrinkage(camera: Cameras, small: Cameras) -> tuple[float, float]:
