@@ -9,7 +9,7 @@ from stylesplat.masks.grabcut import (
     Stroke,
     cut_box,
     grabcut_image,
-    refine,
+    refine_mask,
     refuse_box,
 )
 
@@ -99,7 +99,7 @@ def test_boxes_that_leave_nothing_to_compare(box: tuple[float, float, float, flo
 
 def test_a_contour_moves_to_the_edge_nearby():
     rough = 0.7 * disc(41, 31, 14).float()  # a pixel off to either side
-    mask = refine(seen(painted(DISC)), rough, NOWHERE, LOOK)
+    mask = refine_mask(seen(painted(DISC)), rough, NOWHERE, LOOK)
     assert iou(mask, DISC) > 0.98 > iou(rough > 0.5, DISC)
 
 
@@ -110,21 +110,21 @@ def test_colours_decide_on_surfaces_that_come_into_view():
     right = EVERYWHERE.clone()
     right[:, :40] = 0
     photo = seen(painted(DISC))
-    assert iou(refine(photo, half.float(), NOWHERE, LOOK), half) > 0.9, "no news"
-    mask = refine(photo, half.float(), right, LOOK)
+    assert iou(refine_mask(photo, half.float(), NOWHERE, LOOK), half) > 0.9, "no news"
+    mask = refine_mask(photo, half.float(), right, LOOK)
     reach = disc(40, 30, 14) & (torch.arange(WIDTH) < 40 + 8)  # AROUND of the diagonal
     assert (mask & reach).sum() > 0.95 * reach.sum()
 
 
 def test_what_does_not_show_has_no_mask():
-    assert not refine(seen(painted(DISC)), NOWHERE, NOWHERE, LOOK).any()
-    assert not refine(seen(painted(DISC)), 0.5 * EVERYWHERE, EVERYWHERE, LOOK).any()
+    assert not refine_mask(seen(painted(DISC)), NOWHERE, NOWHERE, LOOK).any()
+    assert not refine_mask(seen(painted(DISC)), 0.5 * EVERYWHERE, EVERYWHERE, LOOK).any()
 
 
 def test_masks_with_too_little_to_learn_from_stay_as_they_are():
     speck = disc(40, 30, 2)
-    assert torch.equal(refine(seen(painted(DISC)), speck.float(), NOWHERE, LOOK), speck)
-    assert refine(seen(painted(DISC)), EVERYWHERE, NOWHERE, LOOK).all()
+    assert torch.equal(refine_mask(seen(painted(DISC)), speck.float(), NOWHERE, LOOK), speck)
+    assert refine_mask(seen(painted(DISC)), EVERYWHERE, NOWHERE, LOOK).all()
 
 
 def test_strokes_are_believed():

@@ -17,7 +17,7 @@ from stylesplat.masks.grabcut import (
     Stroke,
     cut_box,
     grabcut_image,
-    refine,
+    refine_mask,
 )
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.progress import task
@@ -188,7 +188,7 @@ def _refine_views(
             rendered = (render_votes(splats, cameras, votes, row) for row in group)
             probabilities, novelties = zip(*rendered, strict=True)
             group_images = [images(row) for row in group]
-            masks = pool.map(refine, group_images, probabilities, novelties, repeat(channels))
+            masks = pool.map(refine_mask, group_images, probabilities, novelties, repeat(channels))
             found |= zip(group, masks, strict=True)
             advance(len(group))
     return found

@@ -112,7 +112,7 @@ def cut_box(
     return best, cuts[best]
 
 
-def refine(
+def refine_mask(
     image: GrabCutImage,
     probability: Float[Tensor, "H W"],
     novelty: Float[Tensor, "H W"],

@@ -4,7 +4,7 @@ import importlib.util
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path, PurePosixPath
@@ -18,6 +18,7 @@ from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
 from stylesplat.io.captures.transforms import TRANSFORMS
 from stylesplat.io.files import reason
+from stylesplat.io.folders import PARTIAL
 from stylesplat.io.json_files import PhotoName
 from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
@@ -38,7 +39,6 @@ SKIPPED = (
     *(OBJECT_MASK, EXACT, "object_masks", "mask", "masks"),
     *("sparse", "depth", "depths", "thumbs"),
 )
-UNFINISHED = ".partial"
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
 MAX_NUMBERS = 4  # numbers from the first to the last photo, per photo; with more it is no series
 MAX_REASONS = 3  # that a message names
@@ -77,14 +77,15 @@ def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
     _refuse_posed(folder)
     names = sorted(_walk(folder, skip), key=natural_key)
     left_out = {name: fault for name in names if (fault := _unusable_file(name))}
-    photos = _with_suffix(names, PHOTOS, except_for=left_out)
-    heic = _with_suffix(photos, HEIC)
+    usable = [name for name in names if name not in left_out]
+    photos, videos = (tuple(n for n in usable if n.lower().endswith(k)) for k in (PHOTOS, VIDEOS))
+    heic = [name for name in photos if name.lower().endswith(HEIC)]
     if heic and importlib.util.find_spec("pillow_heif") is None:
         raise StyleSplatError(
             f"{brief(heic[0])} is HEIC, as are {len(heic)} of {len(photos)} photos of {folder}. "
             "`pip install 'stylesplat[heic]'` makes them readable."
         )
-    return SourceFiles(photos, _with_suffix(names, VIDEOS), left_out)
+    return SourceFiles(photos, videos, left_out)
 
 
 def _refuse_posed(folder: Path) -> None:
@@ -113,7 +114,7 @@ def _walk(folder: Path, skip: Path) -> Iterator[str]:
 
 def _is_skipped(name: str) -> bool:
     hidden = name.startswith((".", "__MACOSX", "@eaDir"))
-    return hidden or name.endswith(UNFINISHED) or name.casefold() in SKIPPED
+    return hidden or name.endswith(PARTIAL) or name.casefold() in SKIPPED
 
 
 def _unusable_file(name: str) -> str | None:
@@ -127,13 +128,6 @@ def _unusable_file(name: str) -> str | None:
     except StyleSplatError:
         return "other programs cannot read its name; rename it"
     return None
-
-
-def _with_suffix(
-    names: Iterable[str], suffixes: tuple[str, ...], except_for: Mapping[str, str] | None = None
-) -> tuple[str, ...]:
-    dropped = except_for or {}
-    return tuple(n for n in names if n.lower().endswith(suffixes) and n not in dropped)
 
 
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:

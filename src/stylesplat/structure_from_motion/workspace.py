@@ -49,7 +49,7 @@ class Workspace:
 
     @property
     def basis(self) -> Path:
-        """Says what the database was made from."""
+        """What the database was made from."""
         return self.folder / "database.json"
 
     @cached_property
