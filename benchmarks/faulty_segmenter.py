@@ -9,8 +9,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.demo.faults import FaultConfig, corrupt_label_maps
-from stylesplat.masks.models.associate import to_labels, to_masks
-from stylesplat.masks.models.track import Segmenter
+from stylesplat.masks.tracking import Segmenter, labels_to_masks, masks_to_labels
 
 Mask = Bool[Tensor, "H W"]
 OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in size
@@ -27,7 +26,7 @@ class Mistakes:
     halved: float = 0.15
     """That an object is found as two halves."""
     lost: float = 0.1
-    """That an object which is followed is lost along a stretch of photos."""
+    """That an object which is followed is lost along a row of photos."""
     swapped: float = 0.1
     """That the segmenter goes on with a neighbour instead."""
 
@@ -48,11 +47,11 @@ def faulty_segmenter(
         rng = np.random.default_rng((seed, row))
         (labels,) = corrupt_label_maps([truth[row]], seed=seed + 7919 * row, config=bad.single)
         found = []
-        for mask in to_masks(labels).values():
+        for mask in labels_to_masks(labels).values():
             found += _halves(mask) if rng.random() < bad.halved else [mask]
         return found
 
-    def follow(rows: Sequence[int], seeds: Mapping[int, Mask]) -> list[dict[int, Mask]]:
+    def propagate(rows: Sequence[int], seeds: Mapping[int, Mask]) -> list[dict[int, Mask]]:
         rng = np.random.default_rng((seed, *rows))
         targets = {id: _meant(mask, truth[rows[0]]) for id, mask in seeds.items()}
         found = [dict(seeds)]
@@ -61,16 +60,18 @@ def faulty_segmenter(
                 if rng.random() < bad.lost / len(rows):
                     targets[id] = []
                 elif objects and rng.random() < bad.swapped / len(rows):
-                    targets[id] = [int(rng.choice([*to_masks(truth[row])] or objects))]
+                    targets[id] = [int(rng.choice([*labels_to_masks(truth[row])] or objects))]
             frayed = FaultConfig(bad.single.border, missing=0.0, merged=0.0, fragments=0.0)
             (labels,) = corrupt_label_maps([truth[row]], seed=seed + 104729 + row, config=frayed)
             masks = {id: _union(labels, objects) for id, objects in targets.items()}
             found.append(
-                to_masks(to_labels({i: m for i, m in masks.items() if m.any()}, labels.shape))
+                labels_to_masks(
+                    masks_to_labels({i: m for i, m in masks.items() if m.any()}, labels.shape)
+                )
             )
         return found
 
-    return Segmenter(lambda row: (truth[row].shape[0], truth[row].shape[1]), propose, follow)
+    return Segmenter(lambda row: (truth[row].shape[0], truth[row].shape[1]), propose, propagate)
 
 
 def _halves(mask: Mask) -> list[Mask]:
@@ -84,7 +85,8 @@ def _halves(mask: Mask) -> list[Mask]:
 def _meant(mask: Mask, exact: Int[Tensor, "H W"]) -> list[int]:
     """The objects that most of the mask shows, or that it holds most of."""
     overlap = {
-        id: (int((mask & each).sum()), int(each.sum())) for id, each in to_masks(exact).items()
+        id: (int((mask & each).sum()), int(each.sum()))
+        for id, each in labels_to_masks(exact).items()
     }
     return [
         id for id, (both, size) in overlap.items() if 2 * both > size or 2 * both > int(mask.sum())

@@ -21,10 +21,15 @@ from right_ids import right_ids
 import stylesplat as ss
 from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.faults import FaultConfig
-from stylesplat.masks.ids.repair import repair
-from stylesplat.masks.models.associate import to_labels
-from stylesplat.masks.models.track import Segmenter, State, stretches, track
 from stylesplat.masks.quick_splat import QUICK
+from stylesplat.masks.repair import repair_ids
+from stylesplat.masks.tracking import (
+    Segmenter,
+    TrackingState,
+    masks_to_labels,
+    split_clips,
+    track_clip,
+)
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.training.loop import fit
@@ -46,9 +51,9 @@ MISTAKES = {
 
 def tracked(capture: Capture, segmenter: Segmenter) -> list[Labels]:
     """Label maps of the whole capture."""
-    state, maps = State(), dict[int, Labels]()
-    for rows in stretches(capture.cameras):
-        found, state = track(rows, state, segmenter)
+    state, maps = TrackingState(), dict[int, Labels]()
+    for rows in split_clips(capture.cameras):
+        found, state = track_clip(rows, state, segmenter)
         maps |= found
     return [maps[row] for row in range(len(capture))]
 
@@ -74,12 +79,12 @@ def main() -> None:
         for seed in SEEDS if name == "usual" else SEEDS[:1]:
             segmenter = faulty_segmenter(truth, seed=seed, mistakes=mistakes)
             single = [
-                to_labels(dict(enumerate(segmenter.propose(row), start=1)), labels.shape)
+                masks_to_labels(dict(enumerate(segmenter.propose(row), start=1)), labels.shape)
                 for row, labels in enumerate(truth)
             ]
             maps = tracked(capture, segmenter)
             start = time.perf_counter()
-            repaired = repair(splats, capture.cameras, maps)
+            repaired = repair_ids(splats, capture.cameras, maps)
             seconds = time.perf_counter() - start
             stages = (" / ".join(scores(each, truth)) for each in (single, maps, repaired))
             lines.append([name, seed, *stages, f"{seconds:.0f} s"])

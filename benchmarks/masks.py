@@ -16,7 +16,7 @@ import torch
 from bench import DATA, calibration_ms, capture, machine, table
 
 import stylesplat as ss
-from stylesplat.masks.boxes.grabcut import Box
+from stylesplat.masks.grabcut import Box
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly

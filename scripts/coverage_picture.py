@@ -16,7 +16,7 @@ from stylesplat.figures.object_sheet import MARGIN, PAPER, TITLE_SIZE
 from stylesplat.io.atomic import atomic_path
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.check import check
 
 CAMERAS = dome_cameras(48, 240, 180)

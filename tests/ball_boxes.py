@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from balls import CAMERAS, SPLATS, enlarged
+from stylesplat.masks import from_boxes as mask_boxes
 from stylesplat.masks import quick_splat as working
-from stylesplat.masks.boxes import from_boxes as mask_boxes
-from stylesplat.masks.boxes.grabcut import Box
+from stylesplat.masks.grabcut import Box
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.scene import Scene
@@ -58,4 +58,4 @@ def fail_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("work has begun")
 
     monkeypatch.setattr(working, "fit", fail)
-    monkeypatch.setattr(mask_boxes, "spread", fail)
+    monkeypatch.setattr(mask_boxes, "propagate_boxes", fail)

@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from stylesplat.scene.poses import look_at
-from stylesplat.structure_from_motion.prepared import Prepared
+from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 330.0
 TEXTURE = 512  # pixels a side
@@ -71,7 +71,7 @@ def _texture(seed: int, axis: int) -> np.ndarray:
 
 def write_photos(
     folder: Path, pictures: dict[str, np.ndarray], sharpness: dict[str, float] | None = None
-) -> Prepared:
+) -> PreparedPhotos:
     """Write pictures by name."""
     for name, picture in pictures.items():
         path = folder / name
@@ -80,7 +80,7 @@ def write_photos(
     names = tuple(pictures)
     usual = dict.fromkeys(names, 1.0)
     own = dict(zip(names, names, strict=True))
-    return Prepared(names, ordered=False, origins=own, sharpness=usual | (sharpness or {}))
+    return PreparedPhotos(names, ordered=False, origins=own, sharpness=usual | (sharpness or {}))
 
 
 def corner(count: int = 10, *, seed: int = 0, prefix: str = "") -> dict[str, np.ndarray]:

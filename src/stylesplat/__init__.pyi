@@ -3,7 +3,7 @@ from .errors import StyleSplatError as StyleSplatError
 from .io.camera_paths import read_camera_path as read_camera_path
 from .io.scene_folder import open as open
 from .io.scene_folder import save as save
-from .masks.boxes.grabcut import Stroke as Stroke
+from .masks.grabcut import Stroke as Stroke
 from .scene.cameras import Cameras as Cameras
 from .scene.capture import Capture as Capture
 from .scene.scene import Scene as Scene

@@ -20,7 +20,7 @@ from stylesplat.io.files import inside
 from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import write_label_maps
 from stylesplat.io.splats.splat_files import read_splats
-from stylesplat.masks.models.found_so_far import open_progress
+from stylesplat.masks.checkpoint import open_checkpoint
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
@@ -177,12 +177,12 @@ def use_styles(folder: Path, out: Path) -> None:
 
 def use_progress(folder: Path, out: Path) -> None:
     shutil.copytree(folder / "progress", out / "progress")
-    found = open_progress(out / "progress", seeds.PROGRESS_SETTINGS)
+    found = open_checkpoint(out / "progress", seeds.PROGRESS_SETTINGS)
     shape = torch.zeros(seeds.HEIGHT, seeds.WIDTH)
     for mask in found.proposals(0, list):
         assert mask.dim() == shape.dim()
-    stretches, state = found.stands()
-    if stretches:
+    clips, state = found.load()
+    if clips:
         found.labels(0)
     found.save(1, {0: shape.long()}, state)
 

@@ -22,8 +22,8 @@ from stylesplat.io.captures.sfm_file import SfmRecord, write_sfm
 from stylesplat.io.gaussian_lists import SUFFIXES, write_objects
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.ply import write_ply_table
-from stylesplat.masks.models.found_so_far import open_progress
-from stylesplat.masks.models.track import State
+from stylesplat.masks.checkpoint import open_checkpoint
+from stylesplat.masks.tracking import TrackingState
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.listed import Listed, ListedObjects
 from stylesplat.scene.scene import Scene, SceneObject
@@ -241,10 +241,10 @@ def styles(folder: Path) -> None:
 
 def progress(folder: Path) -> None:
     """What `mask` has found so far."""
-    found = open_progress(folder / "progress", PROGRESS_SETTINGS)
+    found = open_checkpoint(folder / "progress", PROGRESS_SETTINGS)
     half = torch.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 2
     found.proposals(0, lambda: [half.bool()])
-    found.save(1, {0: half}, State(half, {1: 2}, 2))
+    found.save(1, {0: half}, TrackingState(half, {1: 2}, 2))
 
 
 def weights(folder: Path) -> None:

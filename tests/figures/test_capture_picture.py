@@ -19,7 +19,7 @@ from stylesplat.figures.capture_picture import (
 from stylesplat.figures.object_sheet import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.check import check
 
 DOME = dome_cameras(48, 48, 36)

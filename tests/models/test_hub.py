@@ -4,7 +4,6 @@ import shutil
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from logging import INFO
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +46,12 @@ def load(folder: Path) -> Any:
     return load_model(find(folder), Sam2VideoModel, device="cpu", dtype=torch.float32)
 
 
+def refuse(folder: Path, match: str) -> None:
+    with pytest.raises(StyleSplatError, match=match) as refused:
+        load(folder)
+    assert "\n" not in str(refused.value)
+
+
 def put_into_cache(folder: Path, cache: Path, *, without: str = "") -> None:
     """Lay files out as huggingface_hub does after a download."""
     repository = cache / f"models--{NAME.replace('/', '--')}"
@@ -69,7 +74,7 @@ def change_weights(folder: Path, change: Callable[[dict[str, torch.Tensor]], Any
     save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
 
 
-def test_a_folder_is_loaded_to_run_only(folder: Path, recwarn, capfd):
+def test_a_folder_is_loaded_for_inference(folder: Path, recwarn, capfd):
     model = load(folder)
     assert not model.training and not any(p.requires_grad for p in model.parameters())
     assert {p.dtype for p in model.parameters()} == {torch.float32}
@@ -79,34 +84,10 @@ def test_a_folder_is_loaded_to_run_only(folder: Path, recwarn, capfd):
     assert capfd.readouterr() == ("", "") and not recwarn.list
 
 
-def test_loading_is_quiet_and_logging_then_as_before(folder: Path, capfd):
-    from transformers.utils import logging
-
-    logging.set_verbosity_info()
-    logging.enable_progress_bar()
-    try:
-        load(folder)
-        assert logging.get_verbosity() == INFO and logging.is_progress_bar_enabled()
-        assert capfd.readouterr() == ("", "")
-    finally:
-        logging.set_verbosity_error()
-        logging.disable_progress_bar()
-
-
-@pytest.mark.parametrize(
-    ("name", "match"),
-    [
-        ("{tmp}/none", r"none does not exist\. Pass the folder that holds config\.json"),
-        ("./none", "does not exist"),
-        ("none", "does not exist"),
-        ("a/b/c", "does not exist"),
-        ("{tmp}/file", "is a file"),
-        ("{tmp}", r"is no model: it has no config\.json.*hf download"),
-    ],
-)
-def test_not_a_model(name: str, match: str, tmp_path: Path):
+@pytest.mark.parametrize("name", ["{tmp}/none", "none", "a/b/c", "{tmp}/file", "{tmp}"])
+def test_not_a_model(name: str, tmp_path: Path):
     (tmp_path / "file").touch()
-    with pytest.raises(StyleSplatError, match=match):
+    with pytest.raises(StyleSplatError, match=r"is no model: .*config\.json.*hf download"):
         find(name.format(tmp=tmp_path))
 
 
@@ -116,39 +97,26 @@ def test_the_home_folder_is_known(folder: Path, monkeypatch):
 
 
 def test_a_model_of_another_type(folder: Path):
-    with pytest.raises(
-        StyleSplatError,
-        match=r"is of the type sam2_video\. To sing, pass one of the type opera or x",
-    ):
+    match = r"is of the type sam2_video\. To sing, pass one of the type opera or x"
+    with pytest.raises(StyleSplatError, match=match):
         find_model(str(folder), ["x", "opera"], job="sing")
     (folder / "config.json").write_text("{}")
     with pytest.raises(StyleSplatError, match=r"has no model_type in config\.json"):
         find(folder)
-    (folder / "config.json").write_text("{")
-    with pytest.raises(StyleSplatError, match="not valid JSON"):
-        find(folder)
 
 
 def test_offline_and_not_in_the_cache(cache: Path, said: list[str]):
-    match = r"is not in the cache.*Run `hf download owner/tiny --local-dir FOLDER`.*--model FOLDER"
-    with pytest.raises(StyleSplatError, match=match):
+    with pytest.raises(StyleSplatError, match=r"is not in the cache.*--model FOLDER"):
         find(NAME)
     assert said == [], "no download is announced that is not tried"
 
 
 def test_the_cache_needs_no_network(folder: Path, cache: Path, said: list[str]):
-    put_into_cache(folder, cache)
-    assert find(NAME).path.is_relative_to(cache)
-    assert said == []
-    assert load(find(NAME).path) is not None
-    with pytest.raises(StyleSplatError, match="is of the type sam2_video"):
-        find_model(NAME, ["sam"], job="sing")
-
-
-def test_whether_a_model_is_at_hand_needs_no_network(folder: Path, cache: Path):
     assert is_at_hand(str(folder)) and not is_at_hand(NAME)
     put_into_cache(folder, cache)
     assert is_at_hand(NAME)
+    assert find(NAME).path.is_relative_to(cache)
+    assert said == []
 
 
 @pytest.mark.parametrize("missing", ["config.json", "model.safetensors", "processor_config.json"])
@@ -159,24 +127,15 @@ def test_half_a_model_in_the_cache_is_none(missing: str, folder: Path, cache: Pa
 
 
 def test_a_download_is_announced_and_starts_with_the_type(
-    folder: Path, cache: Path, monkeypatch, said: list[str], capfd
+    folder: Path, cache: Path, monkeypatch, said: list[str]
 ):
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
     fetched = []
 
-    def snapshot(
-        name: str,
-        *,
-        allow_patterns: list[str],
-        local_files_only: bool = False,
-        tqdm_class: Callable[..., Any] | None = None,
-    ) -> str:
+    def snapshot(name: str, *, allow_patterns: list[str], local_files_only: bool = False) -> str:
         if local_files_only:
             raise FileNotFoundError
         fetched.append(allow_patterns)
-        assert tqdm_class is not None
-        for _ in tqdm_class(range(3), desc="Fetching 3 files"):
-            pass
         return str(folder)
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", lambda name, file: folder / file)
@@ -186,51 +145,23 @@ def test_a_download_is_announced_and_starts_with_the_type(
     assert fetched == []
     assert find(NAME).path == folder
     assert fetched == [["*.json", "*.txt", "model*.safetensors"]]
-    line = said[-1]
-    assert line == f"Downloading the model {NAME} to {cache}."
-    assert capfd.readouterr().err == "", "its bars are for terminals"
+    assert said[-1] == f"Downloading the model {NAME} to {cache}."
 
 
-def refusal(error: str) -> Exception:
-    import httpx2
-    from huggingface_hub import errors
-
-    if error == "OSError":
-        return OSError("[Errno 28] No space left on device\nsecond line")
-    response = httpx2.Response(404, request=httpx2.Request("GET", "http://hub"))
-    return getattr(errors, error)("refused", response=response)
-
-
-@pytest.mark.parametrize(
-    ("error", "match"),
-    [
-        ("GatedRepoError", "accept its terms.*hf auth login"),
-        ("RepositoryNotFoundError", "neither a folder owner/tiny nor a model of that name"),
-        ("OSError", r"Cannot download owner/tiny: .*No space left on device\. Run `hf download"),
-    ],
-)
-def test_the_hub_refuses(error: str, match: str, cache: Path, monkeypatch, said: list[str]):
+def test_the_hub_refuses(cache: Path, monkeypatch):
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
 
     def download(name: str, file: str) -> str:
-        raise refusal(error)
+        raise OSError("[Errno 28] No space left on device\nsecond line")
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", download)
+    match = r"Cannot download owner/tiny: .*No space left on device\..*hf auth login"
     with pytest.raises(StyleSplatError, match=match) as refused:
         find(NAME)
     assert "\n" not in str(refused.value)
 
 
-def test_without_transformers(folder: Path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(
-        StyleSplatError,
-        match=r"Cannot follow objects without `transformers`\. .*stylesplat\[segment\]",
-    ):
-        find(folder)
-
-
-def test_without_a_package_that_one_model_needs(folder: Path):
+def test_packages_that_are_missing(folder: Path, monkeypatch):
     class Needy:
         @staticmethod
         def from_pretrained(*args: Any, **options: Any) -> None:
@@ -238,46 +169,35 @@ def test_without_a_package_that_one_model_needs(folder: Path):
 
     with pytest.raises(StyleSplatError, match=r"requires the timm library\. Run `pip install 's"):
         load_processor(find(folder), Needy)
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    match = r"Cannot follow objects without `transformers`\. .*stylesplat\[segment\]"
+    with pytest.raises(StyleSplatError, match=match):
+        find(folder)
 
 
-def test_truncated_weights(folder: Path):
-    weights = folder / "model.safetensors"
-    os.truncate(weights, weights.stat().st_size // 2)
-    refuse(folder, r"Cannot load the model in .*model: .+ Download it again\.")
-
-
-def test_no_weights(folder: Path):
-    (folder / "model.safetensors").unlink()
-    (folder / "pytorch_model.bin").touch()
-    refuse(folder, r"has no weights: there is no model\.safetensors")
-
-
-def test_a_nonsensical_config(folder: Path):
+def test_damaged_weights(folder: Path):
+    change_config(folder, memory_fuser_intermediate_dim=24)
+    refuse(folder, r"Cannot load the model in .*whole model")
     change_config(folder, num_maskmem="seven")
     refuse(folder, "Cannot load the model in .*num_maskmem")
+    weights = folder / "model.safetensors"
+    os.truncate(weights, weights.stat().st_size // 2)
+    refuse(folder, "Cannot load the model in ")
+    weights.unlink()
+    (folder / "pytorch_model.bin").touch()
+    refuse(folder, "Cannot load the model in ")
 
 
-def test_weights_of_another_shape(folder: Path):
-    change_config(folder, memory_fuser_intermediate_dim=24)
-    refuse(folder, r"do not fit its config\.json: memory.*has the shape \[16.*expected \[24")
-
-
-def test_weights_that_are_not_all_there(folder: Path):
+@pytest.mark.parametrize("part", ["memory_encoder.", "shared_image_embedding.positional_embedding"])
+def test_weights_that_are_not_all_there(folder: Path, part: str):
     """Transformers warns, fills the gap by chance, and goes on."""
 
     def strip(weights: dict[str, torch.Tensor]) -> None:
-        for name in [name for name in weights if name.startswith("memory_encoder.")]:
+        for name in [name for name in weights if name.startswith(part)]:
             del weights[name]
 
     change_weights(folder, strip)
-    refuse(folder, r"lack \d+ of the tensors that Sam2VideoModel needs, such as memory_encoder\.")
-
-
-def test_a_buffer_that_was_learned_is_needed_too(folder: Path):
-    change_weights(
-        folder, lambda weights: weights.pop("shared_image_embedding.positional_embedding")
-    )
-    refuse(folder, "lack 1 of the tensors .* shared_image_embedding")
+    refuse(folder, rf"lack \d+ of the tensors that Sam2VideoModel needs, such as .*{part[:14]}")
 
 
 def test_superfluous_weights_do_no_harm(folder: Path):
@@ -297,15 +217,6 @@ def test_a_damaged_processor(folder: Path):
     (folder / "processor_config.json").write_text("{")
     with pytest.raises(StyleSplatError, match=r"Cannot load the model in .*not a valid JSON file"):
         load_processor(find(folder), Sam2VideoProcessor)
-    (folder / "processor_config.json").unlink()
-    with pytest.raises(StyleSplatError, match=r"does not say how to prepare .* processor_config\."):
-        load_processor(find(folder), Sam2VideoProcessor)
-
-
-def refuse(folder: Path, match: str) -> None:
-    with pytest.raises(StyleSplatError, match=match) as refused:
-        load(folder)
-    assert "\n" not in str(refused.value)
 
 
 def test_code_beside_a_model_is_not_run(folder: Path, tmp_path: Path):

@@ -12,9 +12,8 @@ from stylesplat.scene.frames import SAME
 from stylesplat.scene.layer import Source
 from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import SceneObject
-from stylesplat.structure_from_motion.capture_report import CaptureReport
-from stylesplat.structure_from_motion.coverage import Coverage
-from stylesplat.structure_from_motion.findings import Finding
+from stylesplat.structure_from_motion.capture_statistics import Coverage
+from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding
 from stylesplat.stylization.style import Recipe, StyledObject
 from stylesplat.verbs.render import Views
 from stylesplat.verbs.sheet import Sheet

@@ -11,17 +11,17 @@ from PIL import Image
 from pictures_of_walks import film, save, view, walk
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.images import read_image
-from stylesplat.structure_from_motion.photo_folder import find_sources
+from stylesplat.io.captures.photos import read_image
 from stylesplat.structure_from_motion.prepare import prepare
 
 
 def test_plain_photos_are_taken_as_they_are(tmp_path: Path):
     source = walk(tmp_path / "my photos")
+    film(source / "IMG_8.mov", [view(0)])
     prepared = prepare(source, tmp_path / "out")
     assert prepared.names == tuple(f"IMG_{i}.jpg" for i in range(8, 13))  # not 10 before 8
     assert prepared.ordered
-    assert not prepared.left_out
+    assert prepared.left_out == {"IMG_8.mov": "a video among photos"}
     assert prepared.origins == {name: name for name in prepared.names}
     assert all(0.5 < sharp < 2 for sharp in prepared.sharpness.values())
     for name in prepared.names:
@@ -29,6 +29,8 @@ def test_plain_photos_are_taken_as_they_are(tmp_path: Path):
         assert copy.read_bytes() == photo
         copy.write_bytes(b"edited in place")
         assert (source / name).read_bytes() == photo
+    (source / "IMG_8.mov").unlink()
+    assert not prepare(source, tmp_path / "out").left_out
 
 
 def test_rotated_photos_become_upright_and_keep_their_focal_length(tmp_path: Path):
@@ -84,16 +86,6 @@ def test_heic_is_read_upright_with_its_focal_length(tmp_path: Path):
     assert pycolmap.infer_camera_from_image(tmp_path / "out" / "1.jpg").has_prior_focal_length
 
 
-def test_without_pillow_heif_one_line_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    walk(tmp_path / "in")
-    (tmp_path / "in" / "a.heic").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(StyleSplatError, match=r"pip install 'stylesplat\[heic\]'"):
-        prepare(tmp_path / "in", tmp_path / "out")
-
-
 def test_names_of_all_kinds_stay_apart(tmp_path: Path):
     names = ("ä ö/1 (2).JPG", "ä ö/2.jpeg", "ä ö/2.png", "c/3.tif", "c/3.jpg", "C4.Png")
     for index, name in enumerate(names):
@@ -138,18 +130,15 @@ def test_a_slow_walk_is_thinned_to_photos_that_differ(tmp_path: Path):
     assert 8 <= len(prepared.names) <= 13  # every second or third
 
 
-def test_an_interrupted_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_interrupted_call_continues(tmp_path: Path):
     source, out = tmp_path / "in", tmp_path / "out"
     for index in range(4):
         save(source / f"{index}.jpg", view(index * 24), orientation=3)
     prepared = prepare(source, out)
     (out / "2.jpg").rename(out / ".2.0123456789ab.jpg")  # what a killed process leaves
     kept = (out / "1.jpg").stat()
-    monkeypatch.setattr(
-        "stylesplat.structure_from_motion.prepare.choose_photos", None
-    )  # nobody looks again
     assert prepare(source, out) == prepared
-    assert {path.name for path in out.iterdir()} == {*prepared.names, ".prepared.json"}
+    assert all((out / name).is_file() for name in prepared.names)
     assert (out / "1.jpg").stat() == kept
 
 
@@ -201,22 +190,6 @@ def test_what_changed_is_written_again_and_what_went_is_removed(tmp_path: Path):
     assert (out / "IMG_9.jpg").read_bytes() == (source / "IMG_9.jpg").read_bytes()
 
 
-def test_a_folder_of_something_else_is_not_touched(tmp_path: Path):
-    source = walk(tmp_path / "in")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "letter.txt").write_text("dear")
-    with pytest.raises(StyleSplatError, match="holds something else"):
-        prepare(source, tmp_path / "out")
-    assert (tmp_path / "out" / "letter.txt").read_text() == "dear"
-
-
-def test_too_few_photos_are_counted(tmp_path: Path):
-    source = walk(tmp_path / "in", 2)
-    (source / "text.jpg").write_text("no picture")
-    with pytest.raises(StyleSplatError, match=r"has 2 photos .* 1 left out: no readable picture"):
-        prepare(source, tmp_path / "out")
-
-
 def test_blurred_photos_only(tmp_path: Path):
     for index in range(4):
         small = cv2.resize(view(index * 24), (64, 48), interpolation=cv2.INTER_AREA)
@@ -226,23 +199,18 @@ def test_blurred_photos_only(tmp_path: Path):
         prepare(tmp_path / "in", tmp_path / "out")
 
 
-def test_cut_out_photos(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("level", "what"),
+    [(0, "black"), (255, "white"), (90, "of one colour"), (None, "transparent")],
+)
+def test_photos_without_background(tmp_path: Path, level: int | None, what: str):
     for index in range(4):
-        alpha = np.full((240, 320, 1), 255, np.uint8)
-        alpha[:, :200] = 0
-        save(tmp_path / "in" / f"{index}.png", np.dstack([view(index * 24), alpha]))
-    with pytest.raises(StyleSplatError, match=r"4 of 4 photos .* have no background"):
-        prepare(tmp_path / "in", tmp_path / "out")
-
-
-@pytest.mark.parametrize("level", [0, 255, 90])
-def test_masked_photos(tmp_path: Path, level: int):
-    called = {0: "black", 255: "white", 90: "of one colour"}[level]
-    for index in range(4):
-        masked = np.full((480, 640, 3), level, np.uint8)
+        masked = np.full((480, 640, 3), level or 0, np.uint8)
         masked[120:480, 200:440] = cv2.resize(view(index * 24), (240, 360))  # to the lower edge
-        save(tmp_path / "in" / f"{index}.jpg", masked)
-    with pytest.raises(StyleSplatError, match=rf"4 of 4 photos .*: it is {called}\. The back"):
+        alpha = np.where(masked.any(axis=2, keepdims=True), 255, 0).astype(np.uint8)
+        pixels = np.dstack([masked, alpha]) if level is None else masked
+        save(tmp_path / "in" / f"{index}.png", pixels)
+    with pytest.raises(StyleSplatError, match=rf"4 of 4 photos .*: it is {what}\. The back"):
         prepare(tmp_path / "in", tmp_path / "out")
 
 
@@ -254,7 +222,7 @@ def test_a_burnt_out_sky_is_a_background(tmp_path: Path):
     assert len(prepare(tmp_path / "in", tmp_path / "out").names) == 4
 
 
-def test_sources_that_are_none(tmp_path: Path):
+def test_sources_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     posed, films, out = tmp_path / "posed", tmp_path / "films", tmp_path / "out"
     walk(posed / "images")
     (posed / "sparse" / "0").mkdir(parents=True)
@@ -263,9 +231,12 @@ def test_sources_that_are_none(tmp_path: Path):
     (films / "a.mp4").write_bytes(b"")
     (films / "b.MOV").write_bytes(b"")
     (tmp_path / "empty").mkdir()
+    few = walk(tmp_path / "few", 2)
+    (few / "text.jpg").write_text("no picture")
     for source, message in (
         (tmp_path / "none", "no folder or video"),
         (tmp_path / "empty", "has no photos"),
+        (few, "has 2 photos .* 1 left out: no readable picture"),
         (posed / "images" / "IMG_8.jpg", "is one photo"),
         (posed, "has its poses already .sparse.*find new ones"),
         (films, "2 videos: a.mp4, b.MOV. Give one"),
@@ -276,12 +247,10 @@ def test_sources_that_are_none(tmp_path: Path):
         prepare(posed / "images", posed / "images")
     with pytest.raises(StyleSplatError, match="Cannot choose 2 frames"):
         prepare(posed / "images", out, frames=2)
-
-
-def test_videos_among_photos_are_listed(tmp_path: Path):
-    source = walk(tmp_path / "in")
-    film(source / "IMG_8.mov", [view(0)])
-    assert find_sources(source, skip=tmp_path).videos == ("IMG_8.mov",)
-    assert prepare(source, tmp_path / "out").left_out == {"IMG_8.mov": "a video among photos"}
-    (source / "IMG_8.mov").unlink()
-    assert not prepare(source, tmp_path / "out").left_out
+    with pytest.raises(StyleSplatError, match="holds something else"):
+        prepare(posed / "images", few)
+    assert (few / "text.jpg").read_text() == "no picture"
+    (few / "a.heic").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(StyleSplatError, match=r"pip install 'stylesplat\[heic\]'"):
+        prepare(few, out)

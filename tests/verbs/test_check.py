@@ -11,7 +11,7 @@ from ball_photos import write_ball_capture
 from balls import CAMERAS
 from sfm_records import sfm_record
 from stylesplat.io.captures.sfm_file import write_sfm
-from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 from tiny_captures import save_noise, write_capture
@@ -78,7 +78,7 @@ def test_a_reconstruction_counts_where_there_is_one(posed: Path):
     assert finding(report, "reprojection error")[0] == "poor"
     assert finding(report, "track length") == (
         "poor",
-        "a point shows in 2.6 photos in the mean. Photos overlap little: take them in smaller "
+        "a point is seen in 2.6 photos on average. Photos overlap little: take them in smaller "
         "steps, each with two thirds of the last.",
     )
     assert report.weak == ("001.png",), "the photo of id 4"

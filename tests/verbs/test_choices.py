@@ -14,7 +14,7 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from plain_layers import layer_towards
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.quick_splat import with_splat
+from stylesplat.masks.quick_splat import working_splat
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import with_layers
@@ -154,7 +154,7 @@ def test_a_splat_of_other_photos_that_lie_nowhere():
 
 
 def test_masks_are_made_on_a_scene_as_it_was_before_it_was_painted():
-    working = with_splat(photographed(), inverted(), "cpu")
+    working = working_splat(photographed(), inverted(), "cpu")
     assert torch.equal(working.splats.sh0, SPLATS.sh0)
 
 

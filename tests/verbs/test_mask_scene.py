@@ -12,7 +12,7 @@ from command_line import run
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.masks.rendered import rendered_capture
+from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids, render_labels

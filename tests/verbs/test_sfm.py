@@ -15,7 +15,7 @@ from corner_photos import corner, photograph_corner, places_around, towards, wri
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.progress import Silence, Task, observed
 from stylesplat.scene.frames import seen_from
-from stylesplat.structure_from_motion.frame import working_frame
+from stylesplat.structure_from_motion.world_frame import working_frame
 
 COUNT = 8
 

@@ -13,7 +13,7 @@ from stylesplat.cli.posed import earlier_capture
 
 if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture
-    from stylesplat.structure_from_motion.capture_report import CaptureReport
+    from stylesplat.structure_from_motion.diagnostics import CaptureReport
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Check:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import open_capture
-        from stylesplat.io.kinds import is_posed, kind_of, no_capture
-        from stylesplat.structure_from_motion.sharpness import SIDE
+        from stylesplat.io.captures.capture_folder import is_posed, open_capture
+        from stylesplat.io.kinds import kind_of, no_capture
+        from stylesplat.structure_from_motion.image_measures import SIDE
         from stylesplat.verbs.check import check
 
         if self.output is not None:
@@ -67,8 +67,8 @@ class Check:
 
     def _draw(self, capture: "Capture", report: "CaptureReport") -> Path:
         from stylesplat.figures.capture_picture import capture_picture
-        from stylesplat.io.atomic import changing
         from stylesplat.io.images import write_image
+        from stylesplat.io.recovery import changing
 
         assert self.output is not None
         with changing(self.output):

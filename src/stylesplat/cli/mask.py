@@ -29,7 +29,7 @@ from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
     from stylesplat.io.captures.sfm_file import SfmRecord
-    from stylesplat.masks.boxes.grabcut import Box, Stroke
+    from stylesplat.masks.grabcut import Box, Stroke
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
 
@@ -180,7 +180,7 @@ class Mask:
         return boxes
 
     def _strokes(self, record: "SfmRecord | None") -> "dict[str, list[tuple[str, Stroke]]]":
-        from stylesplat.masks.boxes.grabcut import Stroke
+        from stylesplat.masks.grabcut import Stroke
 
         strokes: dict[str, list[tuple[str, Stroke]]] = {}
         for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):

@@ -15,7 +15,7 @@ from stylesplat.errors import StyleSplatError
 if TYPE_CHECKING:
     from stylesplat.cli.mask import Mask, Method
     from stylesplat.cli.options import Device
-    from stylesplat.masks.boxes.from_boxes import Boxes, Strokes
+    from stylesplat.masks.from_boxes import Boxes, Strokes
     from stylesplat.scene.scene import Scene
 
 PREVIEW = "masks.jpg"  # in the scene's folder
@@ -130,7 +130,7 @@ def _draw(scene: "Scene", names: dict[int, str], target: Path, device: "Device")
 
     from stylesplat.figures.preview import mask_preview
     from stylesplat.io.images import write_image
-    from stylesplat.masks.rendered import rendered_capture
+    from stylesplat.masks.quick_splat import rendered_capture
     from stylesplat.rendering.device import pick_device
     from stylesplat.scene.resized import at_most
     from stylesplat.selection.identities import render_labels

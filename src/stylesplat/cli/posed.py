@@ -93,13 +93,13 @@ def earlier_capture(given: Path, *, beside: Path) -> Path | None:
         StyleSplatError: If there is one, but they have changed since.
     """
     from stylesplat.io.captures.sfm_file import read_sfm
-    from stylesplat.verbs.sfm import digest_of
+    from stylesplat.verbs.sfm import source_digest
 
     stale = None
     for place in dict.fromkeys(place_of(given, beside=near) for near in (given, beside)):
         record = read_sfm(place)
         if record is not None and Path(record.source) == given.resolve():
-            if record.digest == digest_of(given):
+            if record.digest == source_digest(given):
                 return place
             stale = place
     if stale is None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
 import msgspec
@@ -13,7 +13,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import MAX_SIDE
 from stylesplat.io.images import MAX_PIXELS
 from stylesplat.io.json_files import MAX_BYTES, fitting, read_json_as
-from stylesplat.masks.photo_names import photo_key
 from stylesplat.scene.labels import MAX_ID, Mask
 
 REMEDY = "Export images, annotations and RLE masks."
@@ -42,13 +41,13 @@ class CocoAnnotation(msgspec.Struct):
     """The mask of an object in a photo."""
 
     image_id: Id
-    segmentation: Any  # looked at when the mask is wanted: masks of other photos do not matter
+    segmentation: Any  # checked when the mask is decoded: masks of other photos do not matter
     category_id: Id | None = None
     track_id: Id | None = None
 
 
 class CocoFile(msgspec.Struct):
-    """Such a file."""
+    """A file of annotations."""
 
     images: list[CocoImage]
     annotations: list[CocoAnnotation]
@@ -64,66 +63,72 @@ class RunLengths(msgspec.Struct):
 
 
 @dataclass(frozen=True)
-class Layers:
+class CocoMasks:
     """The masks in a file, not yet decoded."""
 
     by_photo: Mapping[str, list[tuple[int, Any]]]
-    """By photo's name without suffix the objects' ids and what shall be run lengths."""
+    """By photo's name without suffix the objects' ids and their run lengths, unchecked."""
     names: Mapping[int, str]
-    """What objects are called, by id, where they are categories."""
+    """Names of objects by id, where they are categories."""
 
 
-def read_coco(source: Path) -> Layers:
-    """The masks in a file; an object is a track, or else a category.
-
-    Raises:
-        StyleSplatError: If the file is missing or holds no annotations.
-    """
+def read_coco(source: Path) -> CocoMasks:
+    """Read the masks in a file; an object is a track, or else a category."""
     content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES)
-    files = {image.id: photo_key(image.file_name) for image in content.images}
+    files = {
+        image.id: PurePosixPath(image.file_name).with_suffix("").as_posix()
+        for image in content.images
+    }
     kinds = {_number(kind.id): str(kind.name) for kind in content.categories}
     tracked = any(each.track_id is not None for each in content.annotations)
     names: dict[int, str] = {}
     found: dict[str, list[tuple[int, Any]]] = {}
     for each in content.annotations:
         number = _number(each.track_id if tracked else each.category_id)
-        fault = _fault(number, each.image_id, files)
+        fault = None
+        if each.image_id not in files:
+            fault = f"there is no image {each.image_id!r}"
+        elif number is None:
+            fault = "an annotation has no track_id or category_id, or it is no number"
+        elif not 0 < number <= MAX_ID:
+            fault = f"the id {number} is not within 1 to {MAX_ID}; 0 is background"
         if number is None or fault:
             raise StyleSplatError(f"Cannot read {source} as COCO annotations: {fault}. {REMEDY}")
         if not tracked and number in kinds:
             names[number] = kinds[number]
         found.setdefault(files[each.image_id], []).append((number, each.segmentation))
-    return Layers(found, names)
+    return CocoMasks(found, names)
 
 
 def rle_size(rle: Any, source: Path) -> tuple[int, int]:
-    """Width and height of a mask that nobody has decoded.
-
-    Raises:
-        StyleSplatError: If it is none.
-    """
-    height, width = _checked(rle, source).size
+    """Width and height of a mask, without decoding it."""
+    height, width = _run_lengths(rle, source).size
     return width, height
 
 
 def decode_rle(rle: Any, source: Path) -> Mask:
-    """A mask of COCO's run lengths.
+    """Decode a mask.
 
     Raises:
-        StyleSplatError: If they do not fill the mask, or it has more pixels than a photo.
+        StyleSplatError: If the runs do not fill the mask, or it has more pixels than a photo.
     """
-    checked = _checked(rle, source)
+    checked = _run_lengths(rle, source)
     height, width = checked.size
-    runs = checked.counts
-    if isinstance(runs, str):
-        runs = _unpack(runs)
-    if height * width > MAX_PIXELS:
-        raise _unreadable_rle(source, f"{height}x{width} pixels are no photo's")
-    # As Python's integers, which do not wrap: what NumPy then repeats is as much as there is room
-    if sum(runs) != height * width or min(runs, default=0) < 0:
-        raise _unreadable_rle(source, f"its runs do not hold the pixels of {height}x{width}")
+    runs = _unpack(checked.counts) if isinstance(checked.counts, str) else checked.counts
+    # Python's integers do not wrap; NumPy's sum would, and np.repeat write out of bounds
+    fits = height * width <= MAX_PIXELS and sum(runs) == height * width
+    if not fits or min(runs, default=0) < 0:
+        raise StyleSplatError(
+            f"Cannot read a mask in {source}: its runs do not hold the pixels of {height}x{width}, "
+            "or no photo is as large. Export the masks again."
+        )
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
+
+
+def _run_lengths(rle: Any, source: Path) -> RunLengths:
+    what, remedy = f"Cannot read a mask in {source}", "Polygons are not understood: export RLE."
+    return fitting(rle, RunLengths, what, remedy)
 
 
 def _number(id: Id | None) -> int | None:
@@ -131,29 +136,6 @@ def _number(id: Id | None) -> int | None:
     if isinstance(id, str):
         return int(id) if id.isascii() and id.isdecimal() and len(id) <= MAX_DIGITS else None
     return int(id) if id is not None and id == id // 1 else None
-
-
-def _fault(number: int | None, photo: Id, files: Mapping[Id, str]) -> str | None:
-    if photo not in files:
-        return f"there is no image {photo!r}"
-    if number is None:
-        return "an annotation has no track_id or category_id, or it is no number"
-    if 0 < number <= MAX_ID:
-        return None
-    return f"the id {number} is not within 1 to {MAX_ID}: 0 is background, number objects from 1"
-
-
-def _checked(rle: Any, source: Path) -> RunLengths:
-    return fitting(
-        rle,
-        RunLengths,
-        f"Cannot read a mask in {source}",
-        "Polygons are not understood: export RLE.",
-    )
-
-
-def _unreadable_rle(source: Path, fault: str) -> StyleSplatError:
-    return StyleSplatError(f"Cannot read a mask in {source}: {fault}. Export the masks again.")
 
 
 def _unpack(text: str) -> list[int]:
@@ -164,7 +146,7 @@ def _unpack(text: str) -> list[int]:
         group = ord(letter) - 48
         value |= (group & 0x1F) << shift
         shift += 5
-        if shift > MAX_BITS:  # would be slow, too: numbers of any length
+        if shift > MAX_BITS:  # a damaged string: numbers of any length would be slow
             return []
         if not group & 0x20:
             if group & 0x10:  # negative

@@ -1,13 +1,18 @@
-"""A splat to work with: one that exists, or one trained quickly; and what was made of it."""
+"""A splat on which masks of different photos meet, and photos of a splat that came without any."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import SAME, posed_as
 from stylesplat.scene.labels import OwnLabels, resize_labels
@@ -20,35 +25,27 @@ from stylesplat.training.train_config import TrainConfig
 
 QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
 QUICK_SIZE = 480  # pixels of the longer side of its photos
+CACHED_RENDERS = 256  # of 2 MB each
 
 
 @dataclass(frozen=True)
-class Working:
-    """Photos to work on and what they show in 3D."""
+class WorkingSplat:
+    """Photos at working size, and a splat of what they show."""
 
     capture: Capture
-    """At working size, without label maps."""
+    """Without label maps."""
     splats: Splats
     """In the frame of the capture's cameras."""
 
 
-def with_splat(capture: Capture, scene: Scene | None, device: str) -> Working:
-    """A capture with a scene of it, or with a splat that is trained for about a minute.
-
-    Args:
-        capture: At working size; its label maps do not matter.
-        scene: A scene of it, if there is one.
-        device: Where to compute.
-
-    Raises:
-        StyleSplatError: If the scene is of other photos, or shows something else.
-    """
+def working_splat(capture: Capture, scene: Scene | None, device: str) -> WorkingSplat:
+    """The splat of a scene of these photos, or one that is trained for about a minute."""
     torch_device = pick_device(device)
     capture = replace(capture, label_maps=None, object_names={})
     if scene is None:
         say("Training a quick splat, for a minute or more; --scene takes one that you have.")
         state = fit(at_most(capture, QUICK_SIZE), QUICK, device=torch_device)
-        return Working(capture, state.splats.detach())
+        return WorkingSplat(capture, state.splats.detach())
     missing = set(capture.cameras.names) - set(scene.cameras.names)
     if missing:
         raise StyleSplatError(
@@ -57,27 +54,34 @@ def with_splat(capture: Capture, scene: Scene | None, device: str) -> Working:
         )
     splats = scene.unpainted.to(torch_device)
     small = posed_as(at_most(capture, CHECK_SIZE), scene.cameras)
-    fits = frame_fits(splats, small, {"scene": SAME})
-    if fits["scene"] <= CLOSER:
+    if frame_fits(splats, small, {"scene": SAME})["scene"] <= CLOSER:
         raise StyleSplatError(
             "The scene does not show what the photos do. Give a scene of these photos, or none."
         )
-    return Working(posed_as(capture, scene.cameras), splats)
+    return WorkingSplat(posed_as(capture, scene.cameras), splats)
 
 
-def with_maps(
+def with_label_maps(
     capture: Capture, maps: Sequence[Callable[[], OwnLabels]], names: Mapping[int, str]
 ) -> Capture:
-    """A capture with label maps that were made at another size.
-
-    Args:
-        capture: The photos.
-        maps: For each photo what makes its label map.
-        names: What objects are called, by id.
-    """
+    """A capture with label maps that were made at another size, and are made on access."""
 
     def enlarged(row: int) -> OwnLabels:
         return resize_labels(maps[row](), capture.cameras[row].size[::-1])
 
     made = Lazy([partial(enlarged, row) for row in range(len(capture))])
     return replace(capture, label_maps=made, object_names=dict(names))
+
+
+def rendered_capture(scene: Scene, device: torch.device) -> Capture:
+    """A capture of a scene: its views, rendered on access, as they look without a style."""
+    splats = scene.unpainted.detach().to(device)
+
+    @lru_cache(maxsize=CACHED_RENDERS)
+    @torch.no_grad()
+    def photo(row: int) -> UInt8[Tensor, "H W 3"]:
+        image = render(splats, scene.cameras[row])[0].clamp(0, 1)
+        return (255 * image).round().to(torch.uint8).cpu()
+
+    rows = range(len(scene.cameras))
+    return Capture(scene.cameras, Lazy([partial(photo, row) for row in rows]))

@@ -19,15 +19,7 @@ CHUNK = 2**18  # bytes between two updates of the progress bar
 
 
 def fetch_tensors(url: str, names: Iterable[str], *, title: str) -> dict[str, Tensor]:
-    """Download some tensors of a remote safetensors file and nothing else of it.
-
-    Args:
-        url: Of the file; redirects are followed.
-        names: Of the tensors.
-        title: What the progress bar calls them.
-
-    Returns:
-        The tensors, as float32, by name.
+    """Download some tensors of a remote safetensors file, as float32, and nothing else of it.
 
     Raises:
         StyleSplatError: If the server cannot be reached, does not serve parts of files, or the

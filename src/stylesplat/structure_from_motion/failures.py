@@ -1,4 +1,4 @@
-"""When photos give no poses, or wrong ones: the fact, and how to take better ones."""
+"""Why photos give no poses, or wrong ones, and how to take better ones."""
 
 from collections.abc import Mapping, Sequence
 from statistics import median
@@ -7,29 +7,23 @@ import numpy as np
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.scene.one_line import counted
 from stylesplat.scene.sampling import evenly
-from stylesplat.structure_from_motion.match_table import MatchTable
-from stylesplat.structure_from_motion.prepared import LEAST
-from stylesplat.structure_from_motion.unregistered import FEW_FEATURES
+from stylesplat.structure_from_motion.config import MIN_PHOTOS
+from stylesplat.structure_from_motion.image_measures import SOFT
+from stylesplat.structure_from_motion.matching import MatchTable
 
-POSED = 1 / 3  # of the photos: of fewer the scene is hardly to be recognised
-MOSTLY_FLAT = 0.75  # of the matched pairs; fox has 5 % of them
-NARROW = 3.0  # degrees between the rays to a typical point, below which depth is a guess
-LOOKED_AT = 1000  # points
+FEW_FEATURES = 150  # such a photo is nearly a blank wall; ordinary ones have over a thousand
+MIN_REGISTERED = 1 / 3  # share of the photos; with fewer the scene can hardly be recognised
+MOSTLY_PLANAR = 0.75  # share of the matched pairs; fox has 5 %
+MIN_ANGLE = 3.0  # degrees between the rays to a typical point; with less, depth is a guess
+SAMPLED_POINTS = 1000
+MIN_INLIERS = 30  # matches that a pose needs, COLMAP's abs_pose_min_num_inliers
 WALK = "Walk around what you want to show, so that each photo is taken from another place"
 
 
-def check_number(count: int) -> None:
-    """Raise a StyleSplatError for too few photos."""
-    if count < LEAST:
-        raise StyleSplatError(
-            f"Poses need at least {LEAST} photos, there {'is' if count == 1 else 'are'} {count}. "
-            "Take 30 to 100, from all sides."
-        )
-
-
 def check_features(counts: Mapping[str, int], total: int) -> None:
-    """Raise a StyleSplatError if there is hardly anything to see in the photos."""
+    """Raise a StyleSplatError if the photos have too little texture."""
     typical = median([*counts.values(), *[0] * (total - len(counts))])
     if typical < FEW_FEATURES:
         raise StyleSplatError(
@@ -41,7 +35,7 @@ def check_features(counts: Mapping[str, int], total: int) -> None:
 
 def check_matches(table: MatchTable) -> None:
     """Raise a StyleSplatError if too few pairs match to connect even three photos."""
-    if table.matched < LEAST - 1:
+    if table.matched < MIN_PHOTOS - 1:
         raise StyleSplatError(
             f"The photos do not overlap: {table.matched} of {table.compared} pairs match. Take "
             "photos of one thing, each sharing two thirds of its picture with the next."
@@ -51,17 +45,14 @@ def check_matches(table: MatchTable) -> None:
 def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
     """Raise a StyleSplatError unless one model shows the scene, from more than one place.
 
-    It has a third of the photos at least, and if there are others, more than half.
-
-    Args:
-        models: The largest first.
-        table: What was compared.
-        total: How many photos there are.
+    It must have a third of the photos, and if there are other models, more than half.
     """
-    sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= LEAST]
-    if _is_turn(models, table):
+    sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= MIN_PHOTOS]
+    # Cameras that only turned say nothing about depth
+    planar = table.planar >= MOSTLY_PLANAR * table.matched
+    if planar and (not models or triangulation_angle(models[0]) < MIN_ANGLE):
         raise StyleSplatError(
-            f"The photos were taken from one place, or show only something flat: in {table.flat} "
+            f"The photos were taken from one place, or show only something flat: in {table.planar} "
             f"of {table.matched} matching pairs nothing shifts before anything else. {WALK}."
         )
     if not sizes:
@@ -75,7 +66,7 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
             f"{', '.join(map(str, sizes))} of {total}. Put each place into a folder of its own, "
             "or take photos that connect them."
         )
-    if sizes[0] < POSED * total:
+    if sizes[0] < MIN_REGISTERED * total:
         raise StyleSplatError(
             f"Only {sizes[0]} of {total} photos fit together: {table.matched} of {table.compared} "
             f"pairs match. {WALK}, at small steps, each sharing two thirds of its picture with "
@@ -83,21 +74,64 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
         )
 
 
-def _is_turn(models: Sequence[pycolmap.Reconstruction], table: MatchTable) -> bool:
-    """Whether the cameras only turned, so that nothing is known of depth."""
-    if table.flat < MOSTLY_FLAT * table.matched:
-        return False
-    return not models or angle_of_view(models[0]) < NARROW
-
-
-def angle_of_view(model: pycolmap.Reconstruction) -> float:
-    """Degrees between the outermost rays to a typical point; 0 if there are none."""
+def triangulation_angle(model: pycolmap.Reconstruction) -> float:
+    """Degrees between the outermost rays to a typical point; 0 if there are no points."""
     centres = {key: model.image(key).projection_center() for key in model.reg_image_ids()}
-    points = evenly([*model.points3D.values()], LOOKED_AT)
-    return float(np.median([_widest(p, centres) for p in points])) if points else 0.0
+
+    def widest(point: pycolmap.Point3D) -> float:
+        rays = np.stack([centres[e.image_id] - point.xyz for e in point.track.elements])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))))
+
+    points = evenly([*model.points3D.values()], SAMPLED_POINTS)
+    return float(np.median([widest(point) for point in points])) if points else 0.0
 
 
-def _widest(point: pycolmap.Point3D, centres: Mapping[int, np.ndarray]) -> float:
-    rays = np.stack([centres[e.image_id] - point.xyz for e in point.track.elements])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))))
+def why_unregistered(
+    models: Sequence[pycolmap.Reconstruction],
+    counts: Mapping[str, int],
+    sharpness: Mapping[str, float],
+    table: MatchTable,
+    names: Sequence[str],
+) -> dict[str, str]:
+    """By name the reason, for each photo that the first model lacks."""
+    groups = [{i.name for i in model.images.values() if i.has_pose} for model in models]
+    return {
+        name: _poor_quality(name, counts, sharpness) or _poor_overlap(name, groups, table)
+        for name in names
+        if name not in groups[0]
+    }
+
+
+def _poor_quality(
+    name: str, counts: Mapping[str, int], sharpness: Mapping[str, float]
+) -> str | None:
+    if name not in counts:
+        return "it cannot be decoded"
+    if sharpness.get(name, 1.0) < SOFT:
+        return f"blurred: {sharpness[name]:.0%} as sharp as its neighbours"
+    if counts[name] < FEW_FEATURES:
+        return f"too little texture: {counts[name]} features"
+    return None
+
+
+def _poor_overlap(name: str, groups: Sequence[set[str]], table: MatchTable) -> str:
+    partners = table.partners(name)
+    shared = max((partners[other] for other in groups[0]), default=0)
+    together = next((group for group in groups[1:] if name in group), None)
+    if together is not None:
+        others = counted(len(together) - 1, "other photo")
+        return f"sees another place than the rest, together with {others}"
+    if not partners:
+        return "too far from the others: it matches none of them"
+    if not shared:
+        return "sees another place than the rest: it matches none of the photos with a pose"
+    if shared < MIN_INLIERS:
+        return (
+            "too far from the others: no photo with a pose shares more than "
+            f"{counted(shared, 'feature')} with it, {MIN_INLIERS} are needed"
+        )
+    return (
+        f"no camera position fits, though it shares {shared} features with a photo that has a "
+        "pose: things that repeat or moved mislead, or the camera only turned"
+    )

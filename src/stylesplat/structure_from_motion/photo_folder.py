@@ -1,97 +1,91 @@
-"""The files of a folder of photos, and what each is to be called."""
+"""The photos of a folder: which files they are, and which are fit for structure from motion."""
 
 import importlib.util
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
+from stylesplat.io.captures.colmap import find_sparse
+from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
-from stylesplat.io.kinds import HEIC, PHOTOS, TRANSFORMS, VIDEOS, find_sparse
-from stylesplat.structure_from_motion.ordering import natural_key
+from stylesplat.io.captures.transforms import TRANSFORMS
+from stylesplat.io.files import reason
+from stylesplat.io.folders import PARTIAL
+from stylesplat.io.json_files import PhotoName
+from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS
+from stylesplat.structure_from_motion.config import MIN_PHOTOS
+from stylesplat.structure_from_motion.image_measures import (
+    ALL_BLURRED,
+    BLURRED,
+    SIDE,
+    missing_background,
+    near_duplicates,
+    relative_sharpness,
+    sharpness,
+)
+from stylesplat.structure_from_motion.photo_files import capture_time, map_photos
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 # Folders of pictures that are no photos of the scene
 SKIPPED = (
-    OBJECT_MASK,
-    EXACT,
-    "object_masks",
-    "mask",
-    "masks",
-    "sparse",
-    "depth",
-    "depths",
-    "thumbs",
+    *(OBJECT_MASK, EXACT, "object_masks", "mask", "masks"),
+    *("sparse", "depth", "depths", "thumbs"),
 )
-UNFINISHED = ".partial"
+MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
+MAX_NUMBERS = 4  # numbers from the first to the last photo, per photo; with more it is no series
+MAX_REASONS = 3  # that a message names
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a folder holds."""
+class SourceFiles:
+    """The photos and videos in a folder."""
 
     photos: tuple[str, ...]
     """Paths within the folder, in natural order, with `/` between the parts."""
     videos: tuple[str, ...]
     """The same."""
     left_out: dict[str, str]
-    """The same of photos that cannot be used, and why."""
+    """By path of a photo that cannot be used, the reason."""
 
 
-def find_sources(folder: Path, *, skip: Path) -> Found:
-    """Look through a folder and all within it, but for what is hidden or made by programs.
+@dataclass(frozen=True)
+class PreparedPhotos:
+    """Upright photos in one folder, and which photos were left out."""
 
-    Args:
-        folder: Where to look.
-        skip: A folder within that is ours.
+    names: tuple[PhotoName, ...]
+    """Paths relative to the folder, with `/` between the parts, in order."""
+    ordered: bool
+    """Whether neighbours in the list were neighbours in time: a video, or numbered frames."""
+    origins: Mapping[PhotoName, str]
+    """By name what the user calls it: a path in their folder, or a frame and its time."""
+    sharpness: Mapping[PhotoName, float]
+    """By name, relative to what is typical among its neighbours: 1 is typical, less is blurred."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """By the user's own name why a photo was left out, in a few words."""
 
-    Raises:
-        StyleSplatError: If the folder is a capture that has its poses, or cannot be read, or HEIC
-            files are in it and nothing that reads them is installed.
-    """
+
+def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
+    """Find the photos and videos in a folder and below, without hidden files and our own output."""
     _refuse_posed(folder)
     names = sorted(_walk(folder, skip), key=natural_key)
-    left_out = {name: fault for name in names if (fault := _fault(name))}
-    photos = tuple(name for name in _ending(names, PHOTOS) if name not in left_out)
-    heic = _ending(photos, HEIC)
+    left_out = {name: fault for name in names if (fault := _unusable_file(name))}
+    usable = [name for name in names if name not in left_out]
+    photos, videos = (tuple(n for n in usable if n.lower().endswith(k)) for k in (PHOTOS, VIDEOS))
+    heic = [name for name in photos if name.lower().endswith(HEIC)]
     if heic and importlib.util.find_spec("pillow_heif") is None:
         raise StyleSplatError(
             f"{brief(heic[0])} is HEIC, as are {len(heic)} of {len(photos)} photos of {folder}. "
             "`pip install 'stylesplat[heic]'` makes them readable."
         )
-    return Found(photos, _ending(names, VIDEOS), left_out)
-
-
-def written_names(photos: tuple[str, ...], suffixes: tuple[str, ...]) -> tuple[str, ...]:
-    """What photos are called once written: their own names, with the suffix of what is written.
-
-    Label maps are called like photos without suffix, so names differ without it, and also where
-    case is lost.
-
-    Args:
-        photos: Their paths.
-        suffixes: What each gets if its own is not of that kind.
-
-    Example:
-        >>> written_names(("a b/1.HEIC", "a b/1.jpg", "2.JPG"), (".jpg", ".jpg", ".jpg"))
-        ('a b/1.jpg', 'a b/1_jpg.jpg', '2.JPG')
-    """
-    taken: set[str] = set()
-    return tuple(map(lambda name, suffix: _written(name, suffix, taken), photos, suffixes))
-
-
-def _written(name: str, suffix: str, taken: set[str]) -> str:
-    own = PurePosixPath(name).suffix
-    stem = name.removesuffix(own)
-    kind = own if own.lower() in (suffix, suffix.replace("jpg", "jpeg")) else suffix
-    numbered = (f"{stem}_{number}" for number in count(2))
-    choices = chain((stem, f"{stem}_{own[1:].lower()}"), numbered)
-    free = next(choice for choice in choices if choice.casefold() not in taken)
-    taken.add(free.casefold())
-    return free + kind
+    return SourceFiles(photos, videos, left_out)
 
 
 def _refuse_posed(folder: Path) -> None:
@@ -120,10 +114,11 @@ def _walk(folder: Path, skip: Path) -> Iterator[str]:
 
 def _is_skipped(name: str) -> bool:
     hidden = name.startswith((".", "__MACOSX", "@eaDir"))
-    return hidden or name.endswith(UNFINISHED) or name.casefold() in SKIPPED
+    return hidden or name.endswith(PARTIAL) or name.casefold() in SKIPPED
 
 
-def _fault(name: str) -> str | None:
+def _unusable_file(name: str) -> str | None:
+    """Why a photo cannot be used, as its name says."""
     if name.lower().endswith(RAW):
         return "a raw file; give JPEG"
     if not name.lower().endswith(PHOTOS):
@@ -131,9 +126,156 @@ def _fault(name: str) -> str | None:
     try:
         check_path(name)
     except StyleSplatError:
-        return "its name is none that other programs read; rename it"
+        return "other programs cannot read its name; rename it"
     return None
 
 
-def _ending(names: tuple[str, ...] | list[str], suffixes: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(name for name in names if name.lower().endswith(suffixes))
+def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
+    """A sort key by which numbers in names sort as numbers.
+
+    Example:
+        >>> sorted(["b10.jpg", "b9.jpg", "B1.JPG"], key=natural_key)
+        ['B1.JPG', 'b9.jpg', 'b10.jpg']
+    """
+    parts = re.split(r"(\d+)", name.casefold())
+    keys = [(0, int(p)) if i % 2 else (1, p) for i, p in enumerate(parts) if p]
+    return (*keys, (1, name))
+
+
+def is_series(names: Sequence[str]) -> bool:
+    """Whether names in order differ by a running number only, with few gaps.
+
+    Example:
+        >>> is_series(["IMG_8.jpg", "IMG_9.jpg", "IMG_12.JPG"]), is_series(["a1.jpg", "b2.jpg"])
+        (True, False)
+    """
+    stems = [PurePosixPath(name).with_suffix("").as_posix().casefold() for name in names]
+    matches = [match for stem in stems if (match := re.fullmatch(r"(.*?)(\d+)\D*", stem))]
+    if len(matches) < len(names) or len({match[1] for match in matches}) != 1:
+        return False
+    numbers = [int(match[2]) for match in matches]
+    return numbers[-1] - numbers[0] < MAX_NUMBERS * len(numbers)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A photo whose pixels were measured."""
+
+    name: str
+    """Its path in the user's folder."""
+    small: SmallPhoto = field(repr=False)
+    sharpness: float
+    time: str | None
+    """When it was taken."""
+    suffix: str
+    """Of the file that will be written."""
+
+
+def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
+    """Leave out the photos of a folder that are unreadable, masked, blurred or near duplicates."""
+    left_out = {**files.left_out, **dict.fromkeys(files.videos, "a video among photos")}
+    photos = _without_masked(source, _measure(source, files.photos, left_out), left_out)
+    timed = all(photo.time for photo in photos)
+    series = is_series([photo.name for photo in photos]) if photos else False
+    if timed and not series:
+        photos = sorted(photos, key=lambda photo: photo.time or "")
+    values = relative_sharpness([photo.sharpness for photo in photos])
+    sharp = {photo.name: value for photo, value in zip(photos, values, strict=True)}
+    photos = _without_blurred(source, photos, sharp, left_out)
+    photos = _without_duplicates(photos, sharp, left_out)
+    if len(photos) < MIN_PHOTOS:
+        raise too_few_photos(source, len(photos), left_out)
+    names = _written_names(photos)
+    return PreparedPhotos(
+        names=names,
+        ordered=series or timed,
+        origins={name: photo.name for name, photo in zip(names, photos, strict=True)},
+        sharpness={name: sharp[photo.name] for name, photo in zip(names, photos, strict=True)},
+        left_out=left_out,
+    )
+
+
+def too_few_photos(source: Path, usable: int, left_out: Mapping[str, str]) -> StyleSplatError:
+    """The error for a folder without enough photos."""
+    # A reason without what differs from photo to photo
+    kinds = (text.partition(":")[0].partition(" as ")[0] for text in left_out.values())
+    reasons = Counter(kinds).most_common(MAX_REASONS)
+    others = "".join(f"; {number} left out: {text}" for text, number in reasons)
+    first = next((f" ({brief(name)}: {text})" for name, text in left_out.items()), "")
+    return StyleSplatError(
+        f"{source} has {usable or 'no'} photos that can be used{others}{first}. "
+        f"Give {MIN_PHOTOS} at least, better 30 or more, that overlap."
+    )
+
+
+def _measure(source: Path, names: Sequence[str], left_out: dict[str, str]) -> list[_Candidate]:
+    def measure(name: str) -> _Candidate | str:
+        path = source / name
+        try:
+            small, suffix = read_small(path, SIDE), plain_suffix(path) or ".jpg"
+            return _Candidate(name, small, sharpness(small.grey), capture_time(path), suffix)
+        except StyleSplatError as error:
+            cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
+            return f"no readable picture: {reason(cause)}"
+
+    found = map_photos(measure, names, "measuring photos")
+    left_out.update({n: why for n, why in zip(names, found, strict=True) if isinstance(why, str)})
+    return [photo for photo in found if isinstance(photo, _Candidate)]
+
+
+def _without_masked(
+    source: Path, photos: list[_Candidate], left_out: dict[str, str]
+) -> list[_Candidate]:
+    found = {photo.name: missing_background(photo.small) for photo in photos}
+    masked = {name: kind for name, kind in found.items() if kind}
+    if len(masked) > MAX_MASKED * len(photos):
+        kind = Counter(masked.values()).most_common(1)[0][0]
+        raise StyleSplatError(
+            f"{len(masked)} of {len(photos)} photos of {source} have no background: it is {kind}. "
+            "The background is needed to find the cameras; give the photos as they were taken."
+        )
+    left_out.update({name: f"its background is {kind}" for name, kind in masked.items()})
+    return [photo for photo in photos if photo.name not in masked]
+
+
+def _without_blurred(
+    source: Path, photos: list[_Candidate], sharp: Mapping[str, float], left_out: dict[str, str]
+) -> list[_Candidate]:
+    typical = np.median([photo.sharpness for photo in photos]) if photos else ALL_BLURRED
+    if len(photos) >= MIN_PHOTOS and typical < ALL_BLURRED:
+        raise StyleSplatError(
+            f"The photos of {source} are all blurred. Hold the camera still for each photo, in "
+            "more light, and let it focus."
+        )
+    left_out.update({p.name: "blurred" for p in photos if sharp[p.name] < BLURRED})
+    return [photo for photo in photos if photo.name not in left_out]
+
+
+def _without_duplicates(
+    photos: list[_Candidate], sharp: Mapping[str, float], left_out: dict[str, str]
+) -> list[_Candidate]:
+    worth = [(float(np.prod(photo.small.size)), sharp[photo.name]) for photo in photos]
+    repeats = near_duplicates([photo.small.grey for photo in photos], worth)
+    for row, kept in sorted(repeats.items()):
+        left_out[photos[row].name] = f"nearly the same as {photos[kept].name}"
+    return [photo for photo in photos if photo.name not in left_out]
+
+
+def _written_names(photos: Sequence[_Candidate]) -> tuple[str, ...]:
+    """The names of the written photos: their own, with the suffix of what is written.
+
+    Label maps are named like photos without suffix, so names differ without it, and also where
+    case is lost.
+    """
+    taken: set[str] = set()
+    names = []
+    for photo in photos:
+        own = PurePosixPath(photo.name).suffix
+        stem = photo.name.removesuffix(own)
+        same_kind = own.lower() in (photo.suffix, photo.suffix.replace("jpg", "jpeg"))
+        numbered = (f"{stem}_{number}" for number in count(2))
+        choices = chain((stem, f"{stem}_{own[1:].lower()}"), numbered)
+        free = next(choice for choice in choices if choice.casefold() not in taken)
+        taken.add(free.casefold())
+        names.append(free + (own if same_kind else photo.suffix))
+    return tuple(names)

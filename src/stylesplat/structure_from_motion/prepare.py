@@ -1,171 +1,166 @@
 """From a folder of photos or a video to upright photos that poses can be found for."""
 
-import warnings
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+import hashlib
+import shutil
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import partial_of
-from stylesplat.io.files import inside, require_regular
+from stylesplat.io.files import cannot_read, cannot_write, inside, require_regular
+from stylesplat.io.folders import partial_of
+from stylesplat.io.json_files import read_json_as, write_json
 from stylesplat.io.kinds import PHOTOS
-from stylesplat.progress import track
-from stylesplat.structure_from_motion.photo_choice import THREADS, choose_photos, too_few
-from stylesplat.structure_from_motion.photo_folder import RAW, Found, find_sources
-from stylesplat.structure_from_motion.photo_writing import write_photo
-from stylesplat.structure_from_motion.prepared import LEAST, Prepared
-from stylesplat.structure_from_motion.record import (
-    Record,
-    clear,
-    digest,
-    read_record,
-    stamp,
-    write_record,
+from stylesplat.structure_from_motion.config import MIN_PHOTOS
+from stylesplat.structure_from_motion.photo_files import map_photos, write_photo
+from stylesplat.structure_from_motion.photo_folder import (
+    RAW,
+    PreparedPhotos,
+    SourceFiles,
+    find_sources,
+    select_photos,
+    too_few_photos,
 )
-from stylesplat.structure_from_motion.video_frames import choose_frames, write_frames
-from stylesplat.structure_from_motion.video_reading import opened_video
+from stylesplat.structure_from_motion.video_keyframes import (
+    open_video,
+    select_keyframes,
+    write_keyframes,
+)
+
+RECORD = ".prepared.json"  # in the folder of prepared photos
+VERSION = 2  # of how photos are selected and written; those of another version are made again
 
 
 def check_source(source: Path) -> None:
-    """Refuse what is clearly neither photos nor a video, before anything is written.
-
-    Raises:
-        StyleSplatError: If it is neither a folder with photos or one video, nor a video, or cannot
-            be read.
-    """
-    found = _source(source, partial_of(source), LEAST)
-    if isinstance(found, _Video):
-        with opened_video(found.file):
+    """Refuse what is clearly neither photos nor a video, before anything is written."""
+    found = _open_source(source, partial_of(source), MIN_PHOTOS)
+    if found.files is None:
+        with open_video(found.path):
             pass
 
 
-def prepare(source: Path, folder: Path, *, frames: int = 100) -> Prepared:
+def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
     """Write photos that are fit for structure from motion: sharp, upright, none twice.
 
-    What an earlier call wrote stays if its source is the same; what it wrote from others goes.
-
-    Args:
-        source: A folder of photos, sub-folders included, or with one video, or a video.
-        folder: Where to, a folder of nothing else; the user's photos are linked or copied there.
-        frames: How many to take of a video at most.
-
-    Raises:
-        StyleSplatError: If there are fewer than 3 photos that can be used, the source has its
-            poses already or is neither photos nor a video, or the folder holds anything else or
-            cannot be written to.
+    Photos that an earlier call wrote stay if the source is the same; others are deleted.
     """
-    if frames < LEAST:
-        raise StyleSplatError(f"Cannot choose {frames} frames. Give {LEAST} or more.")
-    found = _source(Path(source), folder := Path(folder), frames)
-    earlier = read_record(folder)
-    identity = found.identity()
-    if earlier and earlier.source == identity:
-        record = earlier
-    else:
-        prepared = found.choose()
-        stamps = {name: found.stamp(origin) for name, origin in prepared.origins.items()}
-        record = Record(source=identity, prepared=prepared, stamps=stamps)
-    clear(folder, record, earlier)
-    if record is not earlier:
-        write_record(record, folder)
-    done = {name for name in record.stamps if inside(folder, name).is_file()}
-    found.write(
-        {n: origin for n, origin in record.prepared.origins.items() if n not in done}, folder
-    )
+    if frames < MIN_PHOTOS:
+        raise StyleSplatError(f"Cannot choose {frames} frames. Give {MIN_PHOTOS} or more.")
+    found = _open_source(Path(source), folder := Path(folder), frames)
+    record, identity = _read_record(folder), found.identity()
+    if record is None or record.source != identity:
+        selected = found.select()
+        _clear(folder)
+        record = _Record(identity, selected)
+        write_json(asdict(record), folder / RECORD)
+    origins = record.prepared.origins
+    found.write({n: o for n, o in origins.items() if not inside(folder, n).is_file()}, folder)
     return record.prepared
 
 
-@runtime_checkable
-class _Source(Protocol):
-    """What photos are made of."""
-
-    def identity(self) -> str:
-        """Another one for other files, or other settings."""
-        ...
-
-    def choose(self) -> Prepared:
-        """Look at all of it."""
-        ...
-
-    def stamp(self, origin: str) -> str:
-        """Another one for another file that a photo is made of."""
-        ...
-
-    def write(self, origins: dict[str, str], folder: Path) -> None:
-        """Write photos, by name what the user calls them."""
-        ...
-
-
 @dataclass(frozen=True)
-class _Photos:
-    folder: Path
-    found: Found
+class _Source:
+    """A folder of photos, or a video."""
 
-    def identity(self) -> str:
-        return digest(*map(self.stamp, self.found.photos), *self.found.left_out, *self.found.videos)
-
-    def choose(self) -> Prepared:
-        return choose_photos(self.folder, self.found)
-
-    def stamp(self, origin: str) -> str:
-        return f"{origin} {stamp(inside(self.folder, origin))}"
-
-    def write(self, origins: dict[str, str], folder: Path) -> None:
-        def one(item: tuple[str, str]) -> None:
-            name, origin = item
-            write_photo(inside(self.folder, origin), inside(folder, name))
-
-        # Python's own filters are of the process: those that threads set would get mixed up
-        with warnings.catch_warnings(action="ignore"), ThreadPoolExecutor(THREADS) as pool:
-            written = pool.map(one, origins.items())
-            try:
-                for _ in track(written, "writing photos", unit="photo", total=len(origins)):
-                    pass
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
-
-
-@dataclass(frozen=True)
-class _Video:
-    file: Path
+    path: Path
+    files: SourceFiles | None
+    """The photos of the folder; None of a video."""
     frames: int
+    """Keyframes to take of a video."""
 
     def identity(self) -> str:
-        return digest(self.stamp(""), str(self.frames))
+        """A digest that differs for other files and other settings."""
+        if self.files is None:
+            parts = [_stamp(self.path), str(self.frames)]
+        else:
+            photos = [f"{name} {_stamp(inside(self.path, name))}" for name in self.files.photos]
+            parts = [*photos, *self.files.left_out, *self.files.videos]
+        text = "\n".join((str(VERSION), *parts))
+        return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
 
-    def choose(self) -> Prepared:
-        return choose_frames(self.file, self.frames)
-
-    def stamp(self, origin: str) -> str:
-        return f"{origin} of {stamp(self.file)}"
+    def select(self) -> PreparedPhotos:
+        if self.files is None:
+            return select_keyframes(self.path, self.frames)
+        return select_photos(self.path, self.files)
 
     def write(self, origins: dict[str, str], folder: Path) -> None:
-        write_frames(self.file, [*origins], folder)
+        """Write photos, given by name with what the user calls them."""
+        if self.files is None:
+            write_keyframes(self.path, [*origins], folder)
+            return
+
+        def write(item: tuple[str, str]) -> None:
+            name, origin = item
+            write_photo(inside(self.path, origin), inside(folder, name))
+
+        map_photos(write, origins.items(), "writing photos")
 
 
-def _source(source: Path, folder: Path, frames: int) -> _Source:
+def _open_source(source: Path, folder: Path, frames: int) -> _Source:
     if source.is_dir():
-        return _in_folder(source, folder, frames)
+        return _open_folder(source, folder, frames)
     require_regular(source)
     if not source.exists():
         raise StyleSplatError(f"There is no folder or video {source}. Check the name.")
     if source.suffix.lower() in (*PHOTOS, *RAW):
         raise StyleSplatError(f"{source} is one photo. Give the folder of all photos, or a video.")
-    return _Video(source, frames)
+    return _Source(source, None, frames)
 
 
-def _in_folder(source: Path, folder: Path, frames: int) -> _Source:
+def _open_folder(source: Path, folder: Path, frames: int) -> _Source:
     if folder.resolve() == source.resolve():
         raise StyleSplatError(f"{folder} holds the photos themselves. Choose another folder.")
-    found = find_sources(source, skip=folder)
-    if found.photos:
-        return _Photos(source, found)
-    if len(found.videos) > 1:
+    files = find_sources(source, skip=folder)
+    if files.photos:
+        return _Source(source, files, frames)
+    if len(files.videos) > 1:
         raise StyleSplatError(
-            f"{source} holds {len(found.videos)} videos: {', '.join(found.videos)}. Give one."
+            f"{source} holds {len(files.videos)} videos: {', '.join(files.videos)}. Give one."
         )
-    if found.videos:
-        return _Video(source / found.videos[0], frames)
-    raise too_few(source, 0, "photos", found.left_out)
+    if files.videos:
+        return _Source(source / files.videos[0], None, frames)
+    raise too_few_photos(source, 0, files.left_out)
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What a folder of prepared photos holds, so that an interrupted call can continue."""
+
+    source: str
+    """`_Source.identity` of what the photos were made of."""
+    prepared: PreparedPhotos
+
+
+def _read_record(folder: Path) -> _Record | None:
+    """The record of an earlier call; None if there is none, or it is damaged."""
+    if not (folder / RECORD).is_file():
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise StyleSplatError(f"{folder} holds something else. Choose another folder.")
+        return None
+    try:
+        record = read_json_as(folder / RECORD, _Record, "It is made again.")
+        for name in (*record.prepared.names, *record.prepared.origins):
+            inside(folder, name)
+    except StyleSplatError:
+        return None
+    return record
+
+
+def _clear(folder: Path) -> None:
+    """Delete the photos of an earlier call; the record goes last, so that the rest stays ours."""
+    try:
+        for path in folder.glob("*"):
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif path.name != RECORD:
+                path.unlink()
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+
+
+def _stamp(path: Path) -> str:
+    """Size and time of a file, which differ once it was changed."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise cannot_read(path, error) from error
+    return f"{status.st_size} {status.st_mtime_ns}"

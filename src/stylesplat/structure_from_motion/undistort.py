@@ -1,7 +1,5 @@
-"""A reconstruction as a capture: pinhole photos and COLMAP's files."""
+"""A reconstruction as a capture: photos without distortion and COLMAP's files."""
 
-import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +7,16 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path, mark
-from stylesplat.io.captures.colmap import check_complete, posed_images
+from stylesplat.io.captures.colmap import posed_images
+from stylesplat.io.captures.colmap_check import check_complete
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import cannot_write, inside
+from stylesplat.io.files import atomic_path, cannot_write, inside
 from stylesplat.io.images import QUALITY
-from stylesplat.progress import track
-from stylesplat.structure_from_motion.photo_writing import color_profile
+from stylesplat.structure_from_motion.photo_files import color_profile, map_photos
 
-LEAST_TRACK = 3  # photos that see a point: those of two are off several times as much
+MIN_TRACK = 3  # photos that see a point: the error of points of two is several times as large
 
 
 def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> None:
@@ -27,43 +24,34 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
 
     Photos go to `images/`, under their names, cameras and points to `sparse/0/`; of the features
     only those of points are kept.
-
-    Args:
-        model: Its images have the names of the photos.
-        photos: The folder that these lie in.
-        folder: A capture to be.
-
-    Raises:
-        StyleSplatError: If a photo cannot be read, or the disk is full.
     """
     images = posed_images(model)
     lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
-    jobs = [
-        (
-            Photo(inside(photos, i.name), upright=True, lens=lens, size=lens.pinhole().size),
-            inside(folder / "images", i.name),
-        )
-        for i in images
-        for lens in [lenses[i.camera_id]]
-    ]
-    pool = ThreadPoolExecutor(max_workers=max(1, torch.get_num_threads()))
+
+    def write(image: pycolmap.Image) -> None:
+        lens = lenses[image.camera_id]
+        source, target = inside(photos, image.name), inside(folder / "images", image.name)
+        photo = Photo(source, upright=True, lens=lens, size=lens.pinhole().size)
+        with atomic_path(target) as temporary:
+            Image.fromarray(photo.read_with_alpha().numpy()).save(
+                temporary, quality=QUALITY, subsampling=0, icc_profile=color_profile(source)
+            )
+
+    map_photos(write, images, "undistorting photos", threads=torch.get_num_threads())
+    sparse = folder / "sparse" / "0"
     try:
-        for _ in track(
-            pool.map(_write, jobs), "undistorting photos", unit="photo", total=len(jobs)
-        ):
-            pass
-    finally:
-        pool.shutdown(cancel_futures=True)
-    _write_model(_pinhole_model(model, images, lenses), folder / "sparse" / "0")
+        sparse.mkdir(parents=True)
+        _pinhole_model(model, images, lenses).write_binary(sparse)
+        check_complete(sparse)  # COLMAP does not notice that a disk is full
+    except OSError as error:
+        raise cannot_write(sparse, error) from error
+    except StyleSplatError as error:
+        raise StyleSplatError(f"Cannot write {sparse}: disk full. Free some space.") from error
 
 
-def _write(job: tuple[Photo, Path]) -> None:
-    photo, path = job
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        Image.fromarray(photo.read_with_alpha().numpy()).save(
-            temporary, quality=QUALITY, subsampling=0, icc_profile=color_profile(photo.path)
-        )
+def reliable_points(model: pycolmap.Reconstruction) -> set[int]:
+    """Ids of the points that enough photos see; only these are written."""
+    return {key for key, point in model.points3D.items() if point.track.length() >= MIN_TRACK}
 
 
 def _pinhole_model(
@@ -74,51 +62,31 @@ def _pinhole_model(
         camera = lenses[key].pinhole().camera
         camera.camera_id = key
         pinholes.add_camera_with_trivial_rig(camera)
-    firm = firm_points(model)
-    rows: dict[tuple[int, int], int] = {}  # a feature's new place in its photo
+    reliable = reliable_points(model)
+    rows: dict[tuple[int, int], int] = {}  # a feature's new row in its photo
     for image in images:
         kept = [
             row
             for row, point in enumerate(image.points2D)
-            if point.has_point3D() and point.point3D_id in firm
+            if point.has_point3D() and point.point3D_id in reliable
         ]
         rows |= {(image.image_id, old): new for new, old in enumerate(kept)}
         lens = lenses[image.camera_id]
-        seen = np.array([image.points2D[row].xy for row in kept]).reshape(-1, 2)
-        rays = np.asarray(lens.camera.cam_from_img(seen))
+        distorted = np.array([image.points2D[row].xy for row in kept]).reshape(-1, 2)
+        rays = np.asarray(lens.camera.cam_from_img(distorted))
         rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [P, 3]
-        places = np.asarray(lens.pinhole().camera.img_from_cam(rays))
-        posed = pycolmap.Image(
-            image.name, keypoints=places, camera_id=image.camera_id, image_id=image.image_id
+        keypoints = np.asarray(lens.pinhole().camera.img_from_cam(rays))
+        undistorted = pycolmap.Image(
+            image.name, keypoints=keypoints, camera_id=image.camera_id, image_id=image.image_id
         )
-        pinholes.add_image_with_trivial_frame(posed, image.cam_from_world())
+        pinholes.add_image_with_trivial_frame(undistorted, image.cam_from_world())
     for key, point in sorted(model.points3D.items()):
-        if key not in firm:
+        if key not in reliable:
             continue
-        views = [(e.image_id, rows[e.image_id, e.point2D_idx]) for e in point.track.elements]
-        elements = [pycolmap.TrackElement(*view) for view in views]
+        elements = [
+            pycolmap.TrackElement(e.image_id, rows[e.image_id, e.point2D_idx])
+            for e in point.track.elements
+        ]
         new = pinholes.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
         pinholes.point3D(new).error = point.error
     return pinholes
-
-
-def firm_points(model: pycolmap.Reconstruction) -> set[int]:
-    """The points that are written."""
-    return {key for key, point in model.points3D.items() if point.track.length() >= LEAST_TRACK}
-
-
-def _write_model(model: pycolmap.Reconstruction, sparse: Path) -> None:
-    """Write COLMAP's files, all or none."""
-    draft = sparse.parent / f".{sparse.name}.{mark()}"
-    try:
-        draft.mkdir(parents=True)
-        model.write_binary(draft)
-        check_complete(draft)  # COLMAP does not notice that a disk is full
-        shutil.rmtree(sparse, ignore_errors=True)
-        draft.replace(sparse)
-    except OSError as error:
-        raise cannot_write(sparse, error) from error
-    except StyleSplatError as error:
-        raise StyleSplatError(f"Cannot write {sparse}: disk full. Free some space.") from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)

@@ -8,13 +8,10 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.io.captures.capture_folder import unposed_photos
 from stylesplat.io.captures.colmap import ModelFigures, read_figures
 from stylesplat.scene.capture import Capture
-from stylesplat.structure_from_motion import findings
-from stylesplat.structure_from_motion.capture_report import CaptureReport
-from stylesplat.structure_from_motion.centre import find_centre
-from stylesplat.structure_from_motion.coverage import measure_coverage
-from stylesplat.structure_from_motion.findings import Finding
-from stylesplat.structure_from_motion.frame import working_frame
-from stylesplat.structure_from_motion.photo_looks import photo_looks
+from stylesplat.structure_from_motion import diagnostics
+from stylesplat.structure_from_motion.capture_statistics import measure_coverage, measure_photos
+from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding
+from stylesplat.structure_from_motion.world_frame import find_centre, working_frame
 
 
 @check_arguments
@@ -35,19 +32,19 @@ def check(capture: Capture) -> CaptureReport:
     outward = find_centre(cameras, points).outward
     coverage = measure_coverage(cameras, points, frame, outward=outward)
     figures = None if capture.path is None else read_figures(capture.path)
-    looks = photo_looks(capture)
+    photos = measure_photos(capture)
     return CaptureReport(
         findings=(
-            findings.on_count(len(capture)),
+            diagnostics.diagnose_count(len(capture)),
             *_on_reconstruction(capture, figures),
-            findings.on_sides(coverage, len(capture)),
-            findings.on_heights(coverage),
-            findings.on_distances(coverage),
-            *findings.on_looks(looks, cameras.names),
-            findings.on_lenses(capture.full_cameras),
+            diagnostics.diagnose_sides(coverage, len(capture)),
+            diagnostics.diagnose_heights(coverage),
+            diagnostics.diagnose_distances(coverage),
+            *diagnostics.diagnose_photos(photos, cameras.names),
+            diagnostics.diagnose_lenses(capture.full_cameras),
         ),
-        blurred=tuple(cameras.names[row] for row in findings.blurred_rows(looks)),
-        weak=tuple(findings.weakly_connected(figures.shared) if figures else ()),
+        blurred=tuple(cameras.names[row] for row in diagnostics.blurred_rows(photos)),
+        weak=tuple(diagnostics.weakly_connected(figures.shared) if figures else ()),
         coverage=coverage,
         frame=frame,
     )
@@ -75,7 +72,7 @@ def _on_reconstruction(capture: Capture, figures: ModelFigures | None) -> list[F
     found = []
     if capture.path is not None:
         unposed, left_out = unposed_photos(capture.path, capture.cameras.names)
-        found.append(findings.on_posed(len(capture), unposed, left_out))
-    found += findings.on_model(figures) if figures else []
+        found.append(diagnostics.diagnose_poses(len(capture), unposed, left_out))
+    found += diagnostics.diagnose_model(figures) if figures else []
     points = capture.points
-    return [*found, findings.on_points(0 if points is None else len(points))]
+    return [*found, diagnostics.diagnose_points(0 if points is None else len(points))]

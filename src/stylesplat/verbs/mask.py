@@ -6,12 +6,12 @@ from typing import Any, Literal, TypeVar, get_args
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.captures.capture_folder import with_drawn_maps
-from stylesplat.masks.boxes.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
-from stylesplat.masks.foreign import foreign_label_maps, refuse_foreign
-from stylesplat.masks.models import sam
-from stylesplat.masks.models.from_model import mask_with_model
-from stylesplat.masks.rendered import rendered_capture
+from stylesplat.io.captures.label_folder import with_drawn_maps
+from stylesplat.masks import sam
+from stylesplat.masks.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
+from stylesplat.masks.from_model import mask_with_model
+from stylesplat.masks.import_masks import check_mask_source, import_label_maps
+from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.ring import has_no_photos
@@ -84,7 +84,7 @@ def mask(
     method = settled_method(method, given | {"scene": scene, "progress": progress})
     if method == "files":
         assert source is not None
-        found = foreign_label_maps(Path(source), capture.cameras.names)
+        found = import_label_maps(Path(source), capture.cameras.names)
         return with_drawn_maps(capture, found.maps, found.names)
     if method == "grabcut":
         return mask_boxes(capture, boxes or {}, strokes or {}, scene=scene, device=device)
@@ -111,7 +111,7 @@ def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
     if method == "files":
         if source is None:
             raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
-        refuse_foreign(Path(source))
+        check_mask_source(Path(source))
     if method == "grabcut":
         refuse_without_box(given.get("boxes") or {})
     return method

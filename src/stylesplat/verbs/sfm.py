@@ -15,24 +15,24 @@ import cv2
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice, printable, some
 from stylesplat.figures.capture_picture import capture_picture
-from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occupied
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
+from stylesplat.io.folders import claim_directory, partial_of, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.kinds import refuse_other_than_photos
+from stylesplat.io.recovery import changing
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
-from stylesplat.structure_from_motion.capture_report import CaptureReport
-from stylesplat.structure_from_motion.photo_folder import find_sources
-from stylesplat.structure_from_motion.placing import place
+from stylesplat.structure_from_motion.config import SfmConfig
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.image_measures import SIDE
+from stylesplat.structure_from_motion.photo_folder import PreparedPhotos, find_sources
 from stylesplat.structure_from_motion.prepare import prepare
-from stylesplat.structure_from_motion.prepared import Prepared
 from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
-from stylesplat.structure_from_motion.sfm_config import SfmConfig
-from stylesplat.structure_from_motion.sharpness import SIDE
 from stylesplat.structure_from_motion.undistort import write_colmap
+from stylesplat.structure_from_motion.world_frame import move_to_working_frame
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 
@@ -81,34 +81,31 @@ def sfm(
     config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
     refuse_other_than_photos(source)
     _refuse_each_other(source.resolve(), output)
-    work = work_of(output)
+    work = partial_of(output) / "sfm"
     photos = work / "prepared"
     with changing(output):
         refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
-        digest = digest_of(source)
+        digest = source_digest(source)
         prepared = prepare(source, photos, frames=frames)
         found = reconstruct(photos, prepared, work, config=config)
-        frame = place(found.model)
-        with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
+        frame = move_to_working_frame(found.model)
+        with claim_directory(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, photos, new)
             record = _record(source, digest, prepared, found, frame, config)
             write_sfm(record, new)
             report = _checked(new, output)
             _keep_label_maps(output, new)
-        _forget(work)
+        shutil.rmtree(work, ignore_errors=True)
+        with suppress(OSError):  # something else lies beside it
+            work.parent.rmdir()
     _say_result(record)
     for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
 
 
-def work_of(output: Path) -> Path:
-    """Where what an interrupted run has done so far is kept."""
-    return partial_of(output) / "sfm"
-
-
-def digest_of(source: Path) -> str:
-    """What tells photos or a video from others: the names and sizes of the files, as SHA-256.
+def source_digest(source: Path) -> str:
+    """SHA-256 of the names and sizes of the files, which tells one set of photos from another.
 
     Raises:
         StyleSplatError: If a folder cannot be read.
@@ -134,23 +131,16 @@ def _refuse_each_other(source: Path, output: Path) -> None:
 
 
 def _keep_label_maps(output: Path, new: Path) -> None:
-    """Take the label maps of an earlier capture along: they may be handwork."""
+    """Copy the label maps of an earlier capture: they may be handwork."""
     if (output / OBJECT_MASK).is_dir():
         shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
         say(f"The label maps in {output / OBJECT_MASK} are kept.")
 
 
-def _forget(work: Path) -> None:
-    """Delete what a run has left, and nothing else that lies beside it."""
-    shutil.rmtree(work, ignore_errors=True)
-    with suppress(OSError):  # it is not empty
-        work.parent.rmdir()
-
-
 def _record(
     source: Path,
     digest: str,
-    prepared: Prepared,
+    prepared: PreparedPhotos,
     found: Reconstruction,
     frame: Frame,
     config: SfmConfig,
@@ -186,7 +176,7 @@ def _record(
 
 
 def _checked(folder: Path, output: Path) -> CaptureReport:
-    """What a capture is like that is to be `output`; leaves the picture of it there."""
+    """Check the new capture, and write a picture of its cameras and points into it."""
     files = open_capture(folder)
     capture = files.at(files.cameras.shrink_to(SIDE))
     report = check(capture)
@@ -195,12 +185,12 @@ def _checked(folder: Path, output: Path) -> CaptureReport:
 
 
 def _lines(texts: Mapping[str, str]) -> dict[str, str]:
-    """The same, printable: names may hold anything."""
+    """The same texts, printable: names may hold any characters."""
     return {printable(name): printable(text) for name, text in texts.items()}
 
 
 def _say_result(record: SfmRecord) -> None:
-    """How many photos are posed, and which are not and why."""
+    """Say how many photos are registered, and why the others are not."""
     say(f"Posed {record.registered} of {record.given} photos.")
     for what, reasons in (("Left out", record.left_out), ("Not posed", record.unregistered)):
         for why in dict.fromkeys(reasons.values()):

@@ -1,0 +1,187 @@
+"""One photo's object, cut out by GrabCut (Rother et al. 2004): no model, no weights."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.metrics.iou import mask_iou
+from stylesplat.scene.labels import Mask
+
+ITERATIONS = 5
+SEED = 0  # of OpenCV's clustering
+SURE, UNSURE = 0.9, 0.1  # probabilities beyond which colours do not matter
+CONTOUR_ERROR = 0.006  # of the image's diagonal, by which a contour may be wrong
+SURROUNDINGS = 0.1  # of the diagonal, around the object, that its background is learned from
+MIN_PIXELS = 16  # with fewer, GrabCut cannot learn colours
+MIN_PART = 0.2  # of the largest part's area; a smaller part is a stray
+NECK = 5  # pixels of a bridge between two parts that does not make them one
+CHROMA = 2.5  # levels per unit of CIELAB's a and b, which stay within 50 in photos
+EXTREMES = (1, 99)  # percentiles that inverse depth is stretched between
+STROKE_WIDTH = 3  # pixels
+# GrabCut takes three channels, of lightness, a, b and inverse depth. Which tell an object from its
+# background differs: fur before a cream wall by the last three, a mouse on its mat by the first.
+CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
+
+Box = tuple[float | int, float | int, float | int, float | int]
+Channels = tuple[int, int, int]
+GrabCutImage = UInt8[np.ndarray, "H W 4"]
+"""Lightness, the two chroma axes of CIELAB, inverse depth."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A line that the user draws in a photo, over the object or over its background."""
+
+    points: tuple[tuple[float | int, float | int], ...]
+    """In the photo's pixels; one is a dot."""
+    over_object: bool
+    """False: over the background."""
+
+
+def grabcut_image(
+    photo: UInt8[Tensor, "H W 3"], inverse_depth: Float[Tensor, "H W"]
+) -> GrabCutImage:
+    """The channels that GrabCut sees of an sRGB photo; the unit of depth does not matter."""
+    lab = cv2.cvtColor(photo.numpy().astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    low, high = np.percentile(inverse_depth.numpy(), EXTREMES)
+    near = 255 * (inverse_depth.numpy() - low) / max(high - low, 1e-12)
+    lightness, chroma = 2.55 * lab[..., :1], 128 + CHROMA * lab[..., 1:]
+    stacked = np.concatenate([lightness, chroma, near[..., None]], axis=2)
+    return stacked.clip(0, 255).astype(np.uint8)
+
+
+def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
+    """Check that a box leaves enough pixels on both sides to learn colours from.
+
+    Args:
+        box: Left, top, right, bottom in pixels.
+        size: Width and height of the photo.
+        photo: Its name.
+    """
+    inside = _inside(box, size)
+    if min(inside.sum(), (~inside).sum()) < MIN_PIXELS:
+        raise StyleSplatError(
+            f"The box in {photo} is too small, or leaves too little of the photo outside to "
+            "compare with. Draw it around the object, with some background left."
+        )
+
+
+def cut_box(
+    image: GrabCutImage, box: Box, photo: str, strokes: Sequence[Stroke] = ()
+) -> tuple[Channels, Mask]:
+    """Cut out what a box holds, the rest of the photo being background.
+
+    Of the cuts by different channels the one is taken that agrees with the others most.
+
+    Args:
+        image: Of the photo.
+        box: Left, top, right, bottom in its pixels, as `refuse_box` lets pass.
+        photo: Its name.
+        strokes: What is known to be the object, and what not.
+
+    Returns:
+        The channels of that cut, and the object's mask.
+    """
+    height, width, _ = image.shape
+    marks = np.where(_inside(box, (width, height)), cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    for stroke in strokes:
+        line = np.array([*stroke.points, stroke.points[-1]]).astype(np.int32)  # a dot has two ends
+        value = cv2.GC_FGD if stroke.over_object else cv2.GC_BGD
+        cv2.polylines(marks, [line], isClosed=False, color=value, thickness=STROKE_WIDTH)
+    foreground = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))
+    if min(foreground.sum(), (~foreground).sum()) < MIN_PIXELS:
+        raise StyleSplatError(
+            f"The strokes in {photo} leave nothing of the object, or nothing of what is around it. "
+            "Draw less."
+        )
+    found = {each: torch.from_numpy(_grabcut(image[..., list(each)], marks)) for each in CHANNELS}
+    cuts = {channels: mask for channels, mask in found.items() if mask.any()}
+    if not cuts:
+        raise StyleSplatError(
+            f"What the box in {photo} holds looks like what is around it. Draw the box tighter, "
+            "or choose another photo."
+        )
+    agreement = {each: sum(mask_iou(cut, o) for o in cuts.values()) for each, cut in cuts.items()}
+    best = max(cuts, key=lambda channels: agreement[channels])
+    return best, cuts[best]
+
+
+def refine_mask(
+    image: GrabCutImage,
+    probability: Float[Tensor, "H W"],
+    novelty: Float[Tensor, "H W"],
+    channels: Channels,
+) -> Mask:
+    """The mask of an object from its probability, with the contour moved to an edge.
+
+    Args:
+        image: Of the photo.
+        probability: That a pixel shows the object.
+        novelty: Share of surfaces in a pixel that no known view shows: there colours decide.
+        channels: Of the image.
+    """
+    likely = probability.numpy()
+    mask = np.zeros(likely.shape, bool)
+    if not (likely > 0.5).any():
+        return torch.from_numpy(mask)
+    diagonal = float(np.hypot(*likely.shape))
+    near = _dilate(likely > UNSURE, CONTOUR_ERROR * diagonal)
+    novel = novelty.numpy() > 0.5
+    if novel.any():
+        near |= novel & _dilate(near, SURROUNDINGS * diagonal)
+    window = _bounds(near, round(SURROUNDINGS * diagonal))
+    likely, near = likely[window], near[window]
+    inside = likely > 0.5
+    marks = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    marks[~_dilate(likely <= SURE, CONTOUR_ERROR * diagonal)] = cv2.GC_FGD
+    marks[~near] = cv2.GC_BGD
+    enough = min(inside.sum(), (~inside).sum()) >= MIN_PIXELS
+    mask[window] = _grabcut(image[window][..., list(channels)], marks) if enough else inside
+    return torch.from_numpy(mask)
+
+
+def _inside(box: Box, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
+    inside = np.zeros(size[::-1], bool)
+    inside[int(box[1]) : round(box[3]), int(box[0]) : round(box[2])] = True
+    return inside
+
+
+def _grabcut(image: UInt8[np.ndarray, "H W 3"], marks: UInt8[np.ndarray, "H W"]) -> np.ndarray:
+    cv2.setRNGSeed(SEED)
+    models, marks = np.zeros((2, 1, 65)), marks.copy()
+    image = np.ascontiguousarray(image)
+    unused = (0, 0, 1, 1)  # a rectangle; the marks are used instead
+    cv2.grabCut(image, marks, unused, models[0], models[1], ITERATIONS, cv2.GC_INIT_WITH_MASK)
+    # What is certain stays certain, and is no stray
+    return _without_strays(np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))) | (marks == cv2.GC_FGD)
+
+
+def _without_strays(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+    """The mask's large parts; what hangs on by a thin bridge is a part of its own."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (NECK, NECK))
+    core = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(core)
+    if count == 1:  # thinner than the bridge
+        return mask
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    large = 1 + np.flatnonzero(areas >= MIN_PART * areas.max())
+    return mask & (cv2.dilate(np.isin(parts, large).astype(np.uint8), disc) > 0)
+
+
+def _dilate(mask: np.ndarray, radius: float) -> np.ndarray:
+    side = 2 * max(1, round(radius)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return cv2.dilate(mask.astype(np.uint8), disc) > 0
+
+
+def _bounds(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """The rows and columns that a mask spans, with a margin."""
+    spans = ((int(places.min()), int(places.max())) for places in np.nonzero(mask))
+    rows, columns = (slice(max(0, first - margin), last + 1 + margin) for first, last in spans)
+    return rows, columns

@@ -1,0 +1,212 @@
+"""COLMAP in a process of its own, one stage at a time.
+
+COLMAP ends its process when a disk is full, and some calls cannot be interrupted. So `run_stage`
+starts a child process that runs `run_child`. The child gets its task on stdin, reports its progress
+on stdout, and ends when its parent does, because that closes stdin. It does not load torch.
+"""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from errno import ENOSPC
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import stylesplat
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.io.files import cannot_write
+from stylesplat.progress import Task, task
+from stylesplat.structure_from_motion.config import MIN_PHOTOS
+
+FATAL = 3  # log level: COLMAP logs nothing below what ends the process; errors are raised
+# Items handed to COLMAP at once. Its threads wait for each other after each batch and the bar
+# advances; smaller batches take longer, by a fifth and more
+PHOTOS_PER_THREAD, PAIRS = 4, 50
+# Features that suffice in a typical photo at its own size: fox (1250) then has poses within 0.05
+# degrees, desk (440) has a fifth to a half more error than with the 1360 of twice the size
+FEW = 800
+LOG_LINES = 50  # of the child that are kept for error messages
+DISK_FULL = re.compile(
+    "disk is full|disk I/O error|No space left|File too large|quota exceeded", re.IGNORECASE
+)
+LOG_NOISE = re.compile(r"^(\s*@|\*\*\*|PC:|terminate called)")  # around the message of glog
+LOG_PREFIX = re.compile(r"^(failed: |\s*what\(\):\s*|\[[\w.]+:\d+\] )+")
+
+
+def run_stage(
+    stage: str, settings: dict[str, Any], what: str, total: int, unit: str, done: int = 0
+) -> None:
+    """Run one of `STAGES` in a child process, with a progress bar.
+
+    The child ends if this process ends or is interrupted. Its database stays valid: SQLite keeps
+    a journal.
+    """
+    place = str(Path(stylesplat.__file__).parents[1])
+    code = f"import sys; sys.path.insert(0, {place!r}); import {__name__} as colmap"
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{code}; colmap.run_child()", stage],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+    )
+    assert process.stdin is not None and process.stdout is not None
+    try:
+        with suppress(BrokenPipeError):  # the child ended at once; its log says why
+            process.stdin.write(json.dumps(settings | {"done": done}) + "\n")
+            process.stdin.flush()
+        with task(what, total, unit=unit, done=done) as bar:
+            log = _follow(process.stdout, bar, total, done)
+        status = process.wait()
+    finally:
+        process.kill()
+        process.communicate()
+    if status:
+        if any(is_disk_full(line) for line in log):
+            raise cannot_write(Path(settings["database"]), OSError(ENOSPC, ""))
+        lines = (LOG_PREFIX.sub("", line) for line in log if not LOG_NOISE.match(line))
+        fault = next(filter(None, lines), f"it ended with status {status}")
+        raise StyleSplatError(f"{what}: COLMAP failed: {fault}. Run the same command again.")
+
+
+def is_disk_full(text: str) -> bool:
+    """Whether a message of COLMAP or SQLite says that the disk is full."""
+    return bool(DISK_FULL.search(text))
+
+
+def _follow(output: Iterable[str], bar: Task, total: int, done: int) -> "deque[str]":
+    """Advance the bar by the numbers that the child prints, and return its other lines."""
+    log: deque[str] = deque(maxlen=LOG_LINES)
+    for line in map(str.rstrip, output):
+        if not line.isdecimal():
+            log.append(line)
+            continue
+        now = min(int(line), total)  # several models may have the same photo
+        bar.advance(max(0, now - done))
+        done = max(done, now)
+    return log
+
+
+def run_child() -> None:
+    """The child process: run the stage that the command line names."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: the parent decides
+    task = json.loads(sys.stdin.readline())
+
+    def end_with_parent() -> None:
+        sys.stdin.read()
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    pycolmap.logging.minloglevel = FATAL
+    pycolmap.set_random_seed(task["seed"])
+    try:
+        STAGES[sys.argv[1]](task)
+    except Exception as error:
+        print(f"failed: {error}", flush=True)
+        os._exit(1)
+
+
+def _import_photos(task: dict[str, Any]) -> None:
+    """Enter photos into the database, each group with one camera."""
+    with pycolmap.Database.open(task["database"]):
+        pass
+    for group in task["groups"]:
+        pycolmap.import_images(
+            task["database"],
+            task["photos"],
+            pycolmap.CameraMode.SINGLE,
+            image_names=group["names"],
+            options=pycolmap.ImageReaderOptions(camera_model=group["model"]),
+        )
+
+
+def _extract_features(task: dict[str, Any]) -> None:
+    options = pycolmap.FeatureExtractionOptions()
+    options.max_image_size = task["max_size"]
+    options.num_threads = task["threads"]
+    options.sift.max_num_features = task["max_features"]
+    done, batch = task["done"], PHOTOS_PER_THREAD * task["threads"]
+    for group in task["groups"]:
+        options.sift.first_octave = _first_octave(task, group["sample"], options)
+        for start in range(0, len(group["names"]), batch):
+            names = group["names"][start : start + batch]
+            pycolmap.extract_features(
+                task["database"], task["photos"], names, extraction_options=options
+            )
+            done += len(names)
+            print(done, flush=True)
+
+
+def _first_octave(
+    task: dict[str, Any], sample: list[str], options: pycolmap.FeatureExtractionOptions
+) -> int:
+    """0 if that finds enough features, else -1: twice the size, in four times as long."""
+    options.sift.first_octave = 0
+    extractor = pycolmap.FeatureExtractor.create(options)
+    counts = []
+    for file in sample:
+        bitmap = pycolmap.Bitmap.read(Path(task["photos"]) / file, as_rgb=False)
+        if bitmap is None:
+            continue
+        shrink = min(1.0, task["max_size"] / max(bitmap.width, bitmap.height))
+        bitmap.rescale(int(shrink * bitmap.width), int(shrink * bitmap.height))
+        counts.append(len(extractor.extract(bitmap)[0]))
+    return 0 if counts and median(counts) >= FEW else -1
+
+
+def _match_pairs(task: dict[str, Any]) -> None:
+    matching = pycolmap.FeatureMatchingOptions(num_threads=task["threads"])
+    pairing = pycolmap.ImportedPairingOptions(match_list_path=task["list"])
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = task["seed"]
+    done = task["done"]
+    for start in range(0, len(task["pairs"]), PAIRS):
+        pairs = task["pairs"][start : start + PAIRS]
+        lines = (f"{one} {other}\n" for one, other in pairs)
+        Path(task["list"]).write_text("".join(lines), encoding="utf-8")
+        pycolmap.match_image_pairs(task["database"], matching, pairing, verification)
+        done += len(pairs)
+        print(done, flush=True)
+
+
+def _map_photos(task: dict[str, Any]) -> None:
+    """Find poses and points, and write each model into a folder of its own."""
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = task["threads"]
+    options.random_seed = options.mapper.random_seed = task["seed"]
+    options.triangulation.random_seed = task["seed"]
+    options.min_model_size = MIN_PHOTOS  # photos of smaller groups count as not registered
+    done = 0
+
+    def registered(count: int = 1) -> None:
+        nonlocal done
+        done += count
+        print(done, flush=True)
+
+    Path(task["models"]).mkdir(parents=True, exist_ok=True)
+    pycolmap.incremental_mapping(
+        task["database"],
+        task["photos"],
+        task["models"],
+        options,
+        initial_image_pair_callback=lambda: registered(2),
+        next_image_callback=registered,
+    )
+
+
+STAGES: dict[str, Callable[[dict[str, Any]], None]] = {
+    "import_photos": _import_photos,
+    "extract_features": _extract_features,
+    "match_pairs": _match_pairs,
+    "map_photos": _map_photos,
+}

@@ -1,0 +1,255 @@
+"""Diagnostics of a capture: what its statistics mean, in plain words, and what to do."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from jaxtyping import Float
+from torch import Tensor
+
+from stylesplat.errors import some
+from stylesplat.io.captures.model_figures import ModelFigures
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.frames import Frame
+from stylesplat.scene.one_line import counted, one_line
+from stylesplat.structure_from_motion.capture_statistics import Coverage, PhotoStatistics
+from stylesplat.structure_from_motion.image_measures import BLURRED
+
+Verdict = Literal["good", "fair", "poor"]
+
+FEW = 20  # photos; with fewer from one side only, even that side is poor
+MIN_SHARED = 50  # points that a photo has to share with others
+MIN_SHARED_SHARE = 0.1  # of what photos of the capture share in the median
+SAME_DISTANCE = 1.2  # ratio of distances that is not worth a number
+ZOOM = 1.1  # ratio of focal lengths, beyond which lenses differ
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of a report."""
+
+    what: str
+    """What was measured, in a word or two."""
+    verdict: Verdict
+    number: float | int | None
+    """The figure that the verdict depends on."""
+    says: str
+    """The fact, with the figure."""
+    advice: str = ""
+    """What to do; empty where all is well."""
+
+    @property
+    def line(self) -> str:
+        """The fact and what to do."""
+        return f"{self.says}. {self.advice}".strip() if self.advice else f"{self.says}."
+
+
+@dataclass(frozen=True)
+class CaptureReport:
+    """What `check` found."""
+
+    findings: tuple[Finding, ...]
+    """One a line: what, verdict, number, what it says and what to do."""
+    blurred: tuple[str, ...]
+    """Photos that are much less sharp than their neighbours."""
+    weak: tuple[str, ...]
+    """Photos that few points connect with the others."""
+    coverage: Coverage
+    """The directions that photos cover."""
+    frame: Frame
+    """Where up is -y, the content is in the middle and the cameras' median distance is 1."""
+
+    def __repr__(self) -> str:
+        return one_line(self, *(f"{each.what}: {each.verdict}" for each in self.findings))
+
+    def summary(self) -> dict[str, Any]:
+        """The same as plain values, for JSON."""
+        lines = {each.what: asdict(each) for each in self.findings}
+        for line in lines.values():
+            del line["what"]
+        return {"findings": lines, "blurred": list(self.blurred), "weak": list(self.weak)}
+
+
+def diagnose_count(count: int) -> Finding:
+    """How many photos there are."""
+    verdict = _grade(count, 30, 15)
+    advice = "More make it sharper: take 40 to 100."
+    if verdict == "poor":
+        advice = "They are too few for most scenes: take 40 to 100."
+    return _finding("photos", verdict, count, counted(count, "photo"), advice)
+
+
+def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Finding:
+    """How many of the photos have a pose, and why others have none."""
+    total = posed + len(unposed)
+    why = [f"{name} ({reason})" if reason else name for name, reason in unposed.items()]
+    says = f"{posed} of {counted(total, 'photo')} have a pose"
+    says += f", not {some(why)}" if why else ""
+    says += f"; {left_out} more were left out" if left_out else ""
+    advice = (
+        "Take more photos between those without a pose and the rest, in small steps, and pose "
+        "them again."
+    )
+    return _finding("posed", _grade(posed / total, 0.95, 0.8), posed / total, says, advice)
+
+
+def diagnose_model(figures: ModelFigures) -> list[Finding]:
+    """How exact a reconstruction is, and how well its photos are connected."""
+    error, length, shared = figures.error, figures.track_length, figures.shared
+    weak = weakly_connected(shared)
+    overlap = f"each photo shares {min(shared.values()):,} points or more with others"
+    if weak:
+        overlap = f"few points connect {some(weak)} with the others"
+    return [
+        _finding(
+            "reprojection error",
+            _grade(error, 1.5, 2.5),
+            error,
+            f"the mean reprojection error is {error:.1f} pixels",
+            "Poses are vague: --refine-poses helps; leave out photos that are blurred or zoomed.",
+        ),
+        _finding(
+            "track length",
+            _grade(length, 3.5, 2.7),
+            length,
+            f"a point is seen in {length:.1f} photos on average",
+            "Photos overlap little: take them in smaller steps, each with two thirds of the last.",
+        ),
+        _finding(
+            "overlap",
+            _grade(len(weak) / len(shared), 0.0, 0.1),
+            len(weak),
+            overlap,
+            "Take photos between these and the rest, or leave them out.",
+        ),
+    ]
+
+
+def weakly_connected(shared: dict[str, int]) -> list[str]:
+    """Photos that few points connect with others."""
+    typical = sorted(shared.values())[len(shared) // 2]
+    least = max(MIN_SHARED, MIN_SHARED_SHARE * typical)
+    return [name for name, count in sorted(shared.items()) if count < least]
+
+
+def diagnose_points(count: int) -> Finding:
+    """How many points there are to start from."""
+    if not count:
+        advice = "Training starts from random ones and ends with less detail."
+        return Finding("points", "fair", 0, "there are no points", advice)
+    advice = "Surfaces may have too little texture: add things with a pattern, take more photos."
+    return _finding("points", _grade(count, 2000, 500), count, f"{count:,} points", advice)
+
+
+def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
+    """From which sides the photos show the middle."""
+    arc, gap = round(coverage.arc), round(coverage.largest_gap)
+    if coverage.outward:
+        says = f"the photos look out to {arc} of 360 degrees"
+        advice = f"Turn to where {gap} degrees are missing, and take photos from several places."
+        return _finding("sides", _grade(arc, 300, 100), arc, says, advice)
+    if arc >= 360:
+        return Finding("sides", "good", 360, f"seen from all sides, every {gap} degrees or closer")
+    if arc >= 120:
+        says = f"seen from {arc} of 360 degrees, a gap of {gap}"
+        advice = "Walk on around it, or leave it so if nobody is to look from there."
+        return _finding("sides", _grade(arc, 320, 120), arc, says, advice)
+    if coverage.facing and arc >= 30:
+        says = f"a wall, seen from the front over {arc} degrees; views from behind will be empty"
+        return Finding("sides", "good", arc, says)
+    if photos < FEW or arc < 30:
+        says = f"{counted(photos, 'photo')} from one side only, {arc} of 360 degrees"
+        return Finding("sides", "poor", arc, says, "Walk around the object.")
+    says = f"seen from one side, {arc} of 360 degrees; views from behind will be empty"
+    return Finding("sides", "fair", arc, says, "Walk around it if they are wanted.")
+
+
+def diagnose_heights(coverage: Coverage) -> Finding:
+    """From how many heights the photos show the middle."""
+    says = f"{counted(coverage.heights, 'height')}, {coverage.elevations}"
+    advice = "Go around again with the camera higher, looking down, or lower."
+    return _finding("heights", _grade(coverage.heights, 2, 1), coverage.heights, says, advice)
+
+
+def diagnose_distances(coverage: Coverage) -> Finding:
+    """How much nearer some photos were taken than others, and whether the camera moved at all."""
+    if coverage.walk < 0.1:
+        says = f"the camera moved by {100 * coverage.walk:.0f} % of its distance only"
+        advice = "From one spot depth cannot be told: walk, instead of turning on the spot."
+        verdict = "poor" if coverage.walk < 0.05 else "fair"
+        return Finding("movement", verdict, coverage.walk, says, advice)
+    ratio = coverage.far / max(coverage.near, 1e-9)
+    says = "all photos are from about the same distance"
+    if ratio > SAME_DISTANCE:
+        says = f"the far photos were taken from {ratio:.1f} times as far as the near ones"
+    advice = "Take photos between near and far, in steps, so that they connect."
+    return _finding("distances", _grade(ratio, 3, 6), ratio, says, advice)
+
+
+def blurred_rows(photos: PhotoStatistics) -> list[int]:
+    """Photos that are much less sharp than their neighbours."""
+    return (photos.sharpness < BLURRED).nonzero()[:, 0].tolist()
+
+
+def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Finding]:
+    """Blur, exposure and white balance."""
+    blurred = [names[row] for row in blurred_rows(photos)]
+    stops, warmth = _range(photos.stops), _range(photos.warmth)
+    basis = "" if photos.by_points else ", going by whole photos"
+    lock = "Colour correction in training evens it out; better, lock it in the camera's app."
+    slack = 1.0 if photos.by_points else 2.0  # whole photos show more or less of what is bright
+    return [
+        _finding(
+            "sharpness",
+            _grade(len(blurred) / len(names), 0.0, 0.1),
+            len(blurred),
+            f"blurred: {some(blurred)}" if blurred else "no photo is much less sharp than others",
+            "Leave them out or take them again, with more light or a steadier hand.",
+        ),
+        _finding(
+            "exposure",
+            _grade(stops, 0.7 * slack, 2.0 * slack),
+            stops,
+            f"photos differ by {stops:.1f} steps of exposure{basis}",
+            lock,
+        ),
+        _finding(
+            "white balance",
+            _grade(warmth, 0.6 * slack, 1.5 * slack),
+            warmth,
+            f"red against blue differs by {warmth:.1f} steps{basis}",
+            lock,
+        ),
+    ]
+
+
+def diagnose_lenses(cameras: Cameras) -> Finding:
+    """How many sizes and focal lengths there are."""
+    sizes = {(w, h) for w, h in cameras.sizes.tolist()}
+    # Relative to the longer side, so that a phone on its side counts as the same
+    focal = (cameras.Ks[:, 0, 0].cpu() / cameras.sizes.amax(dim=1)).double()
+    ratio = float(focal.max() / focal.min())
+    says = f"{counted(len(sizes), 'size')}, one lens"
+    if ratio > ZOOM:
+        says = f"{counted(len(sizes), 'size')}, focal lengths that differ by {ratio:.1f} times"
+    advice = "Fine for several lenses; zooming while walking makes poses vague, so do not zoom."
+    return _finding("lenses", _grade(ratio, ZOOM, float("inf")), ratio, says, advice)
+
+
+def _finding(what: str, verdict: Verdict, number: float | int, says: str, advice: str) -> Finding:
+    """A finding whose advice is given only where it is needed."""
+    return Finding(what, verdict, number, says, "" if verdict == "good" else advice)
+
+
+def _grade(value: float | int, good: float | int, fair: float | int) -> Verdict:
+    """A verdict on a figure by its bounds; more is better if good is more than fair."""
+    sign = 1 if good > fair else -1
+    if sign * value >= sign * good:
+        return "good"
+    return "fair" if sign * value >= sign * fair else "poor"
+
+
+def _range(values: Float[Tensor, " C"]) -> float:
+    """From the 5th to the 95th percentile of the known values."""
+    known = values[values.isfinite()]
+    return float(known.quantile(0.95) - known.quantile(0.05)) if len(known) else 0.0

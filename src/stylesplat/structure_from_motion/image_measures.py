@@ -1,0 +1,188 @@
+"""Measures of small grey pictures: sharpness, missing background, displacement, duplicates."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from stylesplat.io.captures.photos import SmallPhoto, same_shape
+from stylesplat.progress import track
+
+Grey = UInt8[np.ndarray, "_ _"]
+
+SIDE = 640  # pixels of the longer side at which pictures are compared
+
+# Sharpness
+ROUNDING = 1.0  # grey levels squared: what rounding adds to the variance
+NEIGHBOURS = 10  # photos whose median sharpness is the typical one
+# Relative to typical. Real photos (fox, desk) have 0.40 or more; blur of 1 % of the width 0.17
+BLURRED = 0.2
+SOFT = 0.5  # relative to typical: too blurred where other frames exist, or where nothing matches
+# Absolute, of the median photo. Fox and desk have 0.015 and 0.007, and 0.0005 after a Gaussian blur
+# of 0.3 % of their width
+ALL_BLURRED = 0.0007
+LAPLACIANS = tuple(
+    np.array(kernel, np.float32)
+    for kernel in (
+        [[-1, 2, -1]],
+        [[-1], [2], [-1]],
+        [[-1, 0, 0], [0, 2, 0], [0, 0, -1]],
+        [[0, 0, -1], [0, 2, 0], [-1, 0, 0]],
+    )
+)
+
+# Background
+MIN_REMOVED = 0.2  # share of a photo that a removed background covers
+RIM = 0.02  # width of the rim, in shorter sides
+# Share of the rim of one grey level; the object may reach the rest. Fox and desk have 0.07 at most,
+# and an overexposed sky covers half of it
+PLAIN_RIM = 0.7
+SAME_LEVEL = 1.5  # grey levels: the variation that JPEG gives to one colour
+
+# Displacement
+MAX_CORNERS, QUALITY, CORNER_DISTANCE = 200, 0.01, 8  # of cv2.goodFeaturesToTrack
+WINDOW, LEVELS = (15, 15), 4  # of the Lucas-Kanade tracker
+ROUND_TRIP = 1.0  # pixels by which a corner tracked there and back may be off
+MIN_TRACKED = 0.3  # share of corners; with fewer the displacement is unknown
+MEAN, DEVIATION = 128.0, 50.0  # grey levels after normalization
+# Of the corners: on an orbit the middle stands still while the rest moves, and few may be wrong
+QUANTILE = 0.9
+
+# Near duplicates
+# In longer sides. Neighbours in desk move by 0.27 % or more, copies and photos from a tripod by
+# less than 0.05 %
+SAME_VIEW = 0.002
+MIN_CORRELATION = 0.9  # of thumbnails; below it two photos are not tracked
+THUMBNAIL = (32, 32)  # pixels
+CANDIDATES = 3  # photos that each is compared with: its neighbours, or copies of it
+
+
+def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
+    """Energy of the Laplacian along the direction that has least of it, over the variance.
+
+    Motion blurs one direction only, which the full Laplacian hardly shows where edges run along
+    it. The variance makes dark and bright photos comparable. The picture has `SIDE` pixels.
+    """
+    pixels = grey.astype(np.float32)
+    energies = [cv2.filter2D(pixels, cv2.CV_32F, kernel).var() for kernel in LAPLACIANS]
+    return float(min(energies) / (pixels.var() + ROUNDING))
+
+
+def relative_sharpness(values: Sequence[float]) -> list[float]:
+    """Each value over the median of its neighbours in the list: 1 is typical."""
+
+    def relative(index: int) -> float:
+        first = max(0, min(index - NEIGHBOURS // 2, len(values) - NEIGHBOURS - 1))
+        around = [*values[first:index], *values[index + 1 : first + NEIGHBOURS + 1]]
+        typical = float(np.median(around)) if around else values[index]
+        return values[index] / typical if typical else 1.0
+
+    return [relative(index) for index in range(len(values))]
+
+
+def missing_background(small: SmallPhoto) -> str | None:
+    """What stands in place of the background: "transparent", "black", "white", "of one colour".
+
+    No camera gives a rim of one and the same grey level, so such a photo was masked. Returns None
+    for a photo with its background.
+    """
+    if small.transparent > MIN_REMOVED:
+        return "transparent"
+    grey = small.grey.astype(np.float32)
+    width = max(1, round(RIM * min(grey.shape)))
+    on_rim = np.ones(grey.shape, bool)
+    on_rim[width:-width, width:-width] = False
+    level = float(np.median(grey[on_rim]))
+    plain = np.abs(grey - level) < SAME_LEVEL
+    if plain[on_rim].mean() < PLAIN_RIM or plain.mean() < MIN_REMOVED:
+        return None
+    if level <= SAME_LEVEL:
+        return "black"
+    return "white" if level >= 255 - SAME_LEVEL else "of one colour"
+
+
+class CornerTracker:
+    """Tracks the corners of one picture into others (Lucas-Kanade)."""
+
+    def __init__(self, grey: UInt8[np.ndarray, "h w"]) -> None:
+        self.grey = _normalized(grey)
+        self.corners = cv2.goodFeaturesToTrack(self.grey, MAX_CORNERS, QUALITY, CORNER_DISTANCE)
+
+    def displacement(self, grey: UInt8[np.ndarray, "h w"]) -> float | None:
+        """How far most corners move into a picture of the same size, in longer sides.
+
+        Returns None if too few corners could be tracked.
+        """
+        if self.corners is None or grey.shape != self.grey.shape:
+            return None
+        other = _normalized(grey)
+        there, found = _track_corners(self.grey, other, self.corners)
+        back, found_again = _track_corners(other, self.grey, there)
+        error = np.linalg.norm((back - self.corners)[:, 0], axis=1)
+        good = found & found_again & (error < ROUND_TRIP)
+        if good.mean() < MIN_TRACKED:
+            return None
+        moved = np.linalg.norm((there - self.corners)[:, 0], axis=1)[good]
+        return float(np.quantile(moved, QUANTILE)) / max(grey.shape)
+
+
+def near_duplicates(greys: Sequence[Grey], worth: Sequence[tuple[float, ...]]) -> dict[int, int]:
+    """Which photos repeat another one: the row of the kept photo by the row of its duplicate.
+
+    Photos are compared with those kept so far, so a slow walk is thinned to photos that differ. Of
+    two duplicates the one with the higher worth is kept, else the first.
+    """
+    thumbnails = np.array([_thumbnail(grey) for grey in greys])
+    kept: dict[int, CornerTracker] = {}
+    repeats: dict[int, int] = {}
+    for index, grey in enumerate(track(greys, "comparing photos", unit="photo")):
+        others = np.array([*kept], int)
+        correlations = thumbnails[others] @ thumbnails[index]
+        closest = np.argsort(-correlations, kind="stable")[:CANDIDATES]
+        candidates = [int(others[o]) for o in closest if correlations[o] >= MIN_CORRELATION]
+        same = next((o for o in candidates if _is_same_view(kept[o], grey)), None)
+        if same is not None and worth[index] <= worth[same]:
+            repeats[index] = same
+            continue
+        if same is not None:
+            repeats[same] = index
+            del kept[same]
+        kept[index] = CornerTracker(grey)
+    for photo in repeats:
+        while repeats[photo] in repeats:  # the photo that was kept at first was replaced later
+            repeats[photo] = repeats[repeats[photo]]
+    return repeats
+
+
+def _normalized(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """The picture with a fixed mean and contrast, so that the tracker ignores exposure."""
+    mean, deviation = cv2.meanStdDev(grey)
+    gain = DEVIATION / max(1.0, float(deviation[0, 0]))
+    return cv2.convertScaleAbs(np.maximum(0, grey * gain + (MEAN - float(mean[0, 0]) * gain)))
+
+
+def _track_corners(
+    grey: UInt8[np.ndarray, "h w"],
+    other: UInt8[np.ndarray, "h w"],
+    corners: Float[np.ndarray, "P 1 2"],
+) -> tuple[Float[np.ndarray, "P 1 2"], np.ndarray]:
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(
+        grey, other, corners, np.empty_like(corners), winSize=WINDOW, maxLevel=LEVELS
+    )
+    return moved, found[:, 0] > 0
+
+
+def _thumbnail(grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, " P"]:
+    """Centred and of length 1, so that the product of two is their correlation."""
+    values = cv2.resize(grey, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
+    values -= values.mean()
+    return values / (np.linalg.norm(values) or 1)
+
+
+def _is_same_view(tracker: CornerTracker, grey: UInt8[np.ndarray, "h w"]) -> bool:
+    size = tracker.grey.shape[::-1]
+    if not same_shape(size, grey.shape[::-1]):
+        return False
+    moved = tracker.displacement(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+    return moved is not None and moved < SAME_VIEW

@@ -1,0 +1,181 @@
+"""The folder in which COLMAP works: its database, and copies of the photos under numbers."""
+
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from errno import ENOSPC
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.io.files import cannot_write, copy_file, inside
+from stylesplat.io.json_files import read_json, write_json
+from stylesplat.progress import say
+from stylesplat.scene.sampling import evenly
+from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full, run_stage
+from stylesplat.structure_from_motion.config import SfmConfig
+from stylesplat.structure_from_motion.photo_files import CameraGroup, group_by_camera
+
+SAMPLE = 3  # photos of a camera that decide at which size features of its photos are found
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A folder with a database. Its photos are numbered, since COLMAP's lists allow no blanks."""
+
+    folder: Path
+    names: tuple[str, ...]
+    """The photos, as the caller names them."""
+    files: tuple[str, ...]
+    """The same, as the database names them."""
+    groups: tuple[CameraGroup, ...]
+    """Which of them share a camera."""
+    config: SfmConfig
+
+    @property
+    def database(self) -> Path:
+        """Features and matches."""
+        return self.folder / "database.db"
+
+    @property
+    def photos(self) -> Path:
+        """Copies of the photos."""
+        return self.folder / "numbered"
+
+    @property
+    def basis(self) -> Path:
+        """What the database was made from."""
+        return self.folder / "database.json"
+
+    @cached_property
+    def name_of(self) -> dict[str, str]:
+        """The caller's name of a photo by the database's."""
+        return dict(zip(self.files, self.names, strict=True))
+
+    def run(
+        self, stage: str, what: str, total: int, unit: str, *, done: int = 0, **settings: Any
+    ) -> None:
+        """Run a stage of COLMAP on this database; see `run_stage`."""
+        settings |= {"database": str(self.database), "photos": str(self.photos)}
+        settings |= {"threads": torch.get_num_threads(), "seed": self.config.seed}
+        run_stage(stage, settings, what, total, unit, done)
+
+    @contextmanager
+    def open_database(self) -> Iterator[pycolmap.Database]:
+        """The database, to read from.
+
+        COLMAP brings its own SQLite. Python's would be a second one in this process, and two of
+        them undo each other's locks (sqlite.org/howtocorrupt.html, 2.2.1).
+        """
+        level = pycolmap.logging.minloglevel
+        pycolmap.logging.minloglevel = FATAL
+        try:
+            with pycolmap.Database.open(self.database) as database:
+                yield database
+        except RuntimeError as error:
+            if is_disk_full(str(error)):
+                raise cannot_write(self.database, OSError(ENOSPC, "")) from error
+            raise StyleSplatError(
+                f"Cannot read {self.database}: it is damaged. Run the same command again."
+            ) from error
+        finally:
+            pycolmap.logging.minloglevel = level
+
+
+def open_workspace(
+    folder: Path, photos: Path, names: Sequence[str], config: SfmConfig
+) -> Workspace:
+    """Continue an earlier call for the same photos and settings, or start a new database."""
+    files = tuple(f"{row:06}{Path(name).suffix.lower()}" for row, name in enumerate(names))
+    groups = group_by_camera(photos, names, config.cameras)
+    workspace = Workspace(folder, tuple(names), files, groups, config)
+    stats = [(photos / name).stat() for name in names]
+    basis = {
+        "photos": [[n, s.st_size, s.st_mtime_ns] for n, s in zip(names, stats, strict=True)],
+        "max_size": config.max_size,
+        "max_features": config.max_features,
+        "cameras": config.cameras,
+        "seed": config.seed,
+        "pycolmap": pycolmap.__version__,
+    }
+    if workspace.database.exists() and workspace.basis.exists():  # else it is unfinished
+        if _is_usable(workspace, basis):
+            return workspace
+        say(f"{workspace.database} is of other photos or settings, or damaged: features are new.")
+    _create_database(workspace, photos)
+    write_json(basis, workspace.basis)  # last, so that half a database is not used
+    return workspace
+
+
+def _is_usable(workspace: Workspace, basis: dict[str, Any]) -> bool:
+    """Whether a database is complete, readable and was made from these photos and settings."""
+    try:
+        if read_json(workspace.basis) != basis:
+            return False
+        with workspace.open_database() as database:
+            images = database.read_all_images()
+            for image in images:
+                database.read_keypoints(image.image_id)
+                database.read_descriptors(image.image_id)
+            database.read_all_matches()
+            database.read_two_view_geometries()
+    except StyleSplatError:
+        return False
+    known = {image.name for image in images} <= {*workspace.files}
+    return known and all((workspace.photos / file).is_file() for file in workspace.files)
+
+
+def _create_database(workspace: Workspace, photos: Path) -> None:
+    try:
+        for file in (workspace.basis, *workspace.folder.glob("database.db*")):
+            file.unlink(missing_ok=True)
+        if workspace.photos.exists():
+            shutil.rmtree(workspace.photos)
+        workspace.photos.mkdir(parents=True)
+        for file, name in workspace.name_of.items():
+            copy_file(inside(photos, name), workspace.photos / file)
+    except OSError as error:
+        raise cannot_write(workspace.folder, error) from error
+    groups = [
+        {"names": [workspace.files[row] for row in group.rows], "model": group.model}
+        for group in workspace.groups
+    ]
+    workspace.run("import_photos", "reading photos", len(workspace.files), "photo", groups=groups)
+
+
+def extract_features(workspace: Workspace) -> None:
+    """Extract the features of the photos that have none in the database yet."""
+    with workspace.open_database() as database:
+        images = database.read_all_images()
+        done = {i.name for i in images if database.exists_descriptors(i.image_id)}
+    groups = []
+    for group in workspace.groups:
+        files = [workspace.files[row] for row in group.rows]
+        if missing := [file for file in files if file not in done]:
+            groups.append({"names": missing, "sample": evenly(files, SAMPLE)})
+    if groups:
+        workspace.run(
+            "extract_features",
+            "finding features",
+            len(workspace.files),
+            "photo",
+            done=len(done),
+            groups=groups,
+            max_size=workspace.config.max_size,
+            max_features=workspace.config.max_features,
+        )
+
+
+def feature_counts(workspace: Workspace) -> dict[str, int]:
+    """How many features each photo has, by name; photos that COLMAP could not read are missing."""
+    with workspace.open_database() as database:
+        return {
+            workspace.name_of[image.name]: database.num_keypoints_for_image(image.image_id)
+            for image in database.read_all_images()
+            if database.exists_keypoints(image.image_id)
+        }

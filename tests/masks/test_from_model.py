@@ -1,0 +1,207 @@
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+from right_ids import right_ids
+from torch import Tensor
+
+from ball_photos import write_ball_capture
+from balls import CAMERAS, SPLATS
+from stylesplat.cli.mask import Mask
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import save
+from stylesplat.masks import from_model as mask_models
+from stylesplat.masks.sam import Method
+from stylesplat.masks.tracking import labels_to_masks
+from stylesplat.scene.scene import Scene
+from stylesplat.selection.identities import render_labels
+from stylesplat.verbs.load import load
+from stylesplat.verbs.mask import mask
+
+TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
+PLAIN = replace(SPLATS, identities=None, classifier=None)
+
+
+class Scripted:
+    """Knows the balls, recognises photos by their content, and writes down what it is asked."""
+
+    def __init__(self, capture: Path) -> None:
+        photos = load(capture, masks=False).photos
+        self.rows = {photos[row].numpy().tobytes(): row for row in range(len(photos))}
+        self.asked: list[int] = []
+        self.stop_after = 10**6
+
+    def row(self, photo: Tensor) -> int:
+        return self.rows[photo.numpy().tobytes()]
+
+    def propose(self, photo: Tensor) -> list[Tensor]:
+        if len(self.asked) == self.stop_after:
+            raise KeyboardInterrupt
+        self.asked.append(self.row(photo))
+        return [*labels_to_masks(TRUTH[self.row(photo)]).values()]
+
+    def propagate(
+        self, photos: Sequence[Tensor], seeds: Mapping[int, Tensor]
+    ) -> list[dict[int, Tensor]]:
+        first, *rest = (TRUTH[self.row(photo)] for photo in photos)
+        meant = {id: int(first[mask].mode().values) for id, mask in seeds.items()}
+        return [
+            dict(seeds),
+            *({id: labels == ball for id, ball in meant.items()} for labels in rest),
+        ]
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    (tmp_path / "balls").mkdir()
+    folder = write_ball_capture(tmp_path / "balls")
+    for path in (folder / "object_mask").iterdir():
+        path.unlink()
+    (folder / "object_mask").rmdir()
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    save(Scene(PLAIN, CAMERAS), tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+@pytest.fixture
+def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
+    model = Scripted(capture)
+    monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
+    monkeypatch.setattr(mask_models, "load_propagator", lambda *_: model)
+    return model
+
+
+def run_model(capture: Path, method: Method, scene: Path | None, model: str | None = None) -> dict:
+    """`stylesplat mask CAPTURE --method METHOD`."""
+    return Mask(capture, method, model=model, scene=scene, device="cpu").run()
+
+
+def found_maps(capture: Path) -> list[Tensor]:
+    maps = load(capture).label_maps
+    assert maps is not None
+    return [labels for labels in maps if labels is not None]
+
+
+def test_objects_get_ids_that_all_photos_share(capture: Path, scene: Path, scripted: Scripted):
+    found = run_model(capture, "sam2", scene)
+    assert found["ids"] == [1, 2, 3] and found["photos"] == 8
+    assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
+    assert not (capture / "object_mask.partial").exists()
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        run_model(capture, "sam2", scene)
+
+
+def test_in_memory_with_and_without_a_folder_for_progress(
+    capture: Path, tmp_path: Path, scripted: Scripted
+):
+    balls, scene = load(capture), Scene(PLAIN, CAMERAS)
+    nowhere = replace(balls, path=None)  # photos in memory, no folder for anything
+    masked = mask(nowhere, method="sam2", scene=scene, device="cpu")
+    assert masked.label_maps is not None and not masked.object_names
+    found = [labels for labels in masked.label_maps if labels is not None]
+    assert right_ids(found, TRUTH).right_pixels > 0.9
+    asked, progress = len(scripted.asked), tmp_path / "progress"
+    mask(balls, method="sam2", scene=scene, device="cpu", progress=progress)
+    assert len(scripted.asked) == 2 * asked
+    again = mask(balls, method="sam2", scene=scene, device="cpu", progress=progress)
+    assert len(scripted.asked) == 2 * asked, "all was found before"
+    assert again.label_maps is not None
+    for one, other in zip(masked.label_maps, again.label_maps, strict=True):
+        assert one is not None and other is not None and torch.equal(one, other)
+
+
+def test_without_a_follower_the_splat_carries_masks(
+    capture: Path, scene: Path, scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(mask_models, "load_propagator", lambda *_: pytest.fail("sam has none"))
+    run_model(capture, "sam", scene)
+    assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.8
+
+
+def test_an_interrupted_run_goes_on(
+    capture: Path, scene: Path, scripted: Scripted, said: list[str]
+):
+    scripted.stop_after = 4  # in the second stretch: the first asks about three photos
+    with pytest.raises(KeyboardInterrupt):
+        run_model(capture, "sam2", scene)
+    assert not (capture / "object_mask").exists()
+    before, scripted.asked, scripted.stop_after = scripted.asked, [], 10**6
+    found = run_model(capture, "sam2", scene)
+    assert "Continuing from" in "\n".join(said)
+    assert found["ids"] == [1, 2, 3]
+    assert not set(before) & set(scripted.asked), "proposals are found once"
+    assert right_ids(found_maps(capture), TRUTH).right_pixels > 0.9
+
+
+def test_nothing_found(capture: Path, scene: Path, scripted: Scripted, monkeypatch):
+    monkeypatch.setattr(scripted, "propose", lambda _: [])
+    with pytest.raises(StyleSplatError, match=r"found no object.*--box"):
+        run_model(capture, "sam2", scene)
+    assert not (capture / "object_mask").exists()
+
+
+def test_a_model_that_cannot_be_had_is_said_before_any_work(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(mask_models, "working_splat", lambda *_: pytest.fail("trained"))
+    with pytest.raises(StyleSplatError, match="none"):
+        run_model(capture, "sam2", None, model=str(tmp_path / "none"))
+    assert not (capture / "object_mask.partial").exists()
+
+
+def test_a_real_model(capture: Path, scene: Path, tiny_model, monkeypatch: pytest.MonkeyPatch):
+    """Random weights find anything; that it fits together is what is tested."""
+    real = mask_models.load_proposer
+
+    def lenient(*arguments):
+        return replace(real(*arguments), min_iou=-1e9, min_stability=0.0, points_per_side=4)
+
+    monkeypatch.setattr(mask_models, "load_proposer", lenient)
+    try:
+        found = run_model(capture, "sam2", scene, model=str(tiny_model("sam2")))
+    except StyleSplatError as error:
+        assert "found no object" in str(error)  # it came to the end
+    else:
+        assert found["photos"] == 8
+
+
+def interrupted(capture: Path, scene: Path, scripted: Scripted) -> Path:
+    """A run that stopped in its second stretch; the folder it left."""
+    scripted.stop_after = 4
+    with pytest.raises(KeyboardInterrupt):
+        run_model(capture, "sam2", scene)
+    scripted.asked, scripted.stop_after = [], 10**6
+    return capture / "object_mask.partial"
+
+
+@pytest.mark.parametrize("name", ["state.json", "known_1.png", "proposals_0.npz", "settings.json"])
+def test_damaged_results_are_found_again(capture: Path, scene: Path, scripted: Scripted, name: str):
+    folder = interrupted(capture, scene, scripted)
+    damaged = folder / name
+    assert damaged.exists()
+    damaged.write_bytes(damaged.read_bytes()[:9])
+    if name == "proposals_0.npz":
+        (folder / "state.json").unlink()
+    found = run_model(capture, "sam2", scene)
+    assert found["ids"] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("method", ["edgetam", "sam2"])
+def test_other_settings_or_photos_begin_anew(
+    method: Method, capture: Path, scene: Path, scripted: Scripted, said: list[str]
+):
+    interrupted(capture, scene, scripted)
+    if method == "sam2":
+        photo = capture / "images" / CAMERAS.names[0]
+        Image.eval(Image.open(photo), lambda value: 255 - value).save(photo)
+        scripted.rows |= Scripted(capture).rows
+    run_model(capture, method, scene)
+    assert "beginning anew" in "\n".join(said)
+    assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked

@@ -1,0 +1,142 @@
+"""GrabCut of one photo: a red disc before a grey wall, both with some noise."""
+
+import pytest
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.masks.grabcut import (
+    GrabCutImage,
+    Stroke,
+    cut_box,
+    grabcut_image,
+    refine_mask,
+    refuse_box,
+)
+
+HEIGHT, WIDTH = 60, 80
+PHOTO = "a.jpg"
+LOOK = (0, 1, 2)
+
+
+def disc(x: float, y: float, radius: float) -> torch.Tensor:
+    rows, columns = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    return (rows - y) ** 2 + (columns - x) ** 2 < radius**2
+
+
+DISC = disc(40, 30, 14)
+BOX = (24.0, 14.0, 57.0, 47.0)
+
+
+def painted(*masks: torch.Tensor, wall: float = 120.0) -> torch.Tensor:
+    """Red where one of the masks is; noise, as GrabCut's mixtures need some spread."""
+    photo = torch.full((HEIGHT, WIDTH, 3), wall)
+    for mask in masks:
+        photo[mask] = torch.tensor([200.0, 40.0, 40.0])
+    noise = torch.randn(photo.shape, generator=torch.Generator().manual_seed(0))
+    return (photo + 4 * noise).round().clamp(0, 255).to(torch.uint8)
+
+
+def seen(photo: torch.Tensor, nearness: torch.Tensor | None = None) -> GrabCutImage:
+    return grabcut_image(photo, torch.ones(HEIGHT, WIDTH) if nearness is None else nearness)
+
+
+def iou(one: torch.Tensor, other: torch.Tensor) -> float:
+    return float((one & other).sum() / (one | other).sum())
+
+
+NOWHERE, EVERYWHERE = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
+
+
+def test_a_box_gives_what_stands_out_in_it():
+    _, mask = cut_box(seen(painted(DISC)), BOX, PHOTO)
+    assert iou(mask, DISC) > 0.98  # colours this far apart leave some rim pixels to smoothness
+
+
+def test_the_same_box_gives_the_same_mask():
+    photo = seen(painted(DISC))
+    look, mask = cut_box(photo, BOX, PHOTO)
+    cut_box(seen(painted(disc(20, 20, 9))), (8.0, 8.0, 33.0, 33.0), PHOTO)  # uses up random numbers
+    again = cut_box(photo, BOX, PHOTO)
+    assert again[0] == look and torch.equal(again[1], mask)
+
+
+def test_what_colours_do_not_show_nearness_does():
+    nearness = torch.where(DISC, 1.0, 0.2)
+    _, mask = cut_box(seen(painted(), nearness), BOX, PHOTO)
+    assert iou(mask, DISC) > 0.98
+
+
+def test_channels_are_stretched_and_do_not_depend_on_the_unit_of_nearness():
+    nearness = torch.linspace(0.1, 0.9, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    one, other = (seen(painted(DISC), scale * nearness) for scale in (1.0, 1000.0))
+    assert abs(one.astype(int) - other.astype(int)).max() <= 1  # rounding of float32
+    assert one[..., 3].min() == 0 and one[..., 3].max() == 255
+    assert abs(one[..., 1:3].astype(int) - 128)[~DISC.numpy()].mean() < 20, "grey has no chroma"
+    assert one[..., 1][DISC.numpy()].mean() > 200, "red has"
+
+
+def test_strays_and_what_hangs_on_by_a_thread_are_left_out():
+    crumb, thread = disc(40, 9, 3), torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    thread[9:18, 40] = True
+    for photo in (painted(DISC, crumb), painted(DISC, crumb, thread)):
+        _, mask = cut_box(seen(photo), (24.0, 3.0, 57.0, 47.0), PHOTO)
+        assert iou(mask, DISC) > 0.98 and not (mask & crumb).any()
+
+
+def test_a_box_that_holds_nothing():
+    flat = torch.full((HEIGHT, WIDTH, 4), 90, dtype=torch.uint8).numpy()
+    with pytest.raises(StyleSplatError, match=r"box in a\.jpg holds looks like .* tighter"):
+        cut_box(flat, BOX, PHOTO)
+
+
+@pytest.mark.parametrize(
+    "box", [(0.0, 0.0, 80.0, 60.0), (9.0, 9.0, 12.0, 12.0), (0.0, 0.0, 80.0, 59.9)], ids=str
+)
+def test_boxes_that_leave_nothing_to_compare(box: tuple[float, float, float, float]):
+    with pytest.raises(StyleSplatError, match=r"box in a\.jpg is too small, or leaves too little"):
+        refuse_box(box, (WIDTH, HEIGHT), PHOTO)
+
+
+def test_a_contour_moves_to_the_edge_nearby():
+    rough = 0.7 * disc(41, 31, 14).float()  # a pixel off to either side
+    mask = refine_mask(seen(painted(DISC)), rough, NOWHERE, LOOK)
+    assert iou(mask, DISC) > 0.98 > iou(rough > 0.5, DISC)
+
+
+def test_colours_decide_on_surfaces_that_come_into_view():
+    """A splat knows the left half; the right one is news, and as red as the left."""
+    half = DISC.clone()
+    half[:, 40:] = False
+    right = EVERYWHERE.clone()
+    right[:, :40] = 0
+    photo = seen(painted(DISC))
+    assert iou(refine_mask(photo, half.float(), NOWHERE, LOOK), half) > 0.9, "no news"
+    mask = refine_mask(photo, half.float(), right, LOOK)
+    reach = disc(40, 30, 14) & (torch.arange(WIDTH) < 40 + 8)  # AROUND of the diagonal
+    assert (mask & reach).sum() > 0.95 * reach.sum()
+
+
+def test_what_does_not_show_has_no_mask():
+    assert not refine_mask(seen(painted(DISC)), NOWHERE, NOWHERE, LOOK).any()
+    assert not refine_mask(seen(painted(DISC)), 0.5 * EVERYWHERE, EVERYWHERE, LOOK).any()
+
+
+def test_masks_with_too_little_to_learn_from_stay_as_they_are():
+    speck = disc(40, 30, 2)
+    assert torch.equal(refine_mask(seen(painted(DISC)), speck.float(), NOWHERE, LOOK), speck)
+    assert refine_mask(seen(painted(DISC)), EVERYWHERE, NOWHERE, LOOK).all()
+
+
+def test_strokes_are_believed():
+    """A grey bar across the disc is background by its colour, and a red one outside is not."""
+    bar = disc(40, 30, 14) & (torch.arange(HEIGHT)[:, None] - 30).abs().le(4)
+    photo = seen(painted(DISC & ~bar))
+    line = ((30.0, 30.0), (50.0, 30.0))
+    _, plain = cut_box(photo, BOX, PHOTO)
+    _, whole = cut_box(photo, BOX, PHOTO, [Stroke(line, over_object=True)])
+    assert not plain[30, 30:51].any() and whole[30, 30:51].all()
+    upper = ((30.0, 22.0), (50.0, 22.0))
+    _, less = cut_box(photo, BOX, PHOTO, [Stroke(upper, over_object=False)])
+    assert plain[22, 32:49].all() and not less[22, 30:51].any()
+    _, dot = cut_box(photo, BOX, PHOTO, [Stroke(line[:1], over_object=True)])
+    assert dot[30, 30], "one point is a dot"

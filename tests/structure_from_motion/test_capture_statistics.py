@@ -1,0 +1,165 @@
+"""Sides and heights that photos cover, blur and exposure, and the diagnostics that follow."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from stylesplat.demo.cloud import surface_points
+from stylesplat.demo.still_life import dome_cameras, photograph
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.structure_from_motion.capture_statistics import (
+    Coverage,
+    measure_coverage,
+    measure_photos,
+)
+from stylesplat.structure_from_motion.diagnostics import (
+    diagnose_distances,
+    diagnose_heights,
+    diagnose_photos,
+    diagnose_sides,
+)
+from stylesplat.structure_from_motion.world_frame import find_centre, working_frame
+
+DOME = dome_cameras(48, 480, 360)
+CAMERAS = dome_cameras(12, 160, 120)
+
+
+def covered(cameras: Cameras, points: Tensor | None = None) -> Coverage:
+    frame = working_frame(cameras, torch.zeros(0, 3) if points is None else points)
+    outward = find_centre(cameras, points).outward
+    return measure_coverage(cameras, points, frame, outward=outward)
+
+
+def test_two_whole_rings():
+    coverage = covered(DOME)
+    assert coverage.arc == 360 and coverage.largest_gap == pytest.approx(7.5, abs=0.1)
+    assert coverage.heights == 2 and not coverage.outward and not coverage.facing
+    assert 14 < coverage.lowest < 20 < 45 < coverage.highest < 51
+    assert coverage.near == pytest.approx(1, abs=1e-3) == pytest.approx(coverage.far, abs=2e-3)
+    findings = (
+        diagnose_sides(coverage, 48),
+        diagnose_heights(coverage),
+        diagnose_distances(coverage),
+    )
+    assert all(each.verdict == "good" and not each.advice for each in findings)
+
+
+@pytest.mark.parametrize(
+    ("photos", "verdict"), [(1, "poor"), (6, "poor"), (12, "fair"), (18, "fair")]
+)
+def test_a_part_of_a_ring(photos: int, verdict: str):
+    coverage = covered(DOME[:photos])  # 15 degrees from each to the next
+    assert coverage.arc == pytest.approx(15 * (photos - 1), abs=3)
+    assert coverage.largest_gap == pytest.approx(360 - coverage.arc, abs=0.1)
+    assert coverage.heights == 1 and diagnose_heights(coverage).verdict == "fair"
+    assert diagnose_sides(coverage, photos).verdict == verdict
+    assert diagnose_sides(coverage, 40).verdict == ("poor" if photos == 1 else "fair")
+
+
+def test_two_parts_on_opposite_sides_leave_two_gaps():
+    coverage = covered(DOME[[*range(6), *range(12, 18)]])
+    assert coverage.arc == pytest.approx(150, abs=5)
+    assert coverage.largest_gap == pytest.approx(105, abs=5)
+
+
+def test_photos_of_a_wall_are_no_fault():
+    wall = torch.rand(2000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    wall[:, 0] = -0.1  # behind what these cameras look at: they stand at positive x
+    front = DOME[[*range(22, 24), *range(3), *range(46, 48), *range(24, 27)]]
+    free, before = covered(front), covered(front, wall)
+    assert not free.facing and diagnose_sides(free, 10).verdict == "poor"
+    assert before.facing and diagnose_sides(before, 10).verdict == "good"
+
+
+def test_turning_on_the_spot():
+    turns = torch.linspace(0, 2 * math.pi, 13)[:-1]
+    viewmats = torch.eye(4).repeat(12, 1, 1)
+    viewmats[:, 0, 0] = viewmats[:, 2, 2] = turns.cos()
+    viewmats[:, 0, 2], viewmats[:, 2, 0] = -turns.sin(), turns.sin()
+    noise = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
+    points = 5 * torch.nn.functional.normalize(noise, dim=1)
+    coverage = covered(replace(DOME[:12], viewmats=viewmats), points)
+    assert coverage.outward and coverage.arc == 360
+    assert diagnose_sides(coverage, 12).verdict == "good"
+    finding = diagnose_distances(coverage)
+    assert finding.what == "movement" and finding.verdict == "poor"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (-30.2, 38.0, "30 degrees below to 38 above the middle"),
+        (12.0, 50.0, "12 to 50 degrees above the middle"),
+        (-40.0, -10.0, "10 to 40 degrees below the middle"),
+    ],
+)
+def test_elevations_in_words(low: float, high: float, words: str):
+    assert replace(covered(DOME[:2]), lowest=low, highest=high).elevations == words
+
+
+@pytest.fixture(scope="module")
+def capture() -> Capture:
+    views = list(photograph(CAMERAS, 0))
+    points, colors = surface_points(CAMERAS, views, 3000)
+    photos = [view.photo for view in views]
+    return Capture(CAMERAS, photos, points=points, point_colors=colors)
+
+
+def changed(capture: Capture, row: int, photo: np.ndarray) -> Capture:
+    photos = list(capture.photos)
+    photos[row] = torch.from_numpy(np.clip(photo, 0, 255).round().astype(np.uint8))
+    return replace(capture, photos=photos)
+
+
+def verdicts(capture: Capture) -> dict[str, str]:
+    found = diagnose_photos(measure_photos(capture), capture.cameras.names)
+    return {each.what: each.verdict for each in found}
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.75])
+def test_exposure_is_measured_in_stops(capture: Capture, gain: float):
+    before = measure_photos(capture)
+    after = measure_photos(changed(capture, 4, capture.photos[4].numpy() * gain))
+    # The tracer's sRGB is a power of 2.2 but for its darkest part
+    assert after.stops[4] - before.stops[4] == pytest.approx(2.2 * np.log2(gain), abs=0.15)
+    others = torch.arange(len(CAMERAS)) != 4
+    assert (after.stops - before.stops)[others].abs().max() < 0.1
+
+
+def test_white_balance_is_no_exposure(capture: Capture):
+    before = measure_photos(capture)
+    after = measure_photos(changed(capture, 4, capture.photos[4].numpy() * [1.12, 1.0, 0.88]))
+    assert after.warmth[4] - before.warmth[4] > 0.5
+    assert abs(after.stops[4] - before.stops[4]) < 0.15
+
+
+def test_verdicts_on_photos(capture: Capture):
+    assert set(verdicts(capture).values()) == {"good"}
+    blurred = changed(capture, 4, cv2.GaussianBlur(capture.photos[4].numpy(), (0, 0), 4))
+    assert verdicts(blurred)["sharpness"] == "fair"
+    assert "004.png" in diagnose_photos(measure_photos(blurred), CAMERAS.names)[0].says
+    for row in range(len(capture)):
+        photo = capture.photos[row].numpy() * np.linspace(0.6, 1, len(capture))[row]
+        capture = changed(capture, row, photo)
+    assert verdicts(capture)["exposure"] == "fair"
+
+
+def test_without_points_whole_photos_are_compared(capture: Capture):
+    assert capture.points is not None and capture.point_colors is not None
+    few = replace(capture, points=capture.points[:9], point_colors=capture.point_colors[:9])
+    assert not measure_photos(few).by_points
+    bare = replace(capture, points=None, point_colors=None)
+    dark = measure_photos(changed(bare, 4, bare.photos[4].numpy() * 0.5))
+    assert not dark.by_points and dark.stops[4] < -1.5
+
+
+def test_the_exposure_of_a_black_photo_is_unknown(capture: Capture):
+    found = measure_photos(changed(capture, 4, np.zeros((120, 160, 3))))
+    assert found.stops[4].isnan() and found.stops.isfinite().sum() == 11
+    assert found.sharpness[4] == 0
