@@ -15,7 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.verbs.load import load
-from stylesplat.verbs.sfm import digest_of
+from stylesplat.verbs.sfm import source_digest
 from tiny_captures import save_noise, write_capture
 
 
@@ -30,7 +30,7 @@ def write_record(folder: Path, photos: Path) -> Path:
     write_sfm(
         sfm_record(
             source=str(photos.resolve()),
-            digest=digest_of(photos),
+            digest=source_digest(photos),
             given=3,
             registered=3,
         ),
@@ -75,9 +75,9 @@ def test_photos_that_have_changed_since(photos: Path, tmp_path: Path):
 
 
 def test_hidden_files_are_no_change(photos: Path):
-    before = digest_of(photos)
+    before = source_digest(photos)
     (photos / ".DS_Store").write_bytes(b"1")
-    assert digest_of(photos) == before
+    assert source_digest(photos) == before
 
 
 def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):

@@ -11,7 +11,7 @@ from PIL import Image
 from pictures_of_walks import film, save, view, walk
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.structure_from_motion.prepare import prepare
 
 

@@ -34,8 +34,8 @@ class Check:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.io.captures.capture_folder import is_posed, open_capture
-        from stylesplat.io.kinds import kind_of, no_capture
+        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.io.kinds import is_posed, kind_of, no_capture
         from stylesplat.structure_from_motion.image_measures import SIDE
         from stylesplat.verbs.check import check
 
@@ -67,8 +67,8 @@ class Check:
 
     def _draw(self, capture: "Capture", report: "CaptureReport") -> Path:
         from stylesplat.figures.capture_picture import capture_picture
+        from stylesplat.io.atomic import changing
         from stylesplat.io.images import write_image
-        from stylesplat.io.recovery import changing
 
         assert self.output is not None
         with changing(self.output):

@@ -16,7 +16,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import MARK, atomic_path
+from stylesplat.io.atomic import MARK, atomic_path
 from stylesplat.io.json_files import read_json, read_json_as, write_json
 from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.masks.tracking import TrackingState

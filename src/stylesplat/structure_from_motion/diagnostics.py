@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import some
-from stylesplat.io.captures.model_figures import ModelFigures
+from stylesplat.io.captures.colmap import ModelFigures
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.one_line import counted, one_line

@@ -1,5 +1,6 @@
 """Photo files: their EXIF data, which share a camera, and how they are written."""
 
+import shutil
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,10 +12,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import ExifTags, Image
 
-from stylesplat.io.captures.decoding import exif_of, opened
-from stylesplat.io.captures.photos import plain_suffix, read_image
-from stylesplat.io.files import atomic_path, copy_file, inside
-from stylesplat.io.images import QUALITY
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.captures.photos import plain_suffix
+from stylesplat.io.files import inside
+from stylesplat.io.images import QUALITY, exif_of, open_image, read_image
 from stylesplat.progress import track
 
 T = TypeVar("T")
@@ -55,7 +56,7 @@ def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[C
     """Group photos by size and lens, reading headers only."""
     rows: dict[tuple[object, ...], list[int]] = {}
     for row, name in enumerate(names):
-        with opened(inside(photos, name), reduced=False) as image:
+        with open_image(inside(photos, name), reduced=False) as image:
             key: tuple[object, ...] = image.size
             if cameras == "several":
                 key = (row,)
@@ -70,7 +71,7 @@ def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[C
 
 def capture_time(path: Path) -> str | None:
     """When a photo was taken, as text that sorts by time; None if that is not known."""
-    with opened(path) as image:
+    with open_image(path) as image:
         details = exif_of(image).get_ifd(ExifTags.IFD.Exif)
         time, subsecond = (details.get(tag) for tag in TIME_TAGS)
     if not isinstance(time, str) or not time[:4].isdigit():
@@ -83,7 +84,7 @@ def lens_exif(path: Path) -> bytes:
 
     They are empty if unknown or damaged: the photo itself may be whole.
     """
-    with opened(path) as image:
+    with open_image(path) as image:
         try:
             found, kept = exif_of(image), Image.Exif()
             details, kept_details = (e.get_ifd(ExifTags.IFD.Exif) for e in (found, kept))
@@ -107,7 +108,7 @@ def _is_plausible(value: object) -> bool:
 
 def color_profile(path: Path) -> bytes | None:
     """The ICC profile of an RGB picture, if it has one."""
-    with opened(path, reduced=False) as image:
+    with open_image(path, reduced=False) as image:
         return image.info.get("icc_profile") if image.mode in ("RGB", "RGBA") else None
 
 
@@ -115,7 +116,7 @@ def write_photo(source: Path, target: Path) -> None:
     """Copy an upright 8-bit JPEG or PNG; write any other photo upright as JPEG."""
     if plain_suffix(source):
         with atomic_path(target) as temporary:
-            copy_file(source, temporary)
+            shutil.copyfile(source, temporary)
         return
     pixels, profile = read_image(source).numpy(), color_profile(source)
     write_jpeg(pixels, target, exif=lens_exif(source), icc_profile=profile)

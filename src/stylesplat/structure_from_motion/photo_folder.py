@@ -12,15 +12,13 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from stylesplat.errors import StyleSplatError, brief
+from stylesplat.io.atomic import PARTIAL
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
-from stylesplat.io.captures.colmap import find_sparse
 from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
-from stylesplat.io.captures.transforms import TRANSFORMS
 from stylesplat.io.files import reason
-from stylesplat.io.folders import PARTIAL
 from stylesplat.io.json_files import PhotoName
-from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS
+from stylesplat.io.kinds import HEIC, PHOTOS, TRANSFORMS, VIDEOS, find_sparse
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
     ALL_BLURRED,

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import cannot_read, cannot_write, inside, require_regular
-from stylesplat.io.folders import partial_of
 from stylesplat.io.json_files import read_json_as, write_json
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.structure_from_motion.config import MIN_PHOTOS

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stylesplat.io.atomic import changing
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.locks import locked
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.failures import (
     check_features,
@@ -49,7 +49,7 @@ def reconstruct(
     and settings continues.
     """
     names, seconds = prepared.names, dict[str, float]()
-    with locked(work):
+    with changing(work):
         with _timed(seconds, "features"):
             workspace = open_workspace(work, photos, names, config)
             extract_features(workspace)

@@ -7,12 +7,12 @@ import torch
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import posed_images
-from stylesplat.io.captures.colmap_check import check_complete
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.captures.colmap import check_complete, posed_images
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import atomic_path, cannot_write, inside
+from stylesplat.io.files import cannot_write, inside
 from stylesplat.io.images import QUALITY
 from stylesplat.structure_from_motion.photo_files import color_profile, map_photos
 

@@ -17,8 +17,8 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.decoding import MAX_PIXELS
 from stylesplat.io.files import reason, require_regular
+from stylesplat.io.images import MAX_PIXELS
 from stylesplat.io.video import SMOOTH_COLOR
 from stylesplat.progress import say, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS

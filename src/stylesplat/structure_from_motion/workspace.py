@@ -13,7 +13,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import cannot_write, copy_file, inside
+from stylesplat.io.files import cannot_write, inside
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.progress import say
 from stylesplat.scene.sampling import evenly
@@ -138,7 +138,7 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
             shutil.rmtree(workspace.photos)
         workspace.photos.mkdir(parents=True)
         for file, name in workspace.name_of.items():
-            copy_file(inside(photos, name), workspace.photos / file)
+            shutil.copyfile(inside(photos, name), workspace.photos / file)
     except OSError as error:
         raise cannot_write(workspace.folder, error) from error
     groups = [

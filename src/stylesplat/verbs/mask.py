@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.captures.label_folder import with_drawn_maps
+from stylesplat.io.captures.capture_folder import with_drawn_maps
 from stylesplat.masks import sam
 from stylesplat.masks.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
 from stylesplat.masks.from_model import mask_with_model

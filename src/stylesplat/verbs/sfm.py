@@ -15,13 +15,12 @@ import cv2
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice, printable, some
 from stylesplat.figures.capture_picture import capture_picture
+from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occupied
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
-from stylesplat.io.folders import claim_directory, partial_of, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.kinds import refuse_other_than_photos
-from stylesplat.io.recovery import changing
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
@@ -89,7 +88,7 @@ def sfm(
         prepared = prepare(source, photos, frames=frames)
         found = reconstruct(photos, prepared, work, config=config)
         frame = move_to_working_frame(found.model)
-        with claim_directory(output, overwrite=overwrite, marker=SFM_FILE) as new:
+        with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, photos, new)
             record = _record(source, digest, prepared, found, frame, config)
             write_sfm(record, new)

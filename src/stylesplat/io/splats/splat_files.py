@@ -21,12 +21,7 @@ from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, writ
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.read_gltf import read_gltf
 from stylesplat.io.splats.sog import read_sog, write_sog
-from stylesplat.io.splats.splat_ply import (
-    needed_degree,
-    of_degree,
-    read_splat_ply,
-    write_splat_ply,
-)
+from stylesplat.io.splats.splat_ply import needed_degree, of_degree, read_splat_ply, write_splat_ply
 from stylesplat.io.splats.spz import read_spz, write_spz
 from stylesplat.io.splats.write_gltf import write_glb, write_gltf
 from stylesplat.scene.splats import Splats
