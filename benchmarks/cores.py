@@ -28,9 +28,7 @@ from bench import capture, machine, table
 from stylesplat.rendering.at_once import Crew
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import fit, most_at_once
-from stylesplat.training.ranks import Ranks
-from stylesplat.training.run import Run
-from stylesplat.training.state import State
+from stylesplat.training.state import Ranks, Run, State
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views, training_views

@@ -13,7 +13,7 @@ from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_names
 from stylesplat.scene.scene import Scene, name_fault
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.naming import with_names
+from stylesplat.selection.objects import with_names
 from stylesplat.selection.pick import pick
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.import_ import import_

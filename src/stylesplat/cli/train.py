@@ -138,13 +138,13 @@ class Train:
     def _train(self) -> dict[str, Any]:
         from stylesplat.io.folders import refuse_occupied
         from stylesplat.io.scene_folder import SCENE
-        from stylesplat.training.checkpoint import refuse_unbegun
-        from stylesplat.training.ranks import Ranks
+        from stylesplat.training.checkpoint import require_checkpoint
+        from stylesplat.training.state import Ranks
 
         config, partial = self._config(), self._checkpoint.parent
         if self.finish:
             refuse_given(self, ("restart",), "--finish")
-            refuse_unbegun(self._checkpoint)
+            require_checkpoint(self._checkpoint)
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         capture = self._loaded()
         if self.restart:
@@ -158,7 +158,7 @@ class Train:
     def _help(self) -> NoReturn:
         """Train with the process that tells and keeps what comes of it."""
         from stylesplat.progress import Silence, observed
-        from stylesplat.training.ranks import Ranks
+        from stylesplat.training.state import Ranks
 
         with observed(Silence()):
             Ranks.here().meet()  # the poses are found by now

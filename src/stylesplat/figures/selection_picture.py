@@ -18,7 +18,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.selection.own_shares import own_shares
+from stylesplat.selection.soft_picks import own_shares
 
 PANEL = 480  # pixels along the longer side of a view
 DIM = 0.55  # of the brightness of what is not picked

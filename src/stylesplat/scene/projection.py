@@ -9,6 +9,8 @@ from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
 
+IN_IMAGES = 1000  # points that are projected into every image
+
 
 def depths_of(points: Float[Tensor, "P 3"], camera: Cameras) -> Float[Tensor, " P"]:
     """How far along a camera's z axis points lie; negative behind it."""
@@ -64,3 +66,9 @@ def crop(
     Ks[:, :2, 2] -= Ks.new_tensor(corner)
     Ks[:, :2] *= zoom
     return replace(camera, Ks=Ks, sizes=torch.tensor([size], dtype=camera.sizes.dtype))
+
+
+def share_in_images(points: Float[Tensor, "M 3"], cameras: Cameras) -> Float[Tensor, " C"]:
+    """The share of points that lies in each image, whether or not something hides them."""
+    some = points[:: max(1, len(points) // IN_IMAGES)].to(cameras.viewmats)
+    return torch.stack([shown(some, camera).float().mean() for camera in cameras])

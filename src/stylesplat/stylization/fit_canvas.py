@@ -92,7 +92,7 @@ def fit_canvas(
         with torch.enable_grad():
             view.error(leaves, canvas.discs, raised.to(view.image)).backward()
         now = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
-        adam_step(leaves, moments, now, step, seen=canvas.discs & view.shown)
+        adam_step(leaves, moments, now, step, visible=canvas.discs & view.shown)
         for leaf in leaves.values():
             leaf.grad = None
     found = {name: leaf.detach() for name, leaf in leaves.items()}

@@ -16,7 +16,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.margins import extent
+from stylesplat.selection.shapes import extent
 from stylesplat.stylization.object_views import Box, around, typical_length
 
 VIEWS = 32

@@ -19,7 +19,7 @@ from stylesplat.scene.listed import ListedObjects
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.listing import listed_objects
+from stylesplat.selection.objects import listed_objects
 from stylesplat.stylization.scene_parts import cut_out, every_part, rows_of_part
 
 LABEL, SHARE = "label", "share"  # columns of a .ply; the first is one that `import` reads

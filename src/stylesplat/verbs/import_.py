@@ -27,7 +27,7 @@ from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.naming import with_names
+from stylesplat.selection.objects import with_names
 from stylesplat.stylization.carried_over import carried_over
 from stylesplat.training.lifting import labelled, lift
 

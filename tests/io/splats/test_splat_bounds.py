@@ -13,7 +13,7 @@ from stylesplat.io.declared import GAUSSIANS
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.outliers import inliers
+from stylesplat.selection.members import inliers
 from stylesplat.verbs.select import select
 
 

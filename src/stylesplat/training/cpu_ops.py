@@ -1,5 +1,6 @@
-"""The trainer's parts on the CPU: numba kernels and a KD-tree; see `parts.Parts`."""
+"""Operations of training on the CPU: numba kernels and a KD-tree; see `DeviceOps`."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import comb, exp
 from typing import no_type_check
@@ -12,25 +13,37 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import kernel
-from stylesplat.training.adam import EPS
-from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, NOISE_SHARPNESS, AdamSteps, Geometry
+from stylesplat.training.device_ops import (
+    DEAD_OPACITY,
+    EPS,
+    MAX_COPIES,
+    NOISE_SHARPNESS,
+    AdamTurn,
+    Geometry,
+)
 from stylesplat.training.photometric_cpu import photometric_loss
 
-__all__ = ["adam", "drift", "nearest", "photometric_loss", "relocated"]
+__all__ = ["adam", "add_noise", "nearest", "photometric_loss", "relocate"]
 
 OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 
 
-def adam(steps: AdamSteps) -> None:
+def adam(
+    param: Tensor,
+    first: Tensor,
+    second: Tensor,
+    turns: Sequence[AdamTurn],
+    kept: tuple[float, float],
+) -> None:
     """Adam, all turns in one pass through memory, whose speed is the limit."""
-    changed = (steps.param, steps.first, steps.second)
+    changed = (param, first, second)
     packed = [tensor.contiguous() for tensor in changed]  # a copy of those that are not contiguous
     arrays = tuple(_rows(tensor) for tensor in packed)
-    grads = tuple(_rows(turn.grad) for turn in steps.turns)
-    chosen = tuple(turn.rows.numpy() for turn in steps.turns)
-    factors = [(turn.rate / turn.corrections[0], 1 / turn.corrections[1]) for turn in steps.turns]
-    kept = np.float32(steps.kept[0]), np.float32(steps.kept[1])
-    _adam(arrays, kept, grads, chosen, np.array(factors, np.float32))
+    grads = tuple(_rows(turn.grad) for turn in turns)
+    chosen = tuple(turn.visible.numpy() for turn in turns)
+    factors = [(turn.rate / turn.corrections[0], 1 / turn.corrections[1]) for turn in turns]
+    betas = np.float32(kept[0]), np.float32(kept[1])
+    _adam(arrays, betas, grads, chosen, np.array(factors, np.float32))
     for tensor, copy in zip(changed, packed, strict=True):
         if copy is not tensor:
             tensor.copy_(copy)
@@ -58,14 +71,14 @@ def _adam(arrays, kept, grads, chosen, factors):
                     param[i, j] -= rate * m / (np.sqrt(v * scale) + eps)
 
 
-def drift(geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:
+def add_noise(geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:
     """Move means by a rate times their covariance times noise drawn along the axes."""
-    _drift(tuple(t.numpy() for t in (*geometry, noise)), rate)
+    _add_noise(tuple(t.numpy() for t in (*geometry, noise)), rate)
 
 
 @no_type_check
 @kernel
-def _drift(arrays, rate):
+def _add_noise(arrays, rate):
     means, quats, scales, opacities, noise = arrays
     for i in numba.prange(means.shape[0]):
         if opacities[i] > OPAQUE:
@@ -84,7 +97,7 @@ def _drift(arrays, rate):
         means[i, 2] += c + double * (w * f + x * e - y * d)
 
 
-def relocated(
+def relocate(
     opacities: Float[Tensor, " M"], scales: Float[Tensor, "M 3"], copies: Int[Tensor, " M"]
 ) -> tuple[Float[Tensor, " M"], Float[Tensor, "M 3"]]:
     """Opacities and scales with which so many copies look like one."""
@@ -111,7 +124,7 @@ def _spread_terms() -> Float[Tensor, "n k"]:
 def nearest(
     means: Float[Tensor, "N 3"], sample: Int[Tensor, " S"], count: int
 ) -> Int[Tensor, "S k"]:
-    """Rows of the nearest others: a KD-tree, 17 times faster than all distances at 50,000."""
+    """Rows of the nearest neighbours, by a KD-tree: 17 times faster for 50,000 points."""
     points = means.numpy()
     tree = KDTree(points, balanced_tree=False, compact_nodes=False)  # asked once: quick to build
     found = np.asarray(tree.query(points[sample.numpy()], k=count + 1)[1])

@@ -4,13 +4,15 @@ from dataclasses import replace
 import pytest
 import torch
 
+from balls import CAMERAS, SPLATS
 from scenes import random_splats, two_cameras
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.scene.splats import Splats
-from stylesplat.training import growth as mcmc
+from stylesplat.training import densification
 from stylesplat.training.adam import Moments
-from stylesplat.training.parts import DEAD_OPACITY, NOISE_SHARPNESS
+from stylesplat.training.densification import growth_preference, limit_sizes, object_share
+from stylesplat.training.device_ops import DEAD_OPACITY, NOISE_SHARPNESS
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN", "identities")
 
@@ -19,7 +21,7 @@ def refined(splats: Splats, count: int) -> tuple[dict[str, torch.Tensor], Moment
     params = splats.tensors()
     ones = {name: torch.ones_like(t) for name, t in params.items()}
     generator = torch.Generator().manual_seed(0)
-    return mcmc.refine(params, Moments(ones, ones), NAMES, count, generator)
+    return densification.relocate_and_grow(params, Moments(ones, ones), NAMES, count, generator)
 
 
 def faint(count: int = 40) -> Splats:
@@ -75,7 +77,7 @@ def test_noise_moves_faint_gaussians_only():
     splats = random_splats(40)
     splats.opacities[:20], splats.opacities[20:] = -6.0, 3.0
     params = {name: t.clone() for name, t in splats.tensors().items()}
-    mcmc.add_noise(params, 1.0, 1.0, normal(params))
+    densification.add_noise(params, 1.0, 1.0, normal(params))
     moved = (params["means"] - splats.means).norm(dim=-1)
     assert moved[:20].min() > 0
     assert moved[20:].max() < 1e-6 * moved[:20].mean()
@@ -83,7 +85,7 @@ def test_noise_moves_faint_gaussians_only():
 
 def test_regularizer_pulls_down_opacity_and_size():
     params = {name: t.requires_grad_() for name, t in random_splats(9).tensors().items()}
-    mcmc.regularizer(params, 1.0).backward()
+    densification.regularizer(params, 1.0).backward()
     for name in ("opacities", "scales"):
         gradient = params[name].grad
         assert gradient is not None and (gradient > 0).all()
@@ -94,7 +96,9 @@ def test_preferred_gaussians_are_copied():
     preference = torch.where(torch.arange(50) < 10, 1.0, 0.0)
     generator = torch.Generator().manual_seed(0)
     moments = Moments.zeros(splats.tensors())
-    params, _ = mcmc.refine(splats.tensors(), moments, NAMES, 80, generator, preference=preference)
+    params, _ = densification.relocate_and_grow(
+        splats.tensors(), moments, NAMES, 80, generator, preference=preference
+    )
     copies = params["means"][50:]
     assert (copies[:, None] == splats.means[None, :10]).all(-1).any(1).all()
 
@@ -105,12 +109,12 @@ def test_noise_follows_the_covariance():
     one.opacities[:] = -20.0
     params = {n: t.repeat(20_000, *[1] * (t.ndim - 1)) for n, t in one.tensors().items()}
     before = params["means"].clone()
-    mcmc.add_noise(params, 1.0, 1.0, normal(params))
+    densification.add_noise(params, 1.0, 1.0, normal(params))
     moved = params["means"] - before
     axes = rotation_matrices(one.quats)[0] * one.scales[0].exp()
     sigma = axes @ axes.T
     gate = torch.sigmoid(torch.tensor(NOISE_SHARPNESS * DEAD_OPACITY))
-    expected = (mcmc.NOISE_RATE * gate) ** 2 * sigma @ sigma
+    expected = (densification.NOISE_RATE * gate) ** 2 * sigma @ sigma
     assert (moved.T.cov() - expected).norm() < 0.05 * expected.norm()
 
 
@@ -119,28 +123,11 @@ def test_noise_and_regularizer_do_not_depend_on_the_unit_of_length():
         params = {name: t.clone() for name, t in faint().tensors().items()}
         params["means"] *= factor
         params["scales"] += math.log(factor)
-        mcmc.add_noise(params, factor, 1.0, normal(params))
-        return params["means"] / factor, mcmc.regularizer(params, factor)
+        densification.add_noise(params, factor, 1.0, normal(params))
+        return params["means"] / factor, densification.regularizer(params, factor)
 
     for one, other in zip(learned(1.0), learned(100.0), strict=True):
         assert torch.allclose(one, other, rtol=1e-4)
-
-
-def test_noise_moves_nothing_but_means():
-    params = {name: t.clone() for name, t in faint().tensors().items()}
-    mcmc.add_noise(params, 1.0, 1.0, normal(params))
-    for name, tensor in faint().tensors().items():
-        assert torch.equal(params[name], tensor) == (name != "means")
-
-
-def test_noise_is_as_likely_to_either_side():
-    splats = faint(4000)
-    params = {name: t.clone() for name, t in splats.tensors().items()}
-    mcmc.add_noise(params, 1.0, 1.0, normal(params))
-    moved = params["means"] - splats.means
-    assert (moved > 0).float().mean(dim=0) == pytest.approx(
-        [0.5] * 3, abs=0.04
-    )  # five standard deviations of 0.5 / sqrt(4000)
 
 
 def test_refining_keeps_what_a_scene_looks_like():
@@ -171,16 +158,6 @@ def test_refining_copies_all_but_opacity_and_size():
         assert torch.equal(params[name], splats.tensors()[name][rows]), name
 
 
-def test_copies_and_their_source_are_alike():
-    splats = random_splats(40)
-    params, _ = refined(splats, 90)
-    rows = rows_of(params, splats)
-    for name in ("opacities", "scales"):
-        for row in range(40):
-            family = params[name][rows == row]
-            assert (family == family[:1]).all(), name
-
-
 def test_who_was_not_drawn_stays_bit_equal():
     splats = random_splats(40)
     params, moments = refined(splats, 60)
@@ -193,23 +170,9 @@ def test_who_was_not_drawn_stays_bit_equal():
         assert (moments.first[name][:40][alone] == 1).all(), name
 
 
-def test_sources_start_from_zero_moments_too():
-    splats = random_splats(40)
-    params, moments = refined(splats, 60)
-    drawn = torch.bincount(rows_of(params, splats), minlength=40) > 1
-    assert drawn.any() and not moments.second["scales"][:40][drawn].any()
-
-
 def test_fewer_than_there_are_removes_none():
     splats = random_splats(40)
     assert len(refined(splats, 10)[0]["means"]) == 40
-
-
-def test_all_dead_changes_nothing():
-    splats = random_splats(20)
-    splats.opacities[:] = -9.0
-    params, _ = refined(splats, 50)
-    assert params["means"] is splats.means
 
 
 def test_growing_follows_from_its_generator():
@@ -218,30 +181,50 @@ def test_growing_follows_from_its_generator():
     assert torch.equal(one["means"], other["means"])
     moments = Moments.zeros(splats.tensors())
     generator = torch.Generator().manual_seed(1)
-    third, _ = mcmc.refine(splats.tensors(), moments, NAMES, 60, generator)
+    third, _ = densification.relocate_and_grow(splats.tensors(), moments, NAMES, 60, generator)
     assert not torch.equal(one["means"], third["means"])
 
 
-def test_opaque_gaussians_are_copied_more_often():
-    splats = random_splats(2000)
-    splats.opacities[:1000], splats.opacities[1000:] = 2.0, -2.0  # 0.88 and 0.12
-    params, _ = refined(splats, 4000)
-    opaque = rows_of(params, splats)[2000:] < 1000
-    # Five standard deviations of a share of 2000 draws.
-    assert float(opaque.float().mean()) == pytest.approx(0.88, abs=0.04)
+OBJECTS = torch.arange(len(SPLATS)) >= 200  # the table comes first
 
 
-def test_new_tensors_can_be_trained():
-    params, _ = refined(random_splats(20), 40)
-    assert all(params[name].requires_grad and params[name].is_leaf for name in NAMES)
+def test_share_is_the_probability_of_not_being_background():
+    share = object_share(SPLATS)
+    assert share is not None
+    assert (share[OBJECTS] > 0.99).all()
+    assert (share[~OBJECTS] < 0.01).all()
+    assert object_share(replace(SPLATS, identities=None)) is None
 
 
-def test_regularizer_is_linear_in_opacity_and_size():
-    params = random_splats(50).tensors()
-    larger = params | {"scales": params["scales"] + math.log(2)}
-    opacity = mcmc.OPACITY_WEIGHT * torch.sigmoid(params["opacities"]).mean()
-    once, twice = mcmc.regularizer(params, 1.0) - opacity, mcmc.regularizer(larger, 1.0) - opacity
-    assert float(twice) == pytest.approx(2 * float(once), rel=1e-4)
-    assert float(opacity) == pytest.approx(
-        float(mcmc.regularizer(params | {"scales": torch.full((50, 3), -99.0)}, 1.0))
-    )
+def test_objects_are_preferred():
+    preference = growth_preference(SPLATS, 4.0)
+    assert preference is not None
+    assert preference[OBJECTS].mean() == pytest.approx(4.0, abs=0.05)
+    assert preference[~OBJECTS].mean() == pytest.approx(1.0, abs=0.05)
+
+
+def test_only_large_gaussians_of_objects_shrink():
+    scales = SPLATS.scales.clone()
+    scales[0] = scales[200] = 0.0
+    splats = replace(SPLATS, scales=scales.clone())
+    limit_sizes(splats, CAMERAS, 2.0)
+    distance = 3.354  # of the cameras from the middle, at a focal length of 50 pixels
+    assert splats.scales[200].exp().tolist() == pytest.approx([2 * distance / 50] * 3, rel=0.1)
+    scales[200] = splats.scales[200]
+    assert torch.equal(splats.scales, scales), "all others stay"
+
+
+def test_limits_scale_with_the_pixels():
+    limits = []
+    for pixels in (1.0, 2.0):
+        splats = replace(SPLATS, scales=torch.full_like(SPLATS.scales, 3.0))
+        limit_sizes(splats, CAMERAS, pixels)
+        limits.append(splats.scales[200].exp())
+    assert torch.allclose(2 * limits[0], limits[1], rtol=1e-5)
+
+
+def test_without_objects_nothing_shrinks():
+    for splats in (replace(SPLATS, identities=None), SPLATS[~OBJECTS]):
+        large = replace(splats, scales=torch.full_like(splats.scales, 3.0))
+        limit_sizes(large, CAMERAS, 2.0)
+        assert (large.scales == 3).all()

@@ -1,8 +1,9 @@
-"""The trainer's parts on NVIDIA GPUs, as far as they exist gsplat 1.5.3's; see `parts.Parts`.
+"""Operations of training on NVIDIA GPUs, where possible gsplat 1.5.3's; see `DeviceOps`.
 
-Nothing here waits for the device.
+None of them waits for the device.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import comb
 
@@ -13,40 +14,52 @@ from gsplat.relocation import compute_relocation
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.training.adam import EPS
+from stylesplat.training.device_ops import (
+    DEAD_OPACITY,
+    EPS,
+    MAX_COPIES,
+    NOISE_SHARPNESS,
+    AdamTurn,
+    Geometry,
+)
 from stylesplat.training.losses import photometric_spec as photometric_loss
-from stylesplat.training.parts import DEAD_OPACITY, MAX_COPIES, NOISE_SHARPNESS, AdamSteps, Geometry
 
-__all__ = ["adam", "drift", "nearest", "photometric_loss", "relocated"]
+__all__ = ["adam", "add_noise", "nearest", "photometric_loss", "relocate"]
 
 DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
 
-def adam(steps: AdamSteps) -> None:
+def adam(
+    param: Tensor,
+    first: Tensor,
+    second: Tensor,
+    turns: Sequence[AdamTurn],
+    kept: tuple[float, float],
+) -> None:
     """Adam, by the kernel of gsplat's `SelectiveAdam`.
 
-    That divides by sqrt(second) + eps without the corrections, so rate and eps take them on:
+    The kernel divides by sqrt(second) + eps without the corrections, so rate and eps contain them:
     rate / c1 * first / (sqrt(second / c2) + eps) is the same.
     """
-    for turn in steps.turns:
+    for turn in turns:
         root = turn.corrections[1] ** 0.5
         fused_adam(
-            steps.param,
+            param,
             turn.grad.contiguous(),
-            steps.first,
-            steps.second,
-            valid=turn.rows,
+            first,
+            second,
+            valid=turn.visible,
             lr=turn.rate * root / turn.corrections[0],
-            b1=steps.kept[0],
-            b2=steps.kept[1],
+            b1=kept[0],
+            b2=kept[1],
             eps=EPS * root,
         )
 
 
-def drift(geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:
+def add_noise(geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:
     """Move means by a rate times their covariance times noise.
 
-    As gsplat's `inject_noise_to_position`, which would draw from the generator that all share.
+    As gsplat's `inject_noise_to_position`, which draws from the global generator.
     """
     means, quats, scales, opacities = geometry
     covars, _ = quat_scale_to_covar_preci(quats, scales.exp(), compute_preci=False)
@@ -54,7 +67,7 @@ def drift(geometry: Geometry, noise: Float[Tensor, "N 3"], rate: float) -> None:
     means.add_(torch.einsum("nij,nj->ni", covars, rate * gate[:, None] * noise))
 
 
-def relocated(
+def relocate(
     opacities: Float[Tensor, " M"], scales: Float[Tensor, "M 3"], copies: Int[Tensor, " M"]
 ) -> tuple[Float[Tensor, " M"], Float[Tensor, "M 3"]]:
     """Opacities and scales with which so many copies look like one."""
@@ -72,7 +85,7 @@ def _binomials(device: torch.device) -> Float[Tensor, "n n"]:
 def nearest(
     means: Float[Tensor, "N 3"], sample: Int[Tensor, " S"], count: int
 ) -> Int[Tensor, "S k"]:
-    """Rows of the nearest others, from all distances."""
+    """Rows of the nearest neighbours, from all distances."""
     found = []
     for some in sample.split(max(1, DISTANCES_AT_ONCE // len(means))):
         # Not by a matrix product, which rounds small distances away

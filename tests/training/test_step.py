@@ -1,22 +1,25 @@
 """One step: what is compared, and whom the gradients reach."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
+import numba
 import pytest
 import torch
 
 from begun_runs import begun
+from stylesplat.rendering.at_once import Crew
 from stylesplat.scene.capture import Capture
-from stylesplat.training import step as stepping
-from stylesplat.training.gradients import (
+from stylesplat.training.state import Run, State, first_state
+from stylesplat.training.step import (
     NEIGHBOR_SAMPLES,
     NEIGHBORS,
-    fill_gradients,
-    neighbors_of_some,
-    rows_of,
+    apply_gradients,
+    compute_gradients,
+    learning_rates,
+    take_rows,
+    train_step,
 )
-from stylesplat.training.state import first_state
-from stylesplat.training.step import RATES, rates, train_step
 from stylesplat.training.train_config import TrainConfig
 
 GEOMETRY = ("means", "quats", "scales", "opacities")
@@ -24,8 +27,8 @@ GEOMETRY = ("means", "quats", "scales", "opacities")
 
 def gradients(capture: Capture, config: TrainConfig, step: int = 0) -> dict[str, torch.Tensor]:
     run, state = begun(capture, config)
-    fill_gradients(run, replace(state, step=step), run.generator(step))
-    return {name: t.grad for name, t in state.params.items() if t.grad is not None}
+    found = compute_gradients(run, state, step).state.params
+    return {name: t.grad for name, t in found.items() if t.grad is not None}
 
 
 @pytest.fixture
@@ -52,29 +55,19 @@ def test_identities_have_gradients_every_few_steps_only(capture: Capture, config
         assert {*GEOMETRY, "sh0", "shN"} <= names
 
 
-def test_gradients_do_not_add_up_over_steps(capture: Capture, config: TrainConfig):
-    run, state = begun(capture, config)
-    for _ in range(2):
-        fill_gradients(run, state, run.generator(0))
-    once = gradients(capture, config)
-    for name, gradient in once.items():
-        # Threads may add up in another order.
-        torch.testing.assert_close(state.params[name].grad, gradient, atol=1e-6, rtol=1e-4)
-
-
 def test_scores_are_loss_and_psnr(capture: Capture, config: TrainConfig):
     run, state = begun(capture, config)
-    _, scores = fill_gradients(run, state, run.generator(0))
+    scores = compute_gradients(run, state, 0).scores
     loss, psnr = scores.tolist()
     assert 0.1 < loss < 3 and 3 < psnr < 30 and not scores.requires_grad
 
 
-def test_seen_are_those_in_the_picture(capture: Capture, config: TrainConfig):
+def test_visible_are_those_in_the_picture(capture: Capture, config: TrainConfig):
     run, state = begun(capture, config)
     with torch.no_grad():
         state.params["means"][:10] += 100
-    seen, _ = fill_gradients(run, state, run.generator(0))
-    assert not seen[:10].any() and seen[10:].all()
+    visible = compute_gradients(run, state, 0).visible
+    assert not visible[:10].any() and visible[10:].all()
 
 
 def test_a_step_leaves_what_nobody_sees(capture: Capture, config: TrainConfig):
@@ -89,12 +82,6 @@ def test_a_step_leaves_what_nobody_sees(capture: Capture, config: TrainConfig):
         assert not after.moments.first[name][:10].any()
         if name not in ("quats", "shN"):  # of round Gaussians, of bands not in use yet
             assert not torch.equal(after.params[name][10:], before.params[name][10:]), name
-
-
-def test_a_step_counts(capture: Capture, config: TrainConfig):
-    run, state = begun(capture, config)
-    after, _ = train_step(run, state)
-    assert after.step == 1 and after.seconds == state.seconds
 
 
 def test_a_step_is_a_function_of_state_and_number(capture: Capture, config: TrainConfig):
@@ -117,36 +104,9 @@ def test_growth_comes_at_the_end_of_its_interval(capture: Capture, config: Train
     assert counts[4] == 200 and counts[5] == first, "nothing is added in the last tenth"
 
 
-def test_sizes_of_objects_are_limited_where_asked(capture: Capture, monkeypatch):
-    asked: list[float] = []
-    monkeypatch.setattr(stepping, "limit_sizes", lambda splats, cameras, size: asked.append(size))
-    for pixels in (None, 2.0):
-        config = TrainConfig(refine_every=1, object_pixels=pixels)
-        train_step(*begun(capture, config))
-    assert asked == [2.0]
-
-
 def test_every_trained_tensor_has_a_rate(capture: Capture, config: TrainConfig):
     _, state = begun(capture, config)
-    assert rates(config, 1.0).keys() == state.params.keys()
-
-
-def test_only_the_rate_of_means_follows_the_unit(config: TrainConfig):
-    one, other = rates(config, 1.0), rates(config, 0.01)
-    assert other["means"] == pytest.approx(0.01 * one["means"])
-    assert {n: r for n, r in one.items() if n != "means"} == {
-        n: r for n, r in other.items() if n != "means"
-    }
-    assert RATES.items() <= one.items()
-
-
-def test_neighbours_of_some():
-    means = torch.randn(50, 3, generator=torch.Generator().manual_seed(0))
-    sample, neighbors = neighbors_of_some(means, torch.Generator().manual_seed(1))
-    assert sample.shape == (50,) and neighbors.shape == (50, NEIGHBORS)
-    assert 0 <= int(sample.min()) and int(sample.max()) < 50
-    again, _ = neighbors_of_some(means, torch.Generator().manual_seed(1))
-    assert torch.equal(sample, again)
+    assert learning_rates(config, 1.0).keys() == state.params.keys()
 
 
 def test_fewer_gaussians_than_neighbours_still_train(capture: Capture, config: TrainConfig):
@@ -162,10 +122,10 @@ def test_gradients_of_rows_are_added_up_in_order():
     table = torch.randn(50, 16, generator=generator).requires_grad_()
     rows = torch.randint(len(table), (NEIGHBOR_SAMPLES, NEIGHBORS), generator=generator)
     v_found = torch.randn(*rows.shape, 16, generator=generator)
-    assert torch.equal(rows_of(table, rows), table[rows])
+    assert torch.equal(take_rows(table, rows), table[rows])
 
     def gradient() -> torch.Tensor:
-        return torch.autograd.grad(rows_of(table, rows), table, v_found)[0]
+        return torch.autograd.grad(take_rows(table, rows), table, v_found)[0]
 
     first, threads = gradient(), torch.get_num_threads()
     try:
@@ -186,14 +146,88 @@ def test_photos_without_anything_of_their_own_teach_the_same(
     run, state = begun(replace(capture, photos=photos, label_maps=None, alphas=alphas), config)
     zeros = {"color_maps": torch.zeros(9, 3, 4), "pose_shifts": torch.zeros(9, 6)}
     learning = state.clone().with_photos(zeros)
-    scores = [fill_gradients(run, each, run.generator(0)).scores for each in (state, learning)]
-    assert torch.allclose(*scores, rtol=1e-5)
-    for name, param in state.params.items():
-        other = learning.params[name].grad
+    one, two = (compute_gradients(run, each, 0) for each in (state, learning))
+    assert torch.allclose(one.scores, two.scores, rtol=1e-5)
+    learned = two.state.params
+    for name, param in one.state.params.items():
+        other = learned[name].grad
         assert param.grad is not None and other is not None
         # Colours are put over the background in another order
         assert (other - param.grad).norm() <= 1e-3 * param.grad.norm(), name
     for name in zeros:
-        own = learning.params[name].grad
+        own = learned[name].grad
         assert own is not None and own[run.row(0)].any()
         assert int(own.flatten(1).any(dim=1).sum()) == 1
+
+
+@pytest.fixture
+def one_thread() -> Iterator[int]:
+    """As each of two threads has it that share two cores; yields how many there are else."""
+    before = numba.get_num_threads(), torch.get_num_threads()
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+    yield before[0]
+    numba.set_num_threads(before[0])
+    torch.set_num_threads(before[1])
+
+
+def after(run: Run, state: State, rounds: int) -> State:
+    state = state.clone()
+    for _ in range(rounds):
+        state, _ = train_step(run, state)
+    return state
+
+
+def same(one: State, other: State) -> bool:
+    pairs = zip(one.params.values(), other.params.values(), strict=True)
+    return one.step == other.step and all(torch.equal(a, b) for a, b in pairs)
+
+
+def test_every_step_is_of_one_round(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, replace(config, steps=11), 4, of_photos=True)
+    found = [[*run.photos(replace(state, step=step))] for step in (0, 4, 8)]
+    assert found == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
+    timed = replace(run, config=replace(run.config, max_seconds=9.0))
+    assert [*timed.photos(replace(state, step=8))] == [8, 9, 10, 11]
+
+
+def test_all_of_a_round_learn_identities_or_none(capture: Capture, config: TrainConfig):
+    run, _ = begun(capture, config, 3, of_photos=True)
+    found = [run.every(2, step) for step in range(9)]
+    assert found == [True] * 3 + [False] * 3 + [True] * 3
+
+
+def test_threads_change_nothing(capture: Capture, config: TrainConfig, one_thread: int):
+    config = replace(config, refine_poses=True, color_correction="on")
+    run, state = begun(capture, config, 4, of_photos=True)
+    alone = after(run, state, 3)
+    numba.set_num_threads(min(one_thread, 2))
+    crew = Crew(4)
+    try:
+        assert crew.size == numba.get_num_threads()
+        assert same(after(replace(run, crew=crew), state, 3), alone)
+    finally:
+        crew.end()
+    assert alone.step == 12
+
+
+def test_looks_are_of_one_moment_and_steps_in_turn(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, config, 2, of_photos=True)
+    together, one, other = after(run, state, 1), state.clone(), state.clone()
+    looks = [compute_gradients(run, one, step) for step in (0, 1)]
+    calm = [look._replace(noise=torch.zeros_like(look.noise)) for look in looks]
+    apply_gradients(run, calm)
+    for look in [compute_gradients(run, other, step) for step in (0, 1)]:
+        still = look._replace(noise=torch.zeros_like(look.noise))
+        apply_gradients(run, [still])
+    assert same(one, other)
+    for name, each in one.params.items():
+        assert torch.equal(each, together.params[name]) == (name != "means"), name
+    assert not same(after(replace(run, batch=1), state, 2), together)
+
+
+def test_growth_within_a_round(capture: Capture, config: TrainConfig):
+    config = replace(config, steps=100, refine_every=10, max_gaussians=200)
+    run, state = begun(capture, config, 4, of_photos=True)
+    counts = [len(train_step(run, replace(state.clone(), step=step))[0].splats) for step in (4, 8)]
+    assert counts[0] == len(state.splats) < counts[1]
