@@ -8,9 +8,9 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS, enlarged
 from plain_layers import plain_layer
 from sfm_records import sfm_record
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.frames import SAME
 from stylesplat.scene.layer import Source
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import SceneObject
 from stylesplat.structure_from_motion.capture_report import CaptureReport
 from stylesplat.structure_from_motion.coverage import Coverage

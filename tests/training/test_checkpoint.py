@@ -14,8 +14,7 @@ import torch
 from scenes import random_splats
 from small_files import no_room
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.fingerprint import fingerprint
+from stylesplat.scene.capture import Capture, fingerprint
 from stylesplat.scene.splats import Classifier
 from stylesplat.training.checkpoint import (
     Checkpoint,
@@ -120,7 +119,7 @@ def test_settings_that_an_older_version_did_not_have_are_the_defaults(place: Che
         ("size=2", "photos of another size"),
         ("poses=3", "other poses"),
         ("labels=5", "other label maps"),
-        ("photos=7", "photos that look otherwise"),
+        ("photos=7", "photos with other content"),
     ],
 )
 def test_other_captures_are_named(place: Checkpoint, part: str, told: str):
@@ -307,7 +306,7 @@ def test_a_run_of_other_photos_is_refused(capture: Capture, config: TrainConfig,
     for other, told in (
         (small, "photos of another size"),
         (unlabelled, "other label maps"),
-        (turned, "photos that look otherwise"),
+        (turned, "photos with other content"),
     ):
         with pytest.raises(StyleSplatError, match=told):
             fit(other, config, checkpoint=path)

@@ -11,10 +11,10 @@ from stylesplat.scene.projection import shown
 from stylesplat.scene.splats import Splats
 from stylesplat.training.initialize import (
     MIN_VIEWS,
+    commonly_visible_points,
     first_splats,
     neighbor_distances,
     scene_extent,
-    seen_together,
 )
 
 
@@ -114,7 +114,7 @@ def test_extent_is_the_radius_of_the_cameras(cameras: Cameras):
 
 
 def test_random_points_are_seen_by_several_cameras(cameras: Cameras):
-    points = seen_together(cameras, 500, torch.Generator().manual_seed(0))
+    points = commonly_visible_points(cameras, 500, torch.Generator().manual_seed(0))
     assert len(points) == 500
     views = torch.stack([shown(points, cameras[row]) for row in range(len(cameras))]).sum(dim=0)
     assert (views >= MIN_VIEWS * len(cameras)).all()
@@ -124,4 +124,4 @@ def test_cameras_that_share_no_view_are_refused(cameras: Cameras):
     away = replace(cameras, viewmats=cameras.viewmats.clone())
     away.viewmats[:, 2, 3] = -3
     with pytest.raises(StyleSplatError, match="outwards"):
-        seen_together(away, 100, torch.Generator().manual_seed(0))
+        commonly_visible_points(away, 100, torch.Generator().manual_seed(0))

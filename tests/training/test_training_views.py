@@ -6,10 +6,9 @@ import pytest
 import torch
 
 from balls import CAMERAS, enlarged
-from stylesplat.scene.cache import GIB
+from stylesplat.scene.cache import GIB, Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
-from stylesplat.scene.lazy import Lazy
 from stylesplat.training import training_views as module
 from stylesplat.training.training_views import (
     LearnedIds,

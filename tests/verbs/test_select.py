@@ -182,7 +182,7 @@ def test_grow_or_shrink_that_cannot_be():
 
 
 def test_nothing_said():
-    with pytest.raises(StyleSplatError, match="Say it with --id, --point"):
+    with pytest.raises(StyleSplatError, match="Select with --id, --point"):
         select(SCENE, "x")
 
 

@@ -146,7 +146,7 @@ def refuse_other_than_photos(path: Path) -> None:
 
 def _no_capture_but_scene(scene: Path) -> StyleSplatError:
     from stylesplat.io.scene_folder import capture_of, open
-    from stylesplat.scene.ring import has_no_photos
+    from stylesplat.scene.framing import has_no_photos
 
     capture, fault = capture_of(scene), f"{scene} is a scene, not a capture"
     if capture is not None:

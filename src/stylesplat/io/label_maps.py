@@ -19,8 +19,8 @@ from stylesplat.io.captures.photos import Photo, photo_sizes, same_shape
 from stylesplat.io.files import atomic_path, require_regular
 from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.io.recovery import ensure_whole
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.labels import MAX_ID, OwnLabels, resize_labels
-from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
 ID_MODES = ("1", "L", "P", "I", "I;16", "RGB", "RGBA")  # of Pillow

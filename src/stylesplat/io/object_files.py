@@ -21,8 +21,7 @@ from stylesplat.io.json_files import strict_json
 from stylesplat.io.npy import DAMAGED, WHOLE, read_member
 from stylesplat.io.row_labels import MAX_FILE, read_row_labels
 from stylesplat.scene.labels import MAX_ID
-from stylesplat.scene.listed import Listed, ListedObjects
-from stylesplat.scene.scene import is_id, name_fault
+from stylesplat.scene.scene import ListedObject, ListedObjects, is_id, name_fault
 
 SUFFIXES = (".npz", ".json")
 SIDECAR = ".objects.npz"  # what follows the name of a splat's file
@@ -122,7 +121,7 @@ def _read_npz(path: Path, count: int) -> ListedObjects | None:
             found = read_member(archive, names[key], at_most(max(count, 1)), kinds=NUMBERS)
             return torch.from_numpy(found.astype(np.float32 if found.dtype.kind == "f" else int))
 
-        objects = dict[str, Listed]()
+        objects = dict[str, ListedObject]()
         for key in names:
             if not key.endswith(ROWS):
                 continue
@@ -134,11 +133,11 @@ def _read_npz(path: Path, count: int) -> ListedObjects | None:
         return ListedObjects(int(array(COUNT)), objects, labels)
 
 
-def _listed(name: str, rows: Tensor, shares: Tensor | None, ids: list[int]) -> Listed:
+def _listed(name: str, rows: Tensor, shares: Tensor | None, ids: list[int]) -> ListedObject:
     """An object, if there is a share for each row; a ValueError else."""
     if shares is not None and (len(shares) != len(rows) or not _within(shares, 1)):
         raise ValueError(f"the shares of {brief(name)!r} are not one from 0 to 1 for each row")
-    return Listed(rows, shares, tuple(ids))
+    return ListedObject(rows, shares, tuple(ids))
 
 
 def _checked(listed: ListedObjects, count: int) -> ListedObjects:

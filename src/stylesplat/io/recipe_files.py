@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from stylesplat.scene.intensity import MAX_INTENSITY
+from stylesplat.scene.arguments import MAX_INTENSITY
 from stylesplat.scene.layer import Layer
 
 RECIPE = "recipe.json"

@@ -18,7 +18,7 @@ from stylesplat.io.npy import DAMAGED, WHOLE, read_member, read_npy
 from stylesplat.io.object_files import at_most, cannot_list, objects_in
 from stylesplat.io.ply import read_ply_table
 from stylesplat.io.row_labels import MAX_FILE
-from stylesplat.scene.listed import ListedObjects
+from stylesplat.scene.scene import ListedObjects
 
 STATE = "state"  # SuperSplat's column in a .ply, whose first bit means selected
 

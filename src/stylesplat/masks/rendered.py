@@ -7,10 +7,9 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.rendering.one_view import render
-from stylesplat.scene.cache import GIB, Cache
+from stylesplat.scene.cache import GIB, Cache, Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 

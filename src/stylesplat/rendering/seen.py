@@ -16,7 +16,7 @@ from torch.nn.functional import pad
 from stylesplat.rendering.gaussians import Projected, views_of
 from stylesplat.rendering.rasterize import activated, beside
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.overlap import overlapping
+from stylesplat.scene.projection import overlapping
 from stylesplat.scene.splats import Splats
 
 LARGE = 400_000  # Gaussians of a scene; of fewer, looking for what matters takes what it saves

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
@@ -72,3 +72,26 @@ def share_in_images(points: Float[Tensor, "M 3"], cameras: Cameras) -> Float[Ten
     """The share of points that lies in each image, whether or not something hides them."""
     some = points[:: max(1, len(points) // IN_IMAGES)].to(cameras.viewmats)
     return torch.stack([shown(some, camera).float().mean() for camera in cameras])
+
+
+def overlapping(
+    lows: Shaped[Tensor, "N D"],
+    highs: Shaped[Tensor, "N D"],
+    low: Shaped[Tensor, " D"],
+    high: Shaped[Tensor, " D"],
+) -> Int[Tensor, " M"]:
+    """Which boxes share a point with another one, in order.
+
+    One axis after the other is looked at: few are left after the first.
+
+    Args:
+        lows: Their lower corners; for points, these.
+        highs: Their upper corners.
+        low: The lower corner of the other one.
+        high: Its upper corner.
+    """
+    rows = ((lows[:, 0] <= high[0]) & (highs[:, 0] >= low[0])).nonzero()[:, 0]
+    for axis in range(1, len(low)):
+        shared = (lows[rows, axis] <= high[axis]) & (highs[rows, axis] >= low[axis])
+        rows = rows[shared]
+    return rows

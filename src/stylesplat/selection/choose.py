@@ -9,9 +9,9 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import family, mask_of
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import (

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from stylesplat.scene.content import FAINT
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.overlap import overlapping
+from stylesplat.scene.projection import overlapping
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import require_identities
 

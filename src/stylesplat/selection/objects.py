@@ -12,8 +12,7 @@ from stylesplat.progress import say, track
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import family
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.listed import Listed, ListedObjects
-from stylesplat.scene.scene import Scene, SceneObject, name_fault
+from stylesplat.scene.scene import ListedObject, ListedObjects, Scene, SceneObject, name_fault
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD, each_object, pick_objects
@@ -102,11 +101,11 @@ def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
     picks = {name: find_object(scene, name).cpu() for name in names} or picks_of(scene)
     if not picks:
         raise no_objects(scene)
-    own, objects = OwnShares(scene.splats, scene.cameras), dict[str, Listed]()
+    own, objects = OwnShares(scene.splats, scene.cameras), dict[str, ListedObject]()
     for name, picked in track(picks.items(), "listing objects", unit="object"):
         shares = own.of(picked)[picked]
         ids = tuple(scene.objects[name].how.get("ids", ())) if name in scene.objects else ()
-        objects[name] = Listed(picked.nonzero()[:, 0], shares, ids or _own_id(name))
+        objects[name] = ListedObject(picked.nonzero()[:, 0], shares, ids or _own_id(name))
     return ListedObjects(len(scene.splats), objects, _labels(scene))
 
 

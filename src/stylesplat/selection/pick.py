@@ -10,10 +10,9 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import cut_to_picture, pasted
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids, render_labels, require_identities

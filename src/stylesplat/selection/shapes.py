@@ -9,8 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import FAINT, solid
-from stylesplat.scene.overlap import overlapping
-from stylesplat.scene.projection import crop, unproject
+from stylesplat.scene.projection import crop, overlapping, unproject
 from stylesplat.scene.splats import Splats
 
 

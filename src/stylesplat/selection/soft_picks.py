@@ -18,8 +18,7 @@ from stylesplat.rendering.seen import LARGE, bounds, pixel_bounds, seen, unhidde
 from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.overlap import overlapping
-from stylesplat.scene.projection import crop
+from stylesplat.scene.projection import crop, overlapping
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.contacts import on_support

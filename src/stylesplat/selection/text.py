@@ -13,9 +13,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.models.hub import find_model, load_model, load_processor
 from stylesplat.progress import track
 from stylesplat.rendering.one_view import render
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.sampling import far_apart
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels

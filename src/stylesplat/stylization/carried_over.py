@@ -11,13 +11,12 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
 from stylesplat.scene.compose import compose, mask_of, spans, taken_rows
-from stylesplat.scene.frames import SAME, seen_from
+from stylesplat.scene.frames import SAME, move_splats, seen_from
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.layer import Layer, taken
 from stylesplat.scene.same_gaussians import Match, match_gaussians
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
 
 EDITED = 0.1  # of a constant band: colours that differ by more, at the median, were edited
 DEGREE = 3  # of the splats of scenes
@@ -146,7 +145,7 @@ def _with_layers_of(scene: Scene, found: Scene, match: Match) -> Scene:
     for frame, mask in match.parts:
         looks = (mask[mine] & covered[rows.clamp(min=0)]).nonzero()[:, 0]
         looks = looks[rows[looks] >= 0]
-        before = of_degree(moved(known[rows[looks]], frame), DEGREE)
+        before = of_degree(move_splats(known[rows[looks]], frame), DEGREE)
         base = base.with_rows(looks, {n: getattr(before, n) for n in LOOKS})
     objects = {name: taken_rows(each, torch.cat(order)) for name, each in found.objects.items()}
     if not layers:
@@ -166,8 +165,8 @@ def _turned(layer: Layer, base: Splats, places: Tensor, mine: Tensor, match: Mat
     there = mine[places[layer.rows].clamp(min=0)]
     for frame, mask in match.parts:
         part = (mask[there] & ~gone).nonzero()[:, 0]
-        shN[part] = moved(paint[part], frame).shN
-    canvas = moved(of_degree(layer.canvas, DEGREE), match.parts[0][0])
+        shN[part] = move_splats(paint[part], frame).shN
+    canvas = move_splats(of_degree(layer.canvas, DEGREE), match.parts[0][0])
     return replace(layer, shN=shN, canvas=canvas)
 
 

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.io.files import atomic_path, reason
 from stylesplat.progress import say
-from stylesplat.scene.fingerprint import differences
+from stylesplat.scene.capture import differences
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.training.adam import Moments
 from stylesplat.training.state import State

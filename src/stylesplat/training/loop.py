@@ -15,8 +15,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Task, say, task
 from stylesplat.rendering.at_once import Crew
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.fingerprint import fingerprint
+from stylesplat.scene.capture import Capture, fingerprint
 from stylesplat.signals import TAKEN
 from stylesplat.training.checkpoint import (
     Checkpoint,

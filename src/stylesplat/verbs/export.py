@@ -15,8 +15,7 @@ from stylesplat.io.places import refuse_file
 from stylesplat.io.recovery import changing
 from stylesplat.io.row_lists import STATE
 from stylesplat.io.splats.splat_files import row_order, write_splats
-from stylesplat.scene.listed import ListedObjects
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import ListedObjects, Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import listed_objects

@@ -14,7 +14,7 @@ from stylesplat.masks.models.from_model import mask_with_model
 from stylesplat.masks.rendered import rendered_capture
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.ring import has_no_photos
+from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.objects import relabel
 

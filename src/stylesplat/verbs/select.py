@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.row_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
+from stylesplat.scene.arguments import Places, check_box, parse_places
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, Rules, choose
 from stylesplat.selection.identities import object_ids

@@ -11,9 +11,8 @@ from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats import splat_usd
 from stylesplat.io.splats.splat_files import read_splats, write_splats
-from stylesplat.scene.frames import Frame
+from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
 
 pytest.importorskip("pxr", reason="usd-core is not installed (the extra `usd`)")
 Gf, Usd, UsdGeom, UsdVol = (
@@ -68,7 +67,7 @@ def test_transforms_are_done(tmp_path: Path):
     matrix[:3, 3] = half_turn @ torch.tensor([1.0, 2.0, 3.0]).double()
     prim.MakeMatrixXform().Set(Gf.Matrix4d(*matrix.T.flatten().tolist()))
     stage.Save()
-    expected = moved(splats, Frame(TURN, 2.0, torch.tensor([1.0, 2.0, 3.0])))
+    expected = move_splats(splats, Frame(TURN, 2.0, torch.tensor([1.0, 2.0, 3.0])))
     assert close(read_splats(tmp_path / "a.usda"), expected, 1e-4)
 
 

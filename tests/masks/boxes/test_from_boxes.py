@@ -27,8 +27,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.boxes import spread as spread_module
 from stylesplat.masks.boxes.grabcut import Box, Stroke
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig

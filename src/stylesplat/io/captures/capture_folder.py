@@ -23,9 +23,9 @@ from stylesplat.io.files import is_file
 from stylesplat.io.kinds import no_capture
 from stylesplat.io.label_maps import match_label_maps, read_names
 from stylesplat.progress import say, track
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.poses import are_rigid
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture

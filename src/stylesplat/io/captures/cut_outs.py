@@ -7,8 +7,7 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from stylesplat.io.captures.photos import OPAQUE, Photo
-from stylesplat.scene.cache import Cache
-from stylesplat.scene.lazy import Lazy
+from stylesplat.scene.cache import Cache, Lazy
 from stylesplat.scene.sampling import evenly
 
 LOOKED_AT = 5  # photos with an alpha channel: most of those there are have nothing transparent

@@ -12,10 +12,10 @@ from stylesplat.io.files import REPLACING, inside, is_file
 from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.label_maps import NAMES, DrawnLabels, fit_labels, write_label_map, write_names
 from stylesplat.progress import track
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
-from stylesplat.scene.lazy import Lazy
 
 
 def with_drawn_maps(

@@ -23,9 +23,8 @@ from stylesplat.io.files import atomic_path
 from stylesplat.io.splats import usd_trial
 from stylesplat.io.splats.rotations import unit_quats
 from stylesplat.io.splats.splat_ply import check_splats
-from stylesplat.scene.frames import Frame
+from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
 
 WRITTEN = (".usd", ".usdc", ".usda")
 READ = (*WRITTEN, ".usdz")
@@ -105,7 +104,7 @@ def read_usd(path: Path | str) -> Splats:
         raise _refusal(path, f"it is damaged ({type(error).__name__})") from error
     check_splats(splats, path)
     frame = _frame(np.array(world), path, z_up=z_up)
-    return splats if frame is None else check_splats(moved(splats, frame), path)
+    return splats if frame is None else check_splats(move_splats(splats, frame), path)
 
 
 def _try_out(path: Path | str) -> None:

@@ -10,8 +10,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.labels import Mask
-from stylesplat.scene.lazy import Lazy
 
 
 @dataclass(frozen=True)

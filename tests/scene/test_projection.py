@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from stylesplat.scene.overlap import overlapping
+from stylesplat.scene.projection import overlapping
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3])

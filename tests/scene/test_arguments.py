@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from stylesplat.scene.drawn_boxes import cut_to_picture
+from stylesplat.scene.arguments import cut_to_picture
 
 SIZE = (200, 100)
 

@@ -1,8 +1,9 @@
-"""Boxes and points that were drawn in pictures.
+"""What users give and paste: boxes and points in photos, strengths, commands. Loads no torch.
 
-They are in pixels of the photo itself, at its full size, whatever size it is worked on at.
+Pixels are those of the photo at its full size, whatever size it is worked on at.
 """
 
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -85,3 +86,24 @@ def _parsed(place: Any, count: int, what: str) -> tuple[str, tuple[float, ...]]:
             f"Cannot use {what}={place!r}. Give the name of a view and {count} numbers, its pixels."
         )
     return view, found
+
+
+MAX_INTENSITY = 1.5  # beyond it colours leave their range
+MAX_FORM = 1.5  # likewise
+
+
+def check_intensity(intensity: float) -> None:
+    """Raise a StyleSplatError if colours cannot be blended so."""
+    if not 0 <= intensity <= MAX_INTENSITY:
+        raise StyleSplatError(f"Cannot blend with intensity {intensity}: use 0 to {MAX_INTENSITY}.")
+
+
+def check_form(form: float) -> None:
+    """Raise a StyleSplatError if so much relief cannot be shown."""
+    if not 0 <= form <= MAX_FORM:
+        raise StyleSplatError(f"Cannot show the form {form}: use 0 to {MAX_FORM}.")
+
+
+def pasted(verb: str, *arguments: object) -> str:
+    """A command that can be pasted, whatever the names and places in it hold."""
+    return shlex.join(["stylesplat", verb, *map(str, arguments)])
