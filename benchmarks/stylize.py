@@ -38,10 +38,10 @@ import stylesplat as ss
 from stylesplat.evaluation.measure import object_nnfm
 from stylesplat.evaluation.style_metrics import LENGTH, measure_painted
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.gaussians import activated, views_of
 from stylesplat.rendering.kernels import blend, blend_backward, vecs
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.rasterize import activated, rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats

@@ -4,7 +4,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.evaluation.half_fits import Fits, fits_of, fitted_render
 from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.metrics.psnr import psnr
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.training.per_photo import shift_cameras
 

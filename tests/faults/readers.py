@@ -21,7 +21,7 @@ from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.files import inside
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.masks.models.found_so_far import open_progress
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats

@@ -9,7 +9,7 @@ import torch
 from scenes import BACKENDS, leaf, random_splats, two_cameras
 from stylesplat.rendering import cpu
 from stylesplat.rendering.kernels import blend_backward
-from stylesplat.rendering.rasterize import Backend, Rasterizer, rasterize
+from stylesplat.rendering.render import Backend, Rasterizer, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats

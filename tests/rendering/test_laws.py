@@ -8,8 +8,8 @@ import torch
 
 from scenes import BACKENDS, random_splats, two_cameras
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb, sh_colors
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop

@@ -8,7 +8,7 @@ import torch
 from scenes import leaf, random_splats, two_cameras
 from stylesplat.rendering import cpu
 from stylesplat.rendering.linear import Contributions, contributions
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.rendering.sh import SH_C0, sh_colors
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats

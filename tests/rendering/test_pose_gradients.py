@@ -11,8 +11,8 @@ from rendering.native_gsplat import install
 from scenes import BACKENDS, random_splats, two_cameras
 from stylesplat.rendering import cpu
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.rendering import shares
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import (
     colors_and_coverage,
     contributed,

@@ -7,7 +7,7 @@ import torch
 
 from plain_layers import SETTINGS, plain_layer
 from scenes import random_splats, two_cameras
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.compose import (
     beneath,
     compose,

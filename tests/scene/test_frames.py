@@ -5,7 +5,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from scenes import random_splats, two_cameras
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.frames import SAME, Frame, known_frames, move_splats, seen_from
 from stylesplat.scene.splats import Splats
 

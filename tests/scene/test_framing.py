@@ -5,7 +5,7 @@ import torch
 
 from balls import SPLATS
 from bare_splats import UP, figure, floaters, guitar, joined, painting, room, shares
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos, ring_cameras

@@ -5,7 +5,7 @@ import torch
 
 from balls import BALL_RADIUS, BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
 from stylesplat.selection.shapes import extent, grow, in_box, in_sphere, shrink, surface_point

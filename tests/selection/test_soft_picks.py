@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS, enlarged
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
 from stylesplat.selection import soft_picks as surveying

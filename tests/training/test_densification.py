@@ -6,8 +6,8 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from scenes import random_splats, two_cameras
-from stylesplat.rendering.rasterize import rasterize
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.training import densification
 from stylesplat.training.adam import Moments

@@ -11,7 +11,7 @@ from begun_runs import begun
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Silence, observed
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import TAKEN

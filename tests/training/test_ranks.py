@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ball_photos import write_ball_capture
 from begun_runs import begun
-from stylesplat.rendering.at_once import Crew
+from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
 from stylesplat.training.adam import AdamUpdate, adam_steps
@@ -150,9 +150,9 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
 
 
 def test_processes_on_the_cpu_look_at_four_photos_in_all_or_at_one_each():
-    crew, cpu, cuda = Crew(1), torch.device("cpu"), torch.device("cuda")
-    assert [default_batch(crew, Ranks(0, count), cpu) for count in (2, 3, 4, 8)] == [2, 1, 1, 1]
-    assert default_batch(crew, ALONE, cpu) == default_batch(crew, Ranks(0, 2), cuda) == 1
+    pool, cpu, cuda = RenderPool(1), torch.device("cpu"), torch.device("cuda")
+    assert [default_batch(pool, Ranks(0, count), cpu) for count in (2, 3, 4, 8)] == [2, 1, 1, 1]
+    assert default_batch(pool, ALONE, cpu) == default_batch(pool, Ranks(0, 2), cuda) == 1
 
 
 def test_all_of_a_turn_learn_identities_or_none(capture: Capture, config: TrainConfig):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from begun_runs import begun
-from stylesplat.rendering.at_once import Crew
+from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.capture import Capture
 from stylesplat.training.state import Run, State, first_state
 from stylesplat.training.step import (
@@ -202,12 +202,12 @@ def test_threads_change_nothing(capture: Capture, config: TrainConfig, one_threa
     run, state = begun(capture, config, 4, of_photos=True)
     alone = after(run, state, 3)
     numba.set_num_threads(min(one_thread, 2))
-    crew = Crew(4)
+    pool = RenderPool(4)
     try:
-        assert crew.size == numba.get_num_threads()
-        assert same(after(replace(run, crew=crew), state, 3), alone)
+        assert pool.size == numba.get_num_threads()
+        assert same(after(replace(run, pool=pool), state, 3), alone)
     finally:
-        crew.end()
+        pool.end()
     assert alone.step == 12
 
 

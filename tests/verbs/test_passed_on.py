@@ -130,7 +130,7 @@ def test_layers_are_taken_back_from_an_edited_splat(painted: Scene, tmp_path: Pa
 
 
 def test_views_and_colours_turn_along(painted: Scene):
-    from stylesplat.rendering.rasterize import rasterize
+    from stylesplat.rendering.render import rasterize
 
     _, still = edited(painted)
     _, found = edited(painted, frame=FRAME)

@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid

@@ -13,7 +13,7 @@ from stylesplat.figures.best_views import Shown, find_views
 from stylesplat.figures.compositing import to_uint8
 from stylesplat.figures.grid import CAPTION, write_line
 from stylesplat.figures.object_sheet import MARGIN, PAPER, TITLE_SIZE
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats

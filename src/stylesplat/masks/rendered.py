@@ -6,7 +6,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cache import GIB, Cache, Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

@@ -25,7 +25,6 @@ from stylesplat.rendering.kernels import (
     sh_colors,
     tiles,
     vecs,
-    view_backward,
 )
 from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.rendering.kernels.project_backward import Geometry
@@ -122,7 +121,7 @@ class _Project(Function):
 def _viewmat_gradient(*known: tuple) -> Tensor:
     """Of the same nouns as `project_backward` takes; the last row of the matrix is 0."""
     sums = np.zeros((get_num_threads(), 12, LANES))
-    view_backward.view_backward(*known, sums)
+    project_backward.view_backward(*known, sums)
     rows = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
     return torch.nn.functional.pad(rows, (0, 0, 0, 1))
 
@@ -241,7 +240,7 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `rasterize.Rasterizer`."""
+    """Render; see `render.Rasterizer`."""
     wanted, colors = colors.shape[-1], padded(colors)
     if geometry_channels == wanted:
         geometry_channels = colors.shape[-1]

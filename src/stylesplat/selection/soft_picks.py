@@ -14,8 +14,8 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
-from stylesplat.rendering.seen import LARGE, bounds, pixel_bounds, seen, unhidden
 from stylesplat.rendering.shares import COVERED, without_looks
+from stylesplat.rendering.visibility import LARGE, bounds, in_view, pixel_bounds, visible
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.projection import crop, overlapping
@@ -74,7 +74,7 @@ def find_places(
     alone = bare[picked.nonzero()[:, 0]]
 
     def find(camera: Cameras) -> Place:
-        view = contributions(bare, camera, picked, seen(alone, camera).box(camera))
+        view = contributions(bare, camera, picked, in_view(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if len(ids) and unsure.any():
@@ -226,7 +226,7 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
     bare = without_looks(splats)
 
     def look(camera: Cameras) -> VisibleInView:
-        near = unhidden(seen(bare, camera), camera)
+        near = visible(in_view(bare, camera), camera)
         low, high = bounds(near.projected)
         return VisibleInView(camera, near.rows.int(), low.int(), high.int())
 

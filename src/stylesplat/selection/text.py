@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.models.hub import find_model, load_model, load_processor
 from stylesplat.progress import track
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND

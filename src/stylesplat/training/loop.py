@@ -14,7 +14,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Task, say, task
-from stylesplat.rendering.at_once import Crew
+from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.capture import Capture, fingerprint
 from stylesplat.signals import TAKEN
 from stylesplat.training.checkpoint import (
@@ -109,7 +109,7 @@ def fit(
         )
     state = continued or _first(capture, rows, config, device)
     ranks = Ranks.here()
-    crew = Crew(config.photos_at_once or most_at_once(ranks), device)
+    pool = RenderPool(config.photos_at_once or most_at_once(ranks), device)
     run = Run(
         config=config,
         rows=tuple(rows),
@@ -119,28 +119,28 @@ def fit(
         cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
         device=device,
-        batch=config.photos_at_once or default_batch(crew, ranks, device),
+        batch=config.photos_at_once or default_batch(pool, ranks, device),
     )
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
     try:
         warm_up(run, state, ranks)
-        run = replace(run, crew=crew, ranks=ranks)
+        run = replace(run, pool=pool, ranks=ranks)
         checkpointer = Checkpointer(saved if ranks.number == 0 else None, state)
         with progress_meter(config, state, on_progress) as meter:
             return _train(run, state, checkpointer, meter)
     finally:
-        crew.end()
+        pool.end()
 
 
-def default_batch(crew: Crew, ranks: Ranks, device: torch.device) -> int:
+def default_batch(pool: RenderPool, ranks: Ranks, device: torch.device) -> int:
     """Photos of a round of one process.
 
     Of several processes on the CPU each has the same number, however many threads it has, because
     they send their gradients once per round.
     """
     sends = ranks.count > 1 and device.type == "cpu"
-    return most_at_once(ranks) if sends else crew.size
+    return most_at_once(ranks) if sends else pool.size
 
 
 def most_at_once(ranks: Ranks) -> int:

@@ -7,7 +7,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from stylesplat.rendering.at_once import Crew
+from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
@@ -142,7 +142,7 @@ class Run:
     """Photos of a round: their gradients are computed together, before the first step."""
     ranks: Ranks = ALONE
     """Which process this is; each has as many photos in a round."""
-    crew: Crew = field(default_factory=lambda: Crew(1))
+    pool: RenderPool = field(default_factory=lambda: RenderPool(1))
     """The threads that compute gradients."""
 
     def progress(self, state: State) -> float:

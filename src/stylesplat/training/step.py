@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Integer
 from torch import Tensor
 
 from stylesplat.metrics.psnr import decibels
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.training import densification, per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.device_ops import device_ops
@@ -69,7 +69,7 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
         loss and PSNR.
     """
     first, every = state.step, run.config.refine_every
-    photos = [*run.crew.in_order(partial(compute_gradients, run, state), run.photos(state))]
+    photos = [*run.pool.in_order(partial(compute_gradients, run, state), run.photos(state))]
     if run.ranks.count > 1:
         photos = [average_gradients(run, photos)]
     apply_gradients(run, photos)

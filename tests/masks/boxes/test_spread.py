@@ -14,7 +14,7 @@ from stylesplat.masks.boxes import spread as module
 from stylesplat.masks.boxes.grabcut import Box, cut_box
 from stylesplat.masks.boxes.spread import Seen, spread
 from stylesplat.progress import Silence, Task, observed
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats

@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.masks.boxes.grabcut import Box, Evidence, Look, Stroke, cut_box, evidence, refine
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.progress import Task, task
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import PRIOR, contributed
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from scenes import random_splats, two_cameras
-from stylesplat.rendering import one_view
-from stylesplat.rendering import seen as seeing
-from stylesplat.rendering.one_view import render
-from stylesplat.rendering.rasterize import activated, rasterize
-from stylesplat.rendering.seen import drawn, seen
+from stylesplat.rendering import render as rendering
+from stylesplat.rendering import visibility
+from stylesplat.rendering.gaussians import activated
+from stylesplat.rendering.render import rasterize, render
+from stylesplat.rendering.visibility import in_view, visible_rows
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
@@ -22,8 +22,8 @@ ROUNDING = 1e-6  # exponents of scales differ in the last bit by the place in a 
 @pytest.fixture(params=[1 << 17, 64], ids=["at once", "in parts"])
 def part(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """How many Gaussians are looked at together."""
-    monkeypatch.setattr(seeing, "PART", request.param)
-    monkeypatch.setattr(one_view, "PART", request.param)
+    monkeypatch.setattr(visibility, "PART", request.param)
+    monkeypatch.setattr(rendering, "PART", request.param)
 
 
 def walled() -> Splats:
@@ -49,7 +49,7 @@ def test_renders_are_those_with_gradients(degree: int | None):
 @pytest.mark.usefixtures("part")
 def test_what_is_seen_is_what_has_a_radius():
     _, _, info = rasterize(SPLATS, CAMERA)
-    found = seen(SPLATS, CAMERA)
+    found = in_view(SPLATS, CAMERA)
     there = (info["radii"][0] > 0).all(dim=1)
     assert torch.equal(found.rows, there.nonzero()[:, 0]) and not there.all()
     means2d = info["means2d"][0, there]
@@ -59,19 +59,19 @@ def test_what_is_seen_is_what_has_a_radius():
 
 
 @pytest.mark.usefixtures("part")
-def test_what_is_hidden_is_not_drawn():
+def test_what_is_hidden_is_not_visible_rows():
     splats, camera = walled(), crop(CAMERA, (0, 0), (64, 48))  # tiles that lie in the image
-    rows = drawn(splats, camera)
+    rows = visible_rows(splats, camera)
     assert torch.equal(rows, rows.unique()) and rows[0] == 0
     behind = splats.means[:, 2] > 0
-    assert behind[seen(splats, camera).rows].any() and not behind[rows].any()
+    assert behind[in_view(splats, camera).rows].any() and not behind[rows].any()
 
 
 @pytest.mark.usefixtures("part")
 def test_of_some_pixels_only_what_reaches_them():
     pixels = torch.zeros(52, 70, dtype=torch.bool)
     pixels[:10, :20] = True
-    few, every = seen(SPLATS, CAMERA, pixels), seen(SPLATS, CAMERA)
+    few, every = in_view(SPLATS, CAMERA, pixels), in_view(SPLATS, CAMERA)
     assert 0 < len(few.rows) < len(every.rows)
     whole, part = render(SPLATS, CAMERA)[0], render(SPLATS[few.rows], CAMERA)[0]
     torch.testing.assert_close(part[pixels], whole[pixels], atol=ROUNDING, rtol=0)
@@ -80,7 +80,7 @@ def test_of_some_pixels_only_what_reaches_them():
 def test_of_many_features_are_gathered_where_they_show(monkeypatch: pytest.MonkeyPatch):
     splats = walled()
     whole = render(splats, CAMERA, features=splats.identities)
-    monkeypatch.setattr(one_view, "MANY", 0)
+    monkeypatch.setattr(rendering, "MANY", 0)
     image, alphas = render(splats, CAMERA, features=splats.identities)
     assert torch.equal(image, whole[0]) and torch.equal(alphas, whole[1])
 
@@ -90,4 +90,4 @@ def test_a_camera_that_sees_nothing(count: int):
     splats = replace(random_splats(count), opacities=torch.full((count,), -20.0))
     image, alphas = render(splats, CAMERA)
     assert image.shape == (52, 70, 3) and not image.any() and not alphas.any()
-    assert not len(drawn(splats, CAMERA))
+    assert not len(visible_rows(splats, CAMERA))

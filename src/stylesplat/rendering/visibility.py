@@ -1,7 +1,8 @@
-"""Which Gaussians one camera sees, and where; without colours, on the CPU.
+"""Which Gaussians are in view of one camera, and which of them are visible; on the CPU.
 
-The scene is looked through a part at a time, so that what is found takes the memory of what is
-seen. Kernels are loaded when something is looked up: to select by id none are needed.
+Gaussians in view may reach its image if there were no others; visible ones do reach a pixel. The
+scene is projected a part at a time, so that memory is that of the Gaussians in view. Kernels are
+loaded on the first call: to select by id none are needed.
 """
 
 from collections.abc import Iterator
@@ -13,33 +14,31 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.rendering.gaussians import Projected, views_of
-from stylesplat.rendering.rasterize import activated, beside
+from stylesplat.rendering.gaussians import Projected, activated, views_of, with_matrices_of
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.splats import Splats
 
-LARGE = 400_000  # Gaussians of a scene; of fewer, looking for what matters takes what it saves
-PART = 1 << 17  # Gaussians whose numbers stay in the cache while they are looked at
+LARGE = 400_000  # Gaussians of a scene; culling a smaller one takes as long as it saves
+PART = 1 << 17  # Gaussians whose numbers stay in the processor's cache
 
 
-class Seen(NamedTuple):
-    """The Gaussians that may reach a camera's image."""
+class InView(NamedTuple):
+    """The Gaussians in view of a camera."""
 
     rows: Int[Tensor, " M"]
-    """Which of the scene, in order."""
+    """Rows of the scene, in order."""
     projected: Projected
-    """What the camera sees of them."""
     opacities: Float[Tensor, " M"]
     """From 0 to 1."""
 
-    def some(self, places: Int[Tensor, " L"]) -> "Seen":
+    def some(self, places: Int[Tensor, " L"]) -> "InView":
         """Some of them."""
         projected = Projected(*(each[places] for each in self.projected))
-        return Seen(self.rows[places], projected, self.opacities[places])
+        return InView(self.rows[places], projected, self.opacities[places])
 
     def box(self, camera: Cameras) -> Bool[Tensor, "H W"]:
-        """The rectangle of that camera's pixels which they may reach."""
+        """The rectangle of the camera's pixels that they may reach."""
         width, height = camera.size
         inside = torch.zeros(height, width, dtype=torch.bool)
         if len(self.rows):
@@ -51,23 +50,23 @@ class Seen(NamedTuple):
 
 
 @torch.no_grad()
-def seen(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> Seen:
-    """Which Gaussians may reach the image of one camera, if there were no others.
+def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> InView:
+    """The Gaussians that may reach the image of one camera, if there were no others.
 
     Args:
         splats: The scene, on the CPU.
         camera: The camera.
-        pixels: Those that count; what cannot reach one of them is left out.
+        pixels: Leave out Gaussians that cannot reach one of these; all pixels by default.
     """
-    camera = beside(splats, camera)
+    camera = with_matrices_of(splats, camera)
     starts = range(0, max(1, len(splats)), PART)
     marked = None if pixels is None else _marked(pixels)
-    parts = [_seen_part(splats, camera, start, marked) for start in starts]
+    parts = [_part_in_view(splats, camera, start, marked) for start in starts]
     rows, opacities, *projected = parts.pop() if len(parts) == 1 else _joined(parts)
-    return Seen(rows, Projected(*projected), opacities)
+    return InView(rows, Projected(*projected), opacities)
 
 
-def _seen_part(
+def _part_in_view(
     splats: Splats, camera: Cameras, start: int, marked: "_Marked | None"
 ) -> tuple[Tensor, ...]:
     from stylesplat.rendering import cpu
@@ -83,7 +82,7 @@ def _seen_part(
 
 
 def _joined(parts: list[tuple[Tensor, ...]]) -> Iterator[Tensor]:
-    """Each column as a whole; parts are let go once they are joined."""
+    """Each column as a whole; parts are freed once they are joined."""
     columns = [[*each] for each in zip(*parts, strict=True)]
     parts.clear()
     for column in columns:
@@ -94,12 +93,12 @@ def _joined(parts: list[tuple[Tensor, ...]]) -> Iterator[Tensor]:
 def touching(
     low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
 ) -> Bool[Tensor, " N"]:
-    """Which boxes of pixels, from and to, hold some that count."""
+    """Which boxes of pixels, from and to, hold marked ones."""
     return _touching(low, high, _marked(pixels))
 
 
 class _Marked(NamedTuple):
-    """Pixels that count, for looking up many boxes."""
+    """Marked pixels, for looking up many boxes."""
 
     sums: Int[Tensor, "_ _"]
     """How many lie left of and above each corner of a pixel: [H + 1, W + 1]."""
@@ -130,22 +129,22 @@ def _touching(low: Tensor, high: Tensor, marked: _Marked) -> Bool[Tensor, " N"]:
 
 
 @torch.no_grad()
-def drawn(
+def visible_rows(
     splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None
 ) -> Int[Tensor, " M"]:
-    """Which Gaussians reach a pixel of one camera, whatever others hide, in order.
+    """The rows of the visible Gaussians of one camera, in order.
 
     Args:
         splats: The scene, on the CPU.
         camera: The camera.
-        pixels: Those that count; of what cannot reach one of them nothing is drawn.
+        pixels: Leave out Gaussians that cannot reach one of these; all pixels by default.
     """
-    return unhidden(seen(splats, camera, pixels), camera).rows
+    return visible(in_view(splats, camera, pixels), camera).rows
 
 
 @torch.no_grad()
-def unhidden(near: Seen, camera: Cameras) -> Seen:
-    """What of it reaches a pixel of that camera."""
+def visible(near: InView, camera: Cameras) -> InView:
+    """The Gaussians that reach a pixel of the camera, though others hide some."""
     from stylesplat.rendering import cpu
     from stylesplat.rendering.linear import reaching
 
@@ -157,17 +156,17 @@ def unhidden(near: Seen, camera: Cameras) -> Seen:
 
 @torch.no_grad()
 def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
-    """The pixels that each Gaussian may reach, from and to; none if it is not drawn."""
+    """The pixels that each Gaussian may reach, from and to; none if it is out of view."""
     from stylesplat.rendering import cpu
 
-    views = views_of(beside(splats, camera))
+    views = views_of(with_matrices_of(splats, camera))
     projected = cpu.project_gaussians(activated(splats), views[0])
-    shown = (projected.radii > 0).all(dim=1, keepdim=True)
-    low, high = (corner * shown for corner in bounds(projected))
+    inside = (projected.radii > 0).all(dim=1, keepdim=True)
+    low, high = (corner * inside for corner in bounds(projected))
     return low.long(), high.long()
 
 
 def bounds(projected: Projected) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
-    """The whole pixels that what is drawn may reach, from and to."""
+    """The whole pixels that projected Gaussians may reach, from and to."""
     places, radii = projected.means2d, projected.radii
     return (places - radii).floor(), (places + radii).ceil()
