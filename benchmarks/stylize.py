@@ -127,8 +127,8 @@ def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[]
     gaussians = activated(splats)
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
     drawn = cpu.draw(projected, gaussians.opacities, torch.rand_like(splats.means), camera.size)
-    picture = cpu.picture_of(drawn.image, drawn.alphas)
-    v_picture = cpu.picture_of(v_image, torch.zeros_like(drawn.alphas))
+    picture = cpu.as_picture(drawn.image, drawn.alphas)
+    v_picture = cpu.as_picture(v_image, torch.zeros_like(drawn.alphas))
     order, rows, lists = drawn.tiled
     colors, channels = vecs.channels(3), blend_backward.split_channels(3, 0)
     stride = blend_backward.gradient_stride(3)

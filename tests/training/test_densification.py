@@ -77,7 +77,7 @@ def test_noise_moves_faint_gaussians_only():
     splats = random_splats(40)
     splats.opacities[:20], splats.opacities[20:] = -6.0, 3.0
     params = {name: t.clone() for name, t in splats.tensors().items()}
-    densification.add_noise(params, 1.0, 1.0, normal(params))
+    densification.perturb_means(params, 1.0, 1.0, normal(params))
     moved = (params["means"] - splats.means).norm(dim=-1)
     assert moved[:20].min() > 0
     assert moved[20:].max() < 1e-6 * moved[:20].mean()
@@ -109,7 +109,7 @@ def test_noise_follows_the_covariance():
     one.opacities[:] = -20.0
     params = {n: t.repeat(20_000, *[1] * (t.ndim - 1)) for n, t in one.tensors().items()}
     before = params["means"].clone()
-    densification.add_noise(params, 1.0, 1.0, normal(params))
+    densification.perturb_means(params, 1.0, 1.0, normal(params))
     moved = params["means"] - before
     axes = rotation_matrices(one.quats)[0] * one.scales[0].exp()
     sigma = axes @ axes.T
@@ -123,7 +123,7 @@ def test_noise_and_regularizer_do_not_depend_on_the_unit_of_length():
         params = {name: t.clone() for name, t in faint().tensors().items()}
         params["means"] *= factor
         params["scales"] += math.log(factor)
-        densification.add_noise(params, factor, 1.0, normal(params))
+        densification.perturb_means(params, factor, 1.0, normal(params))
         return params["means"] / factor, densification.regularizer(params, factor)
 
     for one, other in zip(learned(1.0), learned(100.0), strict=True):

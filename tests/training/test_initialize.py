@@ -14,7 +14,6 @@ from stylesplat.training.initialize import (
     commonly_visible_points,
     first_splats,
     neighbor_distances,
-    scene_extent,
 )
 
 
@@ -42,11 +41,6 @@ def test_one_gaussian_per_point(capture: Capture):
     assert torch.equal(splats.means, capture.points)
     colors = rgb_from_sh0(splats.sh0[:, 0])
     assert torch.allclose(colors, capture.point_colors / 255, atol=1e-6)
-
-
-def test_points_without_colours_are_grey(capture: Capture):
-    colors = rgb_from_sh0(begun(replace(capture, point_colors=None)).sh0)
-    assert torch.allclose(colors, torch.tensor(128 / 255), atol=1e-6)
 
 
 def test_of_too_many_points_some_are_taken(capture: Capture):
@@ -102,15 +96,6 @@ def test_distances_to_neighbours_by_hand():
 def test_distances_of_hardly_any_points(count: int):
     distances = neighbor_distances(noise(count))
     assert distances.shape == (count,) and (distances > 0).all()
-
-
-def test_distances_of_points_at_one_place_are_positive():
-    distances = neighbor_distances(torch.cat([torch.zeros(10, 3), noise(50)]))
-    assert (distances > 0).all() and distances.isfinite().all()
-
-
-def test_extent_is_the_radius_of_the_cameras(cameras: Cameras):
-    assert scene_extent(cameras) == pytest.approx(3.3, rel=1e-4)
 
 
 def test_random_points_are_seen_by_several_cameras(cameras: Cameras):

@@ -25,7 +25,7 @@ from stylesplat.training.per_photo import (
 )
 from stylesplat.training.state import PER_PHOTO, State
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import View, split_views, training_views
+from stylesplat.training.training_views import TrainingView, split_views, training_views
 
 
 @pytest.fixture
@@ -206,7 +206,7 @@ def views_of(capture: Capture):
         capture, range(len(capture)), ids=(), device=torch.device("cpu"), max_memory=1.0
     )
 
-    def view(row: int) -> View:
+    def view(row: int) -> TrainingView:
         return load(row, 1)
 
     return view

@@ -19,7 +19,7 @@ from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
 from stylesplat.training.adam import AdamUpdate, adam_steps
-from stylesplat.training.densification import add_noise
+from stylesplat.training.densification import perturb_means
 from stylesplat.training.loop import default_batch
 from stylesplat.training.state import ALONE, PER_PHOTO, Ranks, Run, State
 from stylesplat.training.step import (
@@ -112,7 +112,7 @@ def test_all_photos_of_a_round_have_one_step(capture: Capture, config: TrainConf
     visible = torch.stack([look.visible for look in looks]).any(dim=0)
     update = AdamUpdate(own, learning_rates(config, run.extent), step=4, visible=visible)
     adam_steps(expected.moments, [update], photos=4)
-    add_noise(expected.params, run.extent, 1.0, looks[0].noise, photos=4)
+    perturb_means(expected.params, run.extent, 1.0, looks[0].noise, photos=4)
     after, _ = at_a_time(train_step, processes)[0]
     assert after.step == 4
     for name in ("means", "opacities", "sh0", "identities", "weight"):

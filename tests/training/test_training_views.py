@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import pytest
@@ -9,7 +8,6 @@ from balls import CAMERAS, enlarged
 from stylesplat.scene.cache import GIB, Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
-from stylesplat.training import training_views as module
 from stylesplat.training.training_views import (
     LearnedIds,
     Views,
@@ -58,18 +56,6 @@ def views(capture: Capture, memory: float = 1.0) -> Views:
 def test_every_nth_photo_is_held_out():
     assert split_views(WHOLE, 3) == ([1, 2, 4, 5, 7], [0, 3, 6])
     assert split_views(WHOLE, 8) == ([1, 2, 3, 4, 5, 6, 7], [0])
-
-
-def test_no_photo_is_both_trained_on_and_held_out():
-    for every in range(12):
-        trained, held_out = split_views(WHOLE, every)
-        assert sorted(trained + held_out) == [*range(8)]
-        assert bool(held_out) == (every > 0)
-
-
-def test_a_single_photo_is_not_held_out():
-    one = Capture(LARGE[:1], PHOTOS[:1])
-    assert split_views(one, 8) == ([0], [])
 
 
 def test_whole_photos_are_what_the_capture_holds():
@@ -123,24 +109,6 @@ def test_what_fits_is_decoded_once_in_all_sizes():
     assert reads.rows == [*range(8)]
 
 
-@pytest.mark.parametrize(("factor", "reads"), [(62, 1), (80, 2)], ids=["0.15 GiB", "0.25 GiB"])
-def test_by_default_a_quarter_gib_holds_the_photos_and_smaller_ones(factor: int, reads: int):
-    """Of photos that do not fit with smaller ones, each size is made of a photo read again."""
-    cameras, rows = enlarged(CAMERAS, factor), list[int]()
-    photo = torch.zeros(36 * factor, 48 * factor, 3, dtype=torch.uint8)
-
-    def read(row: int) -> torch.Tensor:
-        rows.append(row)
-        return photo
-
-    capture = Capture(cameras, Lazy([partial(read, row) for row in range(8)]))
-    load = training_views(capture, range(8), ids=(), device=CPU)
-    rows.clear()  # types are checked by looking at some
-    for smaller in (8, 8, 4, 4):
-        load(3, smaller)
-    assert rows == [3] * reads
-
-
 def test_what_does_not_fit_is_read_again():
     reads = Reads(items=4)
     load = reads.views()
@@ -148,15 +116,6 @@ def test_what_does_not_fit_is_read_again():
         for row in range(8):
             load(row, 1)
     assert len(reads.rows) > 8
-
-
-def test_smaller_photos_may_fit_where_whole_ones_do_not():
-    reads = Reads(items=4)
-    load = reads.views()
-    for _ in range(3):
-        for row in range(8):
-            load(row, 2)  # a quarter of the bytes: two of four
-    assert reads.rows == [*range(8)]
 
 
 @pytest.mark.parametrize("items", [0, 3, 8, 11])
@@ -168,24 +127,6 @@ def test_memory_changes_no_result(items: int):
                 assert mine is not None and theirs is not None and torch.equal(mine, theirs)
 
 
-@pytest.mark.parametrize("items", [0, 1, 3, 7, 11])
-def test_the_budget_holds_at_every_moment(items: int, monkeypatch: pytest.MonkeyPatch):
-    caches = []
-
-    class Watched(module.Cache):
-        def __init__(self, budget: int) -> None:
-            super().__init__(budget)
-            caches.append(self)
-
-    monkeypatch.setattr(module, "Cache", Watched)
-    load = Reads(items).views()
-    for factor in (4, 2, 1):
-        for row in range(8):
-            load(row, factor)
-            assert caches[0].used <= items * BYTES
-    assert caches[0].used > 0.5 * min(items, 8) * BYTES or items == 0
-
-
 def labelled(capture: Capture, *maps: list[int] | None) -> Capture:
     """One row of labels per photo, photos without repeated."""
     filled = [*maps, *[None] * (len(capture) - len(maps))]
@@ -195,10 +136,6 @@ def labelled(capture: Capture, *maps: list[int] | None) -> Capture:
 
 def test_ids_that_occur_background_first(capture: Capture):
     assert learned_ids(capture, range(9)) == LearnedIds((0, 3, 7), {})
-
-
-def test_background_is_a_class_even_if_nobody_drew_it(capture: Capture):
-    assert learned_ids(labelled(capture, [5, 5]), range(9)).trained == (0, 5)
 
 
 def test_ids_of_trained_photos_only(capture: Capture):
@@ -229,11 +166,6 @@ def test_the_smallest_type_holds_all_classes(count: int, dtype: torch.dtype):
     ids = tuple(range(0, 2 * count, 2))
     classes = to_classes(torch.tensor([[0, ids[-1]]]), ids)
     assert classes.dtype == dtype and classes.tolist() == [[0, count - 1]]
-
-
-def test_nothing_is_said_if_all_is_learned(said: list[str]):
-    say_unseen(LearnedIds((0, 3), {}), {})
-    assert said == []
 
 
 def test_what_is_not_learned_is_said_in_one_line(said: list[str]):

@@ -12,7 +12,6 @@ from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import pick
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
@@ -54,16 +53,6 @@ def test_nothing_is_where_photos_are_transparent(cut_outs: Capture, splats: Spla
         _, coverage, _ = rasterize(splats, cut_outs.cameras[row])
         assert coverage[0, ..., 0][alpha == 0].mean() < 0.05
         assert coverage[0, ..., 0][alpha > 250].mean() > 0.9
-
-
-def test_there_is_an_object_to_select(cut_outs: Capture, splats: Splats):
-    picked = pick(splats, object_id=1)
-    assert picked.float().mean() > 0.5
-    _, coverage, _ = rasterize(splats[picked], cut_outs.cameras[0])
-    alpha = cut_outs.alpha(0)
-    assert alpha is not None
-    agree = (coverage[0, ..., 0] > 0.5) == (alpha >= 128)
-    assert agree.float().mean() > 0.95
 
 
 def test_training_on_cut_outs_continues_and_repeats(cut_outs: Capture, tmp_path: Path):

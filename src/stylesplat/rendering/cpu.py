@@ -167,12 +167,12 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
     tiled = sort_into_tiles(projected, opacities, colors, size)
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
-    picture = picture_of(image, alphas)
+    picture = as_picture(image, alphas)
     blend.blend(vecs.channels(channels), tiled.rows, tiled.lists, picture, get_num_threads())
     return Drawing(tiled, image, alphas)
 
 
-def picture_of(image: Tensor, alphas: Tensor) -> Picture:
+def as_picture(image: Tensor, alphas: Tensor) -> Picture:
     """An image and its coverage, or their gradients, as kernels take them."""
     height, width, _ = image.shape
     colors, coverage = _as_arrays(image.flatten(), alphas.flatten())
@@ -197,8 +197,8 @@ class _Blend(Function):
             blend_backward.split_channels(channels, ctx.geometry_channels),
             rows,
             lists,
-            picture_of(image, alphas),
-            picture_of(v_image, v_alphas),
+            as_picture(image, alphas),
+            as_picture(v_image, v_alphas),
             partial.flatten(1).numpy(),
         )
         shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)

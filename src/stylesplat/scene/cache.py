@@ -46,15 +46,15 @@ class Cache(Generic[Key]):
         if (kept := self._recent(key)) is not None:
             return kept  # pyright: ignore[reportReturnType]
         item = make()  # without the lock, so that threads decode several at a time
-        if size_of(item) > self._budget:
+        if _size_of(item) > self._budget:
             return item
         item = _apart(item)
         with self._lock:
             if (kept := self._recent(key)) is not None:  # of another thread
                 return kept  # pyright: ignore[reportReturnType]
             self._items[key] = item
-            self._used += size_of(item)
-            self._since_tidied += size_of(item)
+            self._used += _size_of(item)
+            self._since_tidied += _size_of(item)
             while self._used > self._budget:
                 self._drop(next(iter(self._items)))
             tidy = self._since_tidied > TIDY_EVERY
@@ -78,7 +78,7 @@ class Cache(Generic[Key]):
                 self._drop(key)
 
     def _drop(self, key: Key) -> None:
-        self._used -= size_of(self._items.pop(key))
+        self._used -= _size_of(self._items.pop(key))
 
 
 def _apart(item: Item) -> Item:
@@ -93,7 +93,7 @@ def _copy(tensor: Tensor) -> Tensor:
     return torch.frombuffer(pages, dtype=tensor.dtype).view(tensor.shape).copy_(tensor)
 
 
-def size_of(item: tuple[Tensor | None, ...]) -> int:
+def _size_of(item: tuple[Tensor | None, ...]) -> int:
     """Bytes of some tensors together."""
     return sum(t.nbytes for t in item if t is not None)
 

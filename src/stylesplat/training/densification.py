@@ -29,7 +29,7 @@ def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
 
 
 @torch.no_grad()
-def add_noise(
+def perturb_means(
     params: Params,
     extent: float,
     decay: float,

@@ -23,7 +23,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.state import PER_PHOTO, Run, State
-from stylesplat.training.training_views import View
+from stylesplat.training.training_views import TrainingView
 
 # First learning rates: a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
 RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
@@ -95,7 +95,7 @@ def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tens
     gains = torch.zeros(len(run.rows), 3)
     if points is not None:
 
-        def coarsest(row: int) -> View:
+        def coarsest(row: int) -> TrainingView:
             return run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
 
         gains = photo_gains(points, coarsest, run.rows)
@@ -113,7 +113,7 @@ def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tens
 
 
 def photo_gains(
-    points: Float[Tensor, "M 3"], views: Callable[[int], View], rows: Sequence[int]
+    points: Float[Tensor, "M 3"], views: Callable[[int], TrainingView], rows: Sequence[int]
 ) -> Float[Tensor, "R 3"]:
     """The logarithms of each photo's gain per channel of sRGB, whose mean over photos is 0.
 
@@ -137,7 +137,7 @@ def photo_gains(
     return gains
 
 
-def _log_colors(points: Float[Tensor, "P 3"], view: View) -> Float[Tensor, "P 3"]:
+def _log_colors(points: Float[Tensor, "P 3"], view: TrainingView) -> Float[Tensor, "P 3"]:
     """Logarithms of a photo's colours at points; NaN where they say nothing about a gain."""
     photo = view.photo.cpu()
     height, width, _ = photo.shape

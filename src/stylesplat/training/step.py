@@ -22,7 +22,7 @@ from stylesplat.training.losses import (
 )
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
 from stylesplat.training.train_config import TrainConfig, means_decay
-from stylesplat.training.training_views import View
+from stylesplat.training.training_views import TrainingView
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -129,7 +129,7 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
 
 
 def _random_background(
-    view: View, generator: torch.Generator
+    view: TrainingView, generator: torch.Generator
 ) -> tuple[Float[Tensor, "3"] | None, Float[Tensor, "H W 3"]]:
     """The colour behind everything, None for black; and the photo before it."""
     if view.alpha is None:
@@ -205,7 +205,7 @@ def apply_gradients(run: Run, photos: Sequence[PhotoGradients]) -> None:
     for decay, (state, _, _, noise, count) in zip(decays, photos, strict=True):
         for step in range(state.step, state.step + count):
             per_photo.step_photo(run, replace(state, step=step))
-        densification.add_noise(state.params, run.extent, decay, noise, photos=count)
+        densification.perturb_means(state.params, run.extent, decay, noise, photos=count)
 
 
 def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:

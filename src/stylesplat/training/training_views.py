@@ -21,7 +21,7 @@ KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
 COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
 
 
-class View(NamedTuple):
+class TrainingView(NamedTuple):
     """What one step learns from, on the device."""
 
     camera: Cameras
@@ -34,7 +34,7 @@ class View(NamedTuple):
     """The class of each pixel, in the smallest type; None without a label map."""
 
 
-Views = Callable[[int, int], View]
+Views = Callable[[int, int], TrainingView]
 """From a row of the capture and a downscale to what there is to learn."""
 
 
@@ -89,7 +89,7 @@ def training_views(
     def whole(row: int) -> Pixels:
         return kept(row, 1) if all_fit else _read(capture, row, ids)
 
-    def view(row: int, factor: int) -> View:
+    def view(row: int, factor: int) -> TrainingView:
         with lock:  # the threads of a round ask at the same time
             if factor != latest[0]:
                 latest[0] = factor
@@ -127,10 +127,10 @@ def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
     )
 
 
-def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> View:
+def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
     photo, alpha, classes = (None if t is None else _upload(t, device) for t in pixels)
     assert photo is not None
-    return View(
+    return TrainingView(
         camera=camera,
         photo=photo.float().div_(255),
         alpha=None if alpha is None else alpha[..., None].float().div_(255),
