@@ -11,7 +11,7 @@ from math import log
 
 from bench import calibration_ms, capture, machine, median_ms, resized, step, table, trained_fox
 
-from stylesplat.rendering.rasterize import Backend
+from stylesplat.rendering.render import Backend
 from stylesplat.scene.splats import Splats
 
 SCENES = ((500, 8), (2000, 6), (5000, 4))  # Gaussians, downscale of 540 x 960

@@ -16,7 +16,7 @@ import numba
 import torch
 
 import stylesplat as ss
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.one_line import counted

@@ -25,12 +25,10 @@ import torch.distributed as dist
 import tyro
 from bench import capture, machine, table
 
-from stylesplat.rendering.at_once import Crew
+from stylesplat.rendering.at_once import RenderPool
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import fit, most_at_once
-from stylesplat.training.ranks import Ranks
-from stylesplat.training.run import Run
-from stylesplat.training.state import State
+from stylesplat.training.state import Ranks, Run, State
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views, training_views
@@ -112,13 +110,13 @@ def rate(options: Options, state: State) -> float:
     rows, _ = split_views(photos, 8)
     views = training_views(photos, rows, ids=state.ids, device=CPU, max_memory=1.0)
     config, extent = config_of(options, 5000), scene_extent(photos.cameras)
-    crew, batch = Crew(options.batch), options.batch
-    run = Run(config, tuple(rows), views, photos.cameras, extent, CPU, batch, Ranks.here(), crew)
+    pool, batch = RenderPool(options.batch), options.batch
+    run = Run(config, tuple(rows), views, photos.cameras, extent, CPU, batch, Ranks.here(), pool)
     state = advanced(run, replace(state, step=4000), FIRST)  # late: photos are whole
     first, start = state.step, time.perf_counter()
     state = advanced(run, state, PHOTOS)
     seconds = time.perf_counter() - start
-    crew.end()
+    pool.end()
     return (state.step - first) / seconds
 
 

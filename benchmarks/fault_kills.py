@@ -31,7 +31,7 @@ from trials import Trial
 ENDS = {signal.SIGKILL: (0, -9), signal.SIGTERM: (0, 143), signal.SIGINT: (0, 130)}
 # A checkpoint every third of a second instead of every minute, to be killed amid of
 OFTEN = (
-    "import runpy, stylesplat.training.keeper as keeper; keeper.CHECKPOINT_SECONDS = 0.3; "
+    "import runpy, stylesplat.training.checkpoint as saved; saved.CHECKPOINT_SECONDS = 0.3; "
     "runpy.run_module('stylesplat', run_name='__main__', alter_sys=True)"
 )
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import torch
 
-    from stylesplat.rendering.rasterize import Backend
+    from stylesplat.rendering.render import Backend
     from stylesplat.scene.cameras import Cameras
     from stylesplat.scene.splats import Splats
 
@@ -88,7 +88,7 @@ def gradients(
     """The image of a view and the gradients of a random function of it, as float64."""
     import torch
 
-    from stylesplat.rendering.rasterize import rasterize
+    from stylesplat.rendering.render import rasterize
 
     tensors = splats.tensors()
     leaves = {name: t.to(dtype).requires_grad_() for name, t in tensors.items()}
@@ -124,7 +124,7 @@ def frame_rate() -> float:
     """Frames per second of a million Gaussians at 1920x1080."""
     import torch
 
-    from stylesplat.rendering.rasterize import rasterize
+    from stylesplat.rendering.render import rasterize
 
     splats, view = cloud(1_000_000, -5.5).to("cuda"), camera(1920, 1080).to("cuda")
     with torch.no_grad():

@@ -19,7 +19,7 @@ from torch.nn import functional as F
 
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.evaluation.statistics import LUMA, content_ssim
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly

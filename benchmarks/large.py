@@ -102,7 +102,7 @@ def shown(splats: "Splats", labels: "Tensor") -> str:
     import torch
 
     from stylesplat.rendering.shares import coverage
-    from stylesplat.scene.ring import ring_cameras
+    from stylesplat.scene.framing import ring_cameras
 
     def best(camera: "Cameras") -> tuple[float, str]:
         seen = coverage(splats, camera, labels > 0)
@@ -131,7 +131,7 @@ def most_solid(splats: "Splats", labels: "Tensor") -> list[int]:
 
     from stylesplat.rendering.linear import contributions
     from stylesplat.rendering.shares import COVERED
-    from stylesplat.scene.ring import ring_cameras
+    from stylesplat.scene.framing import ring_cameras
 
     shown, everyone = torch.zeros(int(labels.max()) + 1), torch.ones(len(splats)).bool()
     pixels = torch.zeros_like(shown)

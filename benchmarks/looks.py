@@ -61,7 +61,7 @@ from stylesplat.evaluation.stains import largest_stain
 from stylesplat.figures.compositing import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import write_json
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene

@@ -39,7 +39,7 @@ from chromium import Page, launched
 from stylesplat.figures.compositing import to_uint8
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.psnr import psnr
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.framing import centred_K
 from stylesplat.scene.poses import look_at, median_lens

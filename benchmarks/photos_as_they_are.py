@@ -25,7 +25,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import project, shown
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import fit
-from stylesplat.training.pose_shifts import moved, refined
+from stylesplat.training.per_photo import shift_cameras, with_refined_cameras
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
 
@@ -80,7 +80,7 @@ def shaken(photos: Capture, seed: int) -> Capture:
         torch.randn(2, len(photos), 3, generator=random), dim=-1
     )
     noise = torch.cat([turns * torch.tensor(TURN).deg2rad(), shifts * SHIFT], dim=1)
-    return replace(photos, cameras=moved(photos.cameras, noise, _radius(photos)))
+    return replace(photos, cameras=shift_cameras(photos.cameras, noise, _radius(photos)))
 
 
 def _brighter(photo: Tensor, gain: Float[Tensor, "3"]) -> Tensor:
@@ -134,7 +134,7 @@ def row_of(photos: Capture, truth: Capture, config: TrainConfig, what: str) -> l
         f"{scores['psnr_unfitted']:.2f} dB",
         f"{scores['psnr']:.2f} dB",
         f"{scores['ssim']:.4f}",
-        poses_off(refined(photos, state, rows), truth),
+        poses_off(with_refined_cameras(photos, state, rows), truth),
         f"{1e3 * state.seconds / state.step:.0f}",
     ]
 

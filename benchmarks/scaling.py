@@ -15,8 +15,7 @@ import numpy as np
 from bench import calibration_ms, capture, machine, median_ms, resized, step, table, trained_fox
 
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import views_of
-from stylesplat.rendering.rasterize import activated
+from stylesplat.rendering.gaussians import activated, views_of
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 

@@ -25,7 +25,7 @@ from torch import Tensor
 
 import stylesplat as ss
 from stylesplat.metrics.psnr import decibels
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object

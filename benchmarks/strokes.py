@@ -20,7 +20,7 @@ from bench import table
 from torch import Tensor
 
 import stylesplat as ss
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly

@@ -38,10 +38,10 @@ import stylesplat as ss
 from stylesplat.evaluation.measure import object_nnfm
 from stylesplat.evaluation.style_metrics import LENGTH, measure_painted
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.gaussians import activated, views_of
 from stylesplat.rendering.kernels import blend, blend_backward, vecs
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.rasterize import activated, rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
@@ -127,8 +127,8 @@ def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[]
     gaussians = activated(splats)
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
     drawn = cpu.draw(projected, gaussians.opacities, torch.rand_like(splats.means), camera.size)
-    picture = cpu.picture_of(drawn.image, drawn.alphas)
-    v_picture = cpu.picture_of(v_image, torch.zeros_like(drawn.alphas))
+    picture = cpu.as_picture(drawn.image, drawn.alphas)
+    v_picture = cpu.as_picture(v_image, torch.zeros_like(drawn.alphas))
     order, rows, lists = drawn.tiled
     colors, channels = vecs.channels(3), blend_backward.split_channels(3, 0)
     stride = blend_backward.gradient_stride(3)

@@ -9,7 +9,7 @@ from PIL import Image
 from balls import CAMERAS, SPLATS
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.identities import render_labels
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 
 from balls import BALLS, SPLATS
-from stylesplat.scene.ring import ring_cameras
+from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 

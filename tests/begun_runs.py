@@ -5,8 +5,7 @@ import torch
 from stylesplat.scene.capture import Capture
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.per_photo import first_of_photos
-from stylesplat.training.run import Run
-from stylesplat.training.state import State, first_state
+from stylesplat.training.state import Run, State, first_state
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import training_views
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from stylesplat.selection.detector import Detections
+from stylesplat.selection.text import Detections
 
 CHANNELS = {"red": 0, "green": 1, "blue": 2}
 NOTHING = Detections(torch.zeros(0, 4), torch.zeros(0))

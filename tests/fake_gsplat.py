@@ -12,10 +12,10 @@ import torch
 from stylesplat.rendering.reference import rotation_matrices
 
 
-def cuda_parts(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The trainer's parts for GPUs, on tensors of the CPU."""
+def cuda_ops(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Operations of training for GPUs, on tensors of the CPU."""
     pytest.importorskip("gsplat")
-    from stylesplat.training import cuda_parts as module
+    from stylesplat.training import cuda_ops as module
 
     for name, stand_in in (
         ("fused_adam", adam),

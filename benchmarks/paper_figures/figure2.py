@@ -25,7 +25,7 @@ from paper_figures.subject import JOINT_TRAINING, Subject, each, shot
 from stylesplat.demo.faults import FaultConfig, corrupt_label_maps
 from stylesplat.evaluation.statistics import content_ssim
 from stylesplat.metrics.masked_change import changed_share, farther_than, masked_psnr, strength
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

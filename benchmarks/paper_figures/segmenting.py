@@ -26,7 +26,7 @@ from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import THRESHOLD
-from stylesplat.training import gradients
+from stylesplat.training import step
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
@@ -56,7 +56,7 @@ class Way:
 
     def switched(self) -> AbstractContextManager[Any]:
         """Training without the 3D term, which has no setting: of no scene so many are asked."""
-        off = mock.patch.object(gradients, "NEIGHBORS", sys.maxsize)
+        off = mock.patch.object(step, "NEIGHBORS", sys.maxsize)
         return nullcontext() if self.neighbours else off
 
 

@@ -14,7 +14,7 @@ import stylesplat as ss
 from stylesplat.demo.demo_capture import STYLES, demo_capture
 from stylesplat.demo.demo_run import TRAINING
 from stylesplat.io.captures.capture_folder import exact_masks
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import Labels, resize_labels

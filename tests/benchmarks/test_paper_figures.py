@@ -236,10 +236,10 @@ def test_joint_and_lifted_are_measured_and_compared(subject: Subject, tmp_path: 
 
 
 def test_without_the_term_in_3d_it_is_left_out(subject: Subject):
-    counted = segmenting.gradients.NEIGHBORS
+    counted = segmenting.step.NEIGHBORS
     with segmenting.Way(neighbours=False).switched():
-        assert len(SPLATS) < segmenting.gradients.NEIGHBORS
-    assert counted == segmenting.gradients.NEIGHBORS < len(SPLATS)
+        assert len(SPLATS) < segmenting.step.NEIGHBORS
+    assert counted == segmenting.step.NEIGHBORS < len(SPLATS)
 
 
 def test_labels_as_brightnesses_make_ids_that_were_not_there():

@@ -23,7 +23,7 @@ VIEW = CAMERAS.names[0]
             ["select", "{scene}", "--name", "x", "--id", "0"],
             " select {scene} --name NAME --background",
         ),
-        (["select", "{scene}", "--name", "x"], "Say it with --id"),
+        (["select", "{scene}", "--name", "x"], "Select with --id"),
         (["select", "{scene}", "--name", "5", "--id", "3"], "numbers are label ids"),
         (["select", "{scene}", "--name", "x", "--point", "7,8"], "VIEW:x,y"),
         (["select", "{scene}", "--name", "x", "--point", VIEW + ":99,3"], "outside"),

@@ -82,8 +82,8 @@ def test_masks_with_names_that_cannot_be(
     imported = tmp_path / "imported"
     assert run("import", tmp_path / "splat.ply", photos, "-o", imported, "--device", "cpu") == 0
     said = capsys.readouterr().err
-    assert "Object 4 is not called '3': numbers are label ids." in said
-    assert "Object 5 is not called 'a=b': names must not contain '='" in said
+    assert "Object 4 does not get the name '3': numbers are label ids." in said
+    assert "Object 5 does not get the name 'a=b': names must not contain '='" in said
     named = scene_folder.open(imported)
     assert [*named.objects] == ["cup"]
     select(named, "pot", id=(4,))

@@ -10,8 +10,8 @@ from command_line import complaint, result
 from stylesplat.io import atomic
 from stylesplat.io.images import read_image
 from stylesplat.io.scene_folder import open
-from stylesplat.selection.own_shares import own_shares
 from stylesplat.selection.pick import pick_objects
+from stylesplat.selection.soft_picks import own_shares
 from stylesplat.verbs.objects import objects
 
 

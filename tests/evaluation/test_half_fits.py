@@ -4,9 +4,9 @@ from balls import CAMERAS, SPLATS
 from stylesplat.evaluation.half_fits import Fits, fits_of, fitted_render
 from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.metrics.psnr import psnr
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
-from stylesplat.training.pose_shifts import moved
+from stylesplat.training.per_photo import shift_cameras
 
 COLORS, POSE = Fits(colors=True), Fits(pose=True, unit=3.0)
 CAMERA = CAMERAS[2]
@@ -36,7 +36,7 @@ def test_no_half_sees_itself():
 
 def test_a_shaken_camera_is_found():
     shift = torch.tensor([[0.01, -0.01, 0.01, 0.01, 0.005, -0.005]])
-    photo = rasterize(SPLATS, moved(CAMERA, shift, POSE.unit))[0][0]
+    photo = rasterize(SPLATS, shift_cameras(CAMERA, shift, POSE.unit))[0][0]
     fitted = fitted_render(SPLATS, CAMERA, photo, POSE)
     assert psnr(fitted, photo) > psnr(render(), photo) + 6
 

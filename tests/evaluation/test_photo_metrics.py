@@ -11,7 +11,7 @@ from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.identities import render_labels
 

@@ -12,7 +12,7 @@ from stylesplat.evaluation.statistics import (
     style_statistics_distance,
 )
 from stylesplat.metrics.ssim import ssim, ssim_map
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.object_views import ObjectView

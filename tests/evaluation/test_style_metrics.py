@@ -12,7 +12,7 @@ from balls import CAMERAS
 from striped_balls import FAST, GROWN, SCENE, ball, with_settings
 from stylesplat.evaluation import style_metrics as style
 from stylesplat.evaluation.style_metrics import measure_painted
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects

@@ -27,7 +27,7 @@ from stylesplat.io.view_files import write_views
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import with_layers
-from stylesplat.training import checkpoint, keeper, loop
+from stylesplat.training import checkpoint, loop
 from stylesplat.training.state import first_state
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export
@@ -208,7 +208,8 @@ def run_checkpoint(folder: Path) -> checkpoint.Checkpoint:
 
 def write_checkpoint(folder: Path, *, step: int) -> None:
     place = run_checkpoint(folder)
-    checkpoint.remove_leftovers(place.path)
+    for draft in place.path.parent.glob(".*"):  # as the command deletes the folder of a run
+        draft.unlink()
     begun = first_state(replace(random_splats(5), identities=None))
     checkpoint.save_checkpoint(place, replace(begun, step=step))
 
@@ -227,8 +228,8 @@ def train(folder: Path) -> None:
     run = Train(folder / "capture", folder / "scene", steps=2, test_every=0, device="cpu")
     with (
         mock.patch.object(loop, "train_step", step),
-        mock.patch.object(loop, "_warm_up", lambda *_: None),
-        mock.patch.object(keeper, "CHECKPOINT_SECONDS", -1.0),
+        mock.patch.object(loop, "warm_up", lambda *_: None),
+        mock.patch.object(checkpoint, "CHECKPOINT_SECONDS", -1.0),
     ):
         replace(run, overwrite=True).run()
 

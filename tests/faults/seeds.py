@@ -25,8 +25,7 @@ from stylesplat.io.ply import write_ply_table
 from stylesplat.masks.checkpoint import open_checkpoint
 from stylesplat.masks.tracking import TrackingState
 from stylesplat.scene.compose import with_layers
-from stylesplat.scene.listed import Listed, ListedObjects
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.scene import ListedObject, ListedObjects, Scene, SceneObject
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.stylization.features.weights import PACKAGED
 from stylesplat.training.loop import fit
@@ -118,8 +117,8 @@ def object_lists(folder: Path) -> None:
     folder.mkdir(parents=True)
     shares = torch.tensor([1.0, 0.5])
     objects = {
-        "vase": Listed(torch.tensor([0, 4]), shares, (3,)),
-        "pot": Listed(torch.tensor([1]), None, ()),
+        "vase": ListedObject(torch.tensor([0, 4]), shares, (3,)),
+        "pot": ListedObject(torch.tensor([1]), None, ()),
     }
     for suffix in SUFFIXES:
         listed = ListedObjects(COUNT, objects, 3 * (torch.arange(COUNT) % 2))

@@ -13,7 +13,7 @@ from stylesplat.figures.pictures import (
     label_colors,
     render_pictures,
 )
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick

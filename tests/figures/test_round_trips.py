@@ -10,9 +10,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.round_trips import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, object_content
-from stylesplat.scene.framing import FILLED
+from stylesplat.scene.framing import FILLED, ring_cameras
 from stylesplat.scene.poses import focus_point, look_at, up_vector
-from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.splats import Splats
 
 UP = torch.tensor([0.0, 0.0, 1.0]).double()

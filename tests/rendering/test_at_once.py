@@ -10,7 +10,7 @@ from scenes import random_splats, two_cameras
 from stylesplat.progress import Silence, observed, say
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.kernels.jit import SHARED
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 
 
 class Listener(Silence):

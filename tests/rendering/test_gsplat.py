@@ -7,7 +7,7 @@ import torch
 
 from rendering.native_gsplat import Calls, install
 from scenes import leaf, random_splats, two_cameras
-from stylesplat.rendering.rasterize import Backend, rasterize
+from stylesplat.rendering.render import Backend, rasterize
 
 # Both sides are float64 and the same formulas; only the order of sums differs.
 ROUNDING = 1e-10

@@ -10,9 +10,8 @@ from torch import Tensor
 from rendering.native_gsplat import install
 from scenes import BACKENDS, random_splats, two_cameras
 from stylesplat.rendering import cpu
-from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.rasterize import Backend, rasterize
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
@@ -105,16 +104,6 @@ def test_gsplat_is_asked_for_them(monkeypatch: pytest.MonkeyPatch, name: str):
     assert_same(pose_gradients("cuda", torch.float64, **CASES[name]), expected, 1e-10)  # rounding
 
 
-def test_the_references_are_those_of_its_image():
-    few = random_splats(6, seed=3, sh_degree=1)
-    splats, camera = cast(few, turned_cameras()[0].downscale(8), "reference", torch.float64)
-
-    def image(viewmats: Tensor) -> Tensor:
-        return rasterize(splats, replace(camera, viewmats=viewmats), backend="reference")[0]
-
-    assert torch.autograd.gradcheck(image, camera.viewmats, eps=1e-7, atol=1e-4)
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_moving_world_and_camera_together_cancels(backend: Backend):
     """What a shift of all Gaussians gains, the same shift of the camera loses."""
@@ -151,18 +140,6 @@ def test_they_are_the_same_every_time_and_almost_so_by_any_number_of_threads(
     assert_same(pose_gradients("cpu", torch.float32), expected, 1e-5)  # blending sums in float32
 
 
-def test_nothing_in_view_gives_no_gradient():
-    splats = random_splats(20)
-    behind = replace(splats, means=splats.means - torch.tensor([0.0, 0.0, 10.0]))
-    assert not pose_gradients("cpu", torch.float32, splats=behind, cameras=two_cameras()).any()
-
-
-def test_linear_rendering_takes_cameras_as_fixed():
-    splats, cameras = cast(random_splats(), turned_cameras()[0], "cpu", torch.float32)
-    view = contributions(splats, cameras, torch.ones(len(splats), dtype=torch.bool))
-    assert not view.render(splats).requires_grad
-
-
 def moved(viewmat: Tensor, step: Tensor) -> Tensor:
     """A pose turned and shifted in the camera: a rotation vector, then a translation."""
     x, y, z = step[:3]
@@ -170,25 +147,3 @@ def moved(viewmat: Tensor, step: Tensor) -> Tensor:
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
     rigid = torch.cat([torch.linalg.matrix_exp(cross), step[3:, None]], dim=1)
     return torch.cat([rigid @ viewmat, viewmat[3:]])
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_they_find_a_camera(backend: Backend):
-    splats, camera = cast(random_splats(), turned_cameras()[0], backend, torch.float32)
-    true = camera.viewmats.detach()[0]
-    with torch.no_grad():
-        photo = rasterize(splats, camera, backend=backend)[0]
-    wrong = moved(true, torch.tensor([0.02, -0.015, 0.02, 0.03, 0.02, -0.04]).to(true))
-    step = true.new_zeros(6).requires_grad_()
-    optimizer = torch.optim.LBFGS([step], max_iter=30, line_search_fn="strong_wolfe")
-
-    def loss() -> Tensor:
-        optimizer.zero_grad()
-        seen = replace(camera, viewmats=moved(wrong, step)[None])
-        error = (rasterize(splats, seen, backend=backend)[0] - photo).square().mean()
-        error.backward()
-        return error
-
-    optimizer.step(loss)
-    assert (wrong - true).norm() > 0.05
-    assert (moved(wrong, step) - true).norm() < 1e-3  # float32 reaches 1e-5

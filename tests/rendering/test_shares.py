@@ -1,14 +1,13 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.rendering import shares
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import (
     colors_and_coverage,
     contributed,
@@ -17,10 +16,8 @@ from stylesplat.rendering.shares import (
     label_votes,
     largest_shown,
     render_shares,
-    scaled_rows,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 
@@ -91,13 +88,6 @@ def test_the_largest_shown_is_that_of_all_shown():
     assert torch.equal(column[covered], expected.indices[covered]) and column.max() >= 32
 
 
-def test_scaled_rows():
-    votes = csr_array(torch.tensor([[0.0, 2.0], [0.0, 0.0], [3.0, 4.0]]).numpy())
-    scaled = scaled_rows(votes, np.array([2.0, 9.0, 0.5]))
-    assert scaled.toarray().tolist() == [[0, 4], [0, 0], [1.5, 2]]
-    assert votes.toarray().tolist() == [[0, 2], [0, 0], [3, 4]]
-
-
 def test_shares_are_rendered_in_any_number():
     shares = torch.rand(len(PLAIN), 20, generator=torch.Generator().manual_seed(0))
     shown = render_shares(PLAIN, CAMERAS[1], shares)
@@ -119,14 +109,6 @@ def test_weights_of_gaussians_and_of_pixels_have_one_sum():
     assert weights[:, 0].sum() == pytest.approx(float(alphas_of(CAMERAS[0]).sum()), rel=ROUNDING)
 
 
-def test_what_is_contributed_is_linear_in_what_is_wanted():
-    generator = torch.Generator().manual_seed(0)
-    one, other = torch.rand(2, 36, 48, 16, generator=generator)
-    found = contributed(PLAIN, CAMERAS[1], 2 * one - other)
-    parts = 2 * contributed(PLAIN, CAMERAS[1], one) - contributed(PLAIN, CAMERAS[1], other)
-    torch.testing.assert_close(found, parts, atol=1e-3, rtol=ROUNDING)  # sums of up to 100
-
-
 def test_contributed_is_the_transpose_of_the_render():
     generator = torch.Generator().manual_seed(0)
     carried, wanted = torch.rand(len(PLAIN), 16, generator=generator), torch.rand(36, 48, 16)
@@ -134,43 +116,6 @@ def test_contributed_is_the_transpose_of_the_render():
     by_pixels = (image * wanted).sum()
     by_gaussians = (contributed(PLAIN, CAMERAS[2], wanted) * carried).sum()
     assert float(by_gaussians) == pytest.approx(float(by_pixels), rel=ROUNDING)
-
-
-def test_votes_of_views_and_of_parts_add_up():
-    _, both = vote_table(PLAIN, [(0, TRUTH[0]), (3, TRUTH[3])])
-    single = [vote_table(PLAIN, [(row, TRUTH[row])])[1] for row in (0, 3)]
-    torch.testing.assert_close(both, single[0] + single[1], atol=1e-3, rtol=ROUNDING)
-
-
-def test_votes_follow_the_names_of_labels():
-    ids, votes = vote_table(PLAIN, [(0, TRUTH[0])])
-    renamed = torch.where(TRUTH[0] == 3, 9000, TRUTH[0])
-    others, same = vote_table(PLAIN, [(0, renamed)])
-    assert others == (0, 7, 300, 9000) and ids == (0, 3, 7, 300)
-    torch.testing.assert_close(votes[:, [0, 2, 3, 1]], same)
-
-
-def test_what_no_view_shows_has_no_vote():
-    away = torch.where(PICKED[:, None], PLAIN.means + 500, PLAIN.means)
-    _, votes = vote_table(replace(PLAIN, means=away), enumerate(TRUTH))
-    assert not votes[PICKED].any() and votes[~PICKED].any()
-
-
-def test_shares_that_add_up_to_one_show_the_coverage():
-    shares = torch.rand(len(PLAIN), 20, generator=torch.Generator().manual_seed(0))
-    shown = render_shares(PLAIN, CAMERAS[1], shares / shares.sum(dim=1, keepdim=True))
-    torch.testing.assert_close(shown.sum(-1), alphas_of(CAMERAS[1]), atol=ROUNDING, rtol=0)
-
-
-@pytest.mark.parametrize("row", [0, 5])
-def test_coverages_of_a_part_and_of_the_rest_are_the_whole(row: int):
-    camera = CAMERAS[row]
-    part, rest = coverage(PLAIN, camera, PICKED), coverage(PLAIN, camera, ~PICKED)
-    torch.testing.assert_close(part + rest, alphas_of(camera), atol=ROUNDING, rtol=0)
-    assert 0 <= part.min() and part.max() <= 1 and part.max() > 0.5
-    everything = coverage(PLAIN, camera, torch.ones_like(PICKED))
-    torch.testing.assert_close(everything, alphas_of(camera), atol=ROUNDING, rtol=0)
-    assert not coverage(PLAIN, camera, torch.zeros_like(PICKED)).any()
 
 
 def test_what_hides_an_object_lessens_its_coverage():
@@ -225,11 +170,3 @@ def test_the_expected_depth_of_a_wall_is_where_it_stands(depth: float):
     # the depth is an average of equal numbers: rounding
     assert (found[covered] - depth).abs().max() < 1e-4 * depth
     assert not found[alphas == 0].any() and (alphas == 0).any()
-
-
-def test_the_expected_depth_lies_between_the_depths():
-    depths = depths_of(PLAIN.means, CAMERAS[0])
-    found, alphas = expected_depth(PLAIN, CAMERAS[0])
-    seen = found[alphas > 0.01]
-    assert depths.min() - ROUNDING < seen.min() and seen.max() < depths.max() + ROUNDING
-    assert seen.max() > seen.min() + 0.5

@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from full_scenes import assert_same
 from plain_layers import SETTINGS, plain_layer
 from scenes import random_splats, two_cameras
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.compose import (
     beneath,
     compose,
@@ -57,13 +56,6 @@ def test_what_does_not_show_is_as_if_it_was_removed(gone: Layer, way: str):
     found = compose(BASE, [hidden if each is gone else each for each in STACK])
     assert_equal(found, compose(BASE, left))
     assert_equal(without_layers(PAINTED, [gone.object]).splats, found)
-
-
-def test_without_layers_it_is_the_base():
-    assert compose(BASE, []) is BASE
-    assert_same(without_layers(PAINTED), SCENE)
-    assert without_layers(PAINTED).base is None
-    assert with_layers(PAINTED, ()).splats is BASE
 
 
 def test_the_base_comes_first_and_canvases_in_the_order_of_the_stack():
@@ -127,12 +119,6 @@ def test_a_layer_above_treats_canvases_as_their_parents():
     assert torch.equal(canvas.sh0[covered], above.sh0[FOX.parents[covered] - 10])
     assert (canvas.opacities[covered] < -15).all()
     assert_equal(canvas[~covered], compose(BASE, [FOX])[COUNT:][~covered])
-
-
-def test_the_order_of_layers_that_overlap_matters():
-    one, other = compose(BASE, [FOX, BOTH]), compose(BASE, [BOTH, FOX])
-    assert not torch.equal(one.sh0[10:20], other.sh0[10:20])
-    assert torch.equal(one.sh0[50:COUNT], other.sh0[50:COUNT])
 
 
 def test_form_adds_relief_to_the_paint():

@@ -7,16 +7,10 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS, SPLATS, enlarged
 from plain_layers import plain_layer
-from sfm_records import sfm_record
-from stylesplat.scene.frames import SAME
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.layer import Source
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import SceneObject
-from stylesplat.structure_from_motion.capture_statistics import Coverage
-from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding
 from stylesplat.stylization.style import Recipe, StyledObject
-from stylesplat.verbs.render import Views
-from stylesplat.verbs.sheet import Sheet
 
 VASE = torch.arange(len(SPLATS)) < 20
 
@@ -59,34 +53,6 @@ def test_scenes_and_what_is_in_them():
     )
     expected = "8 views (1 held out), objects: vase, painted: vase, garden-wave"
     assert repr(scene) == f"Scene({count}, {expected})"
-
-
-def test_styles_say_what_is_not_as_usual():
-    style = ss.Style("styles/wave.jpg", torch.zeros(4, 4, 3), scale=3, color="keep")
-    assert repr(style) == "Style(wave.jpg, a picture, scale=3.0, color='keep')"
-    each = StyledObject("vase", style, "vgg16", intensity=0.5)
-    assert repr(each) == f"StyledObject(vase, {style!r}, vgg16, intensity=0.5)"
-    recipe = Recipe((each, StyledObject("pot", ss.Style("night.jpg"))))
-    assert repr(recipe) == "Recipe(vase: wave.jpg, a picture, pot: night.jpg)"
-
-
-def test_records_and_reports():
-    record = sfm_record(
-        source="/photos",
-        given=9,
-        registered=7,
-    )
-    assert repr(record) == "SfmRecord(7 of 9 photos with a pose, /photos)"
-    coverage = Coverage(
-        360.0, 20.0, torch.zeros(1), 1, 0.0, 9.0, 0.8, 1.2, 1.0, outward=False, facing=False
-    )
-    findings = (Finding("sharpness", "good", 1, "sharp"), Finding("sides", "poor", 2, "few"))
-    report = CaptureReport(findings, (), (), coverage, SAME)
-    assert repr(report) == "CaptureReport(sharpness: good, sides: poor)"
-    views = Views(("a.jpg", "b.jpg"), iter([]))
-    assert repr(views) == "Views(2 pictures, a.jpg, b.jpg)"
-    sheet = Sheet(torch.zeros(20, 30, 3, dtype=torch.uint8), "a.jpg", 6, 2)
-    assert repr(sheet) == "Sheet(6 cells, 30x20, from a.jpg)"
 
 
 def test_it_is_one_line_whatever_names_hold():

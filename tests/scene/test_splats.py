@@ -1,6 +1,7 @@
 import torch
 
 from scenes import random_splats
+from stylesplat.scene.splats import Splats
 
 
 def test_other_values_in_some_rows():
@@ -14,3 +15,16 @@ def test_other_values_in_some_rows():
     assert changed.means is splats.means and changed.classifier is splats.classifier
     (gradient,) = torch.autograd.grad(changed.scales.sum(), part)
     assert (gradient == 1).all()
+
+
+def test_parts_put_together_are_the_whole():
+    splats = random_splats(6)
+    parts = [splats[:2], splats[torch.tensor([2, 3])], splats[torch.arange(6) > 3], splats[:0]]
+    for name, tensor in Splats.cat(parts).tensors().items():
+        assert torch.equal(tensor, splats.tensors()[name]), name
+
+
+def test_map_reaches_every_tensor():
+    doubled = random_splats(6).map(lambda tensor: 2 * tensor)
+    for name, tensor in random_splats(6).tensors().items():
+        assert torch.equal(doubled.tensors()[name], 2 * tensor), name

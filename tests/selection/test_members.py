@@ -1,13 +1,17 @@
+"""What label maps have left in doubt fill_gaps an object belongs to it."""
+
 from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from balls import SPLATS
 from stylesplat.scene import splats as nouns
+from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import class_probabilities
-from stylesplat.selection.members import likeliest, members
-from stylesplat.selection.pick import pick, pick_objects
+from stylesplat.selection.members import MIN_POINTS, inliers, likeliest, members
+from stylesplat.selection.pick import pick
 
 IDS = (3, 7, 300)
 
@@ -39,10 +43,67 @@ def test_as_the_whole_table_says(doubtful, threshold: float):
 def test_what_is_surely_background_is_not_looked_at(doubtful, threshold: float):
     one, all_of_them = (members(doubtful, ids, threshold) for ids in ((3,), IDS))
     assert torch.equal(one.likely[3], all_of_them.likely[3])
-    assert torch.equal(one.vouched[3], all_of_them.vouched[3])
+    assert torch.equal(one.confirmed[3], all_of_them.confirmed[3])
 
 
-def test_objects_of_one_pass_are_those_of_many(doubtful):
-    together = pick_objects(doubtful, IDS)
-    for id in IDS:
-        assert torch.equal(together[id], pick(doubtful, object_id=id))
+FIRST = torch.arange(200, 280)  # Gaussians of the ball 3; the table's come before
+HOLE = FIRST[::10]
+
+
+def with_identities(rows: Tensor, *classes: float) -> Splats:
+    """The still life, some rows having these scores of background and the balls 3, 7 and 300."""
+    assert SPLATS.identities is not None
+    identities = SPLATS.identities.clone()
+    identities[rows] = 0.0
+    identities[rows, : len(classes)] = torch.tensor(classes)
+    return replace(SPLATS, identities=identities)
+
+
+def test_what_is_in_doubt_amid_an_object_is_picked():
+    doubtful = with_identities(HOLE, 0.5, 0.9, 0.9)  # likelier none of them than any
+    picked = pick(doubtful, object_id=3)
+    assert picked[HOLE].all()
+    assert not picked[: FIRST[0]].any() and not picked[FIRST[-1] + 1 :].any()
+
+
+@pytest.mark.parametrize(
+    "classes", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)], ids=["another's", "background"]
+)
+def test_what_is_surely_something_else_is_not(classes: tuple[float, ...]):
+    sure = with_identities(HOLE, *classes)
+    assert not pick(sure, object_id=3)[HOLE].any()
+
+
+def ball(count: int) -> torch.Tensor:
+    return torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
+
+
+def test_far_points_are_dropped_and_the_object_stays():
+    points = torch.cat([ball(500), torch.tensor([[30.0, 0.0, 0.0], [0.0, -40.0, 5.0]])])
+    keep = inliers(points)
+    assert not keep[500:].any()
+    assert keep[:500].float().mean() > 0.95  # 2 standard deviations of a normal law leave out 2%
+
+
+def test_one_extreme_point_does_not_hide_a_nearer_one():
+    points = torch.cat([ball(500), torch.tensor([[1e6, 0.0, 0.0], [25.0, 0.0, 0.0]])])
+    assert inliers(points)[500:].tolist() == [False, False]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_units_do_not_matter(scale: float):
+    points = torch.cat([ball(300), 20 * ball(10)])
+    assert torch.equal(inliers(points), inliers(scale * points + 7))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, MIN_POINTS - 1])
+def test_small_sets_are_kept_whole(count: int):
+    assert inliers(ball(count) ** 5).all()
+
+
+def test_a_large_one_that_reaches_its_neighbours_stays_and_a_small_one_does_not():
+    points = torch.cat([ball(500), torch.tensor([[9.0, 0.0, 0.0], [0.0, -9.0, 0.0]])])
+    reaches = torch.zeros(502)
+    reaches[500] = 12
+    assert inliers(points, reaches=reaches)[500:].tolist() == [True, False]
+    assert torch.equal(inliers(points, reaches=torch.zeros(502)), inliers(points))

@@ -4,11 +4,21 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS, enlarged
-from stylesplat.rendering.rasterize import rasterize
+from balls import BALLS, CAMERAS, SPLATS, enlarged
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.soft_picks import find_places, inside_parts, soft_shares
+from stylesplat.selection import soft_picks as surveying
+from stylesplat.selection.pick import each_object
+from stylesplat.selection.soft_picks import (
+    OwnShares,
+    find_places,
+    inside_parts,
+    own_shares,
+    sampled_views,
+    soft_shares,
+    survey,
+)
 
 VIEWS = enlarged(CAMERAS, 4)
 BALL = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
@@ -32,18 +42,6 @@ def test_an_object_is_where_it_covers_most():
     for place in find_places(SPLATS, BALL, VIEWS):
         row = VIEWS.index(place.camera.names[0])
         assert torch.equal(place.pixels, coverage(SPLATS, VIEWS[row], BALL) > 0.5)
-
-
-def test_labels_help_where_a_pick_covers_less_than_half():
-    """Of a pick that lacks every third Gaussian of its object."""
-    thin = BALL & (torch.arange(len(SPLATS)) % 3 > 0)
-    unlabelled = replace(SPLATS, identities=None, classifier=None)
-    labelled, bare = (find_places(s, thin, VIEWS) for s in (SPLATS, unlabelled))
-    for one, other in zip(labelled, bare, strict=True):
-        row = VIEWS.index(one.camera.names[0])
-        assert one.pixels.sum() > other.pixels.sum()
-        assert (one.pixels | ~other.pixels).all()
-        assert (coverage(SPLATS, VIEWS[row], thin)[one.pixels] > 0.25).all()
 
 
 def test_parts_are_what_the_weights_say():
@@ -86,6 +84,29 @@ def test_what_no_view_shows_takes_after_its_neighbours():
     assert not inside_parts(faint, alone, places).any()
 
 
-def test_shares_are_the_same_every_time():
-    one, again = (soft_shares(SPLATS, BALL, find_places(SPLATS, BALL, VIEWS)) for _ in range(2))
-    assert torch.equal(one, again)
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The balls' scene counts as large."""
+    monkeypatch.setattr(surveying, "LARGE", 0)
+
+
+@pytest.mark.usefixtures("large")
+def test_shares_are_those_in_the_whole_scene():
+    found = OwnShares(SPLATS, CAMERAS)
+    for _, picked in each_object(SPLATS, [*BALLS]):
+        assert torch.equal(found.of(picked), own_shares(SPLATS, picked, CAMERAS))
+    nobody = torch.zeros(len(SPLATS), dtype=torch.bool)
+    assert not found.of(nobody).any()
+
+
+@pytest.mark.usefixtures("large")
+def test_what_is_not_near_and_does_not_show_is_left_out():
+    means = SPLATS.means.clone()
+    means[:50, 2] += 1e4  # of the table
+    scene = replace(SPLATS, means=means)
+    seen = survey(scene, sampled_views(CAMERAS))
+    assert seen is not None
+    for _, picked in each_object(scene, [*BALLS]):
+        rows = seen.around(picked)
+        assert torch.isin(picked.nonzero()[:, 0], rows).all() and (rows.diff() > 0).all()
+        assert (rows >= 50).all()

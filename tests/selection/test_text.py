@@ -13,9 +13,14 @@ from color_detector import NOTHING, ColorDetector
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import far_apart
-from stylesplat.selection.detector import Detections, Detector, load_detector
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.text import clear_winner, rank_objects, tally
+from stylesplat.selection.text import (
+    Detections,
+    Detector,
+    clear_winner,
+    count_votes,
+    load_detector,
+    rank_objects,
+)
 
 Models = Callable[[str], Path]
 Box = tuple[float, float, float, float]
@@ -38,19 +43,13 @@ def found(*boxes: tuple[Box, float]) -> Detections:
 
 
 def votes(*views: Detections) -> dict[int, float]:
-    return tally((labels(), view) for view in views)
+    return count_votes((labels(), view) for view in views)
 
 
 def test_a_box_votes_with_its_score_for_what_it_fits():
     assert votes(found((VASE_BOX, 0.75))) == {VASE: 0.75}
     loose = (8.0, 4.0, 22.0, 27.0)
     assert votes(found((loose, 0.5), (CUP_BOX, 0.25))) == {VASE: 0.5, CUP: 0.25}
-
-
-def test_the_best_comes_first():
-    assert [*votes(found((CUP_BOX, 0.6), (VASE_BOX, 0.5)))] == [CUP, VASE]
-    assert [*votes(found((CUP_BOX, 0.5), (VASE_BOX, 0.6)))] == [VASE, CUP]
-    assert [*votes(found((CUP_BOX, 0.5), (VASE_BOX, 0.5)))] == [VASE, CUP], "by id if equal"
 
 
 def test_what_fills_a_box_does_not_win_for_that():
@@ -64,12 +63,6 @@ def test_what_fills_a_box_does_not_win_for_that():
 
 def test_the_wall_wins_with_a_box_around_it():
     assert votes(found(((0.0, 0.0, 60.0, 38.0), 0.5))) == {WALL: 0.5}
-
-
-def test_a_box_that_fits_nothing_has_no_vote():
-    assert votes(found(((50.0, 2.0, 58.0, 9.0), 0.9))) == {}
-    assert votes(found(((0.0, 38.0, 60.0, 40.0), 0.9))) == {}, "background is no object"
-    assert votes(found(((8.0, 20.0, 34.0, 22.0), 0.9))) == {}, "it crosses both"
 
 
 def test_boxes_around_one_object_are_one_vote():
@@ -86,20 +79,14 @@ def test_views_vote_together():
 def test_without_boxes_or_objects_or_views():
     assert votes(NOTHING) == {}
     empty = torch.zeros(40, 60, dtype=torch.int64)
-    assert tally([(empty, found((VASE_BOX, 1.0)))]) == {}
-    assert tally([]) == {}
+    assert count_votes([(empty, found((VASE_BOX, 1.0)))]) == {}
+    assert count_votes([]) == {}
 
 
 def test_strays_do_not_stretch_an_object():
     strewn = labels()
     strewn[0, 0] = strewn[37, 59] = VASE
-    assert tally([(strewn, found((VASE_BOX, 0.5)))]) == {VASE: 0.5}
-
-
-def test_boxes_may_reach_out_of_the_picture():
-    cut = labels()
-    cut[10:20, :8] = 9
-    assert tally([(cut, found(((-30.0, 10.0, 8.0, 20.0), 0.5)))]) == {9: 0.5}
+    assert count_votes([(strewn, found((VASE_BOX, 0.5)))]) == {VASE: 0.5}
 
 
 def test_a_clear_winner():
@@ -137,12 +124,6 @@ def ring(angles: Sequence[float]) -> Cameras:
     return Cameras(
         viewmats, torch.eye(3).repeat(len(angles), 1, 1), torch.ones(len(angles), 2).int(), names
     )
-
-
-def test_views_are_spread_whatever_their_order():
-    cameras = ring([0.0, 1.0, 2.0, 3.0, 90.0, 91.0, 180.0, 181.0, 270.0, 271.0])
-    chosen = sorted(float(cameras.names[row]) // 90 for row in far_apart(cameras, 4))
-    assert chosen == [0, 1, 2, 3]
 
 
 def test_no_view_is_taken_twice():
@@ -190,21 +171,6 @@ def test_real_architectures(kind: str, tiny_model: Models):
     assert 0 < len(sure.scores) < len(all_boxes.scores) and (sure.scores > between).all()
     assert len(replace(detector, min_score=1.0).detect(picture, "Red").boxes) == 0
     assert rank_objects(SPLATS, CAMERAS[:2], "red", detector).keys() <= {3, 7, 300}
-
-
-@pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])
-def test_the_phrase_matters(kind: str, tiny_model: Models):
-    detector = replace(load_detector(str(tiny_model(kind))), min_score=0.0)
-    picture = render_labels(SPLATS, CAMERAS[0])[..., None].repeat(1, 1, 3).to(torch.uint8)
-    red, other = (detector.detect(picture, phrase).scores for phrase in ("red", "ee"))
-    assert not torch.equal(red, other)
-
-
-def test_a_full_stop_may_be_left_out(tiny_model: Models):
-    detector = replace(load_detector(str(tiny_model("grounding-dino"))), min_score=0.0)
-    picture = torch.zeros(40, 60, 3, dtype=torch.uint8)
-    without, with_one = (detector.detect(picture, phrase) for phrase in ("red ball", "Red ball."))
-    assert torch.equal(without.scores, with_one.scores)
 
 
 @pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])

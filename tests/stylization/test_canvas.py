@@ -10,7 +10,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from stretched_balls import PICKED, ROWS, SCENE, UNSEEN
 from striped_balls import same
 from stylesplat.metrics.psnr import psnr
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.compose import UNSEEN as UNSEEN_LOGIT
 from stylesplat.scene.compose import compose

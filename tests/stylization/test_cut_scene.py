@@ -5,7 +5,7 @@ import torch
 
 from balls import CAMERAS
 from striped_balls import FAST, SCENE, ball, with_settings
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.stylization import cut_scene as cutting
 from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork

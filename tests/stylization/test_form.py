@@ -9,7 +9,7 @@ from torch import Tensor
 
 from balls import CAMERAS, enlarged
 from dense_ball import LIGHT, PICKED, WAYS, dense_ball
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork

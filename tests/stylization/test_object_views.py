@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.projection import crop
 from stylesplat.stylization.features.network import FeatureNetwork

@@ -12,7 +12,7 @@ from PIL import Image
 from balls import CAMERAS, enlarged
 from striped_balls import FAST, GROWN, SCENE, TABLE, ball, same, with_settings
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from scenes import random_splats
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.training.train_config import TrainConfig

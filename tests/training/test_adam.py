@@ -1,9 +1,9 @@
-import pytest
 import torch
 
-from stylesplat.training.adam import BETA1, BETA2, EPS, Moments, Update, adam_step, adam_steps
+from stylesplat.training.adam import BETA1, BETA2, AdamUpdate, Moments, adam_step, adam_steps
+from stylesplat.training.device_ops import EPS
 
-SEEN = torch.tensor([True, False, True, False, False, True])
+VISIBLE = torch.tensor([True, False, True, False, False, True])
 
 
 def seeded() -> torch.Generator:
@@ -39,39 +39,23 @@ def test_matches_torch():
     assert torch.allclose(ours, theirs, atol=1e-5)
 
 
-def test_rows_that_are_seen_match_torch_whatever_the_others_do():
-    some, every = stepped(gradients(5), SEEN)[0], stepped(gradients(5))[0]
-    assert torch.equal(some[SEEN], every[SEEN])
+def test_rows_that_are_visible_match_torch_whatever_the_others_do():
+    some, every = stepped(gradients(5), VISIBLE)[0], stepped(gradients(5))[0]
+    assert torch.equal(some[VISIBLE], every[VISIBLE])
 
 
-def test_rows_that_are_not_seen_are_bit_equal():
-    param, moments = stepped(gradients(3), SEEN)
-    assert torch.equal(param[~SEEN], torch.ones(3, 2, 3))
-    assert not moments.first["x"][~SEEN].any() and not moments.second["x"][~SEEN].any()
-    assert (param[SEEN] != 1).all()
-
-
-def test_rows_do_not_mix():
-    order = torch.randperm(6, generator=torch.Generator().manual_seed(1))
-    plain, shuffled = stepped(gradients(4))[0], stepped([g[order] for g in gradients(4)])[0]
-    assert torch.equal(plain[order], shuffled)
+def test_rows_that_are_not_visible_are_bit_equal():
+    param, moments = stepped(gradients(3), VISIBLE)
+    assert torch.equal(param[~VISIBLE], torch.ones(3, 2, 3))
+    assert not moments.first["x"][~VISIBLE].any() and not moments.second["x"][~VISIBLE].any()
+    assert (param[VISIBLE] != 1).all()
 
 
 def test_seen_concerns_tensors_of_as_many_rows_only():
     weight = torch.ones(3, 16, requires_grad=True)
     weight.grad = torch.ones(3, 16)
-    adam_step({"w": weight}, Moments.zeros({"w": weight}), {"w": 0.1}, 1, SEEN)
+    adam_step({"w": weight}, Moments.zeros({"w": weight}), {"w": 0.1}, 1, VISIBLE)
     assert (weight != 1).all()
-
-
-def test_the_first_step_is_the_rate_whatever_the_gradient():
-    param, _ = stepped([torch.logspace(-6, 3, 36).view(6, 2, 3)])
-    assert torch.allclose(1 - param, torch.tensor(0.1), atol=1e-6)  # rounding of 1 - 0.1
-
-
-def test_steps_are_proportional_to_the_rate():
-    one, other = stepped(gradients(4), rate=0.01)[0], stepped(gradients(4), rate=0.02)[0]
-    assert torch.allclose(2 * (one - 1), other - 1, atol=1e-6)
 
 
 def test_a_step_for_several_photos_is_longer_and_remembers_less():
@@ -79,7 +63,7 @@ def test_a_step_for_several_photos_is_longer_and_remembers_less():
     (first, second), gradient = torch.rand(2, 4, generator=seeded()), torch.tensor([1.0, -2, 3, 0])
     moments = Moments({"x": first.clone()}, {"x": second.clone()})
     param.grad = gradient
-    adam_steps(moments, [Update({"x": param}, {"x": 0.1}, 12)], photos=3)
+    adam_steps(moments, [AdamUpdate({"x": param}, {"x": 0.1}, 12)], photos=3)
     mean = first.double() * BETA1**3 + gradient * (1 - BETA1**3)
     square = second.double() * BETA2**3 + gradient**2 * (1 - BETA2**3)
     root = (square / (1 - BETA2**12)).sqrt()
@@ -89,25 +73,12 @@ def test_a_step_for_several_photos_is_longer_and_remembers_less():
     assert torch.allclose(param.detach().double(), expected, atol=1e-6)
 
 
-def test_the_scale_of_the_loss_is_irrelevant():
-    one, other = stepped(gradients(4))[0], stepped([1000 * g for g in gradients(4)])[0]
-    assert torch.allclose(one, other, atol=1e-5)
-
-
 def test_without_a_gradient_nothing_moves():
     param, other = leaf(), leaf()
     moments = Moments.zeros({"x": param, "y": other})
     param.grad = torch.ones(6, 2, 3)
     adam_step({"x": param, "y": other}, moments, {"x": 0.1, "y": 0.1}, 1)
     assert torch.equal(other, leaf()) and not torch.equal(param, leaf())
-
-
-def test_numbers_of_one_row_and_of_vectors():
-    for shape in ((4,), (4, 1, 3), (1, 3)):
-        param = torch.zeros(shape, requires_grad=True)
-        param.grad = torch.ones(shape)
-        adam_step({"x": param}, Moments.zeros({"x": param}), {"x": 0.5}, 1)
-        assert torch.allclose(param, torch.tensor(-0.5))
 
 
 def test_the_layout_in_memory_is_irrelevant():
@@ -129,11 +100,3 @@ def test_taken_rows_keep_their_state_and_fresh_ones_are_zero():
     assert taken.first["x"].tolist() == [2, 0, 0]
     assert taken.second["x"].tolist() == [1, 0, 1]
     assert taken.first["y"] is moments.first["y"]
-
-
-@pytest.mark.parametrize("which", ["first", "second"])
-def test_copies_share_nothing(which: str):
-    _, moments = stepped(gradients(1))
-    copy = moments.clone()
-    getattr(copy, which)["x"][:] = 7
-    assert not (getattr(moments, which)["x"] == 7).any()

@@ -13,8 +13,8 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import class_probabilities, render_labels
 from stylesplat.selection.pick import THRESHOLD, pick_objects
 from stylesplat.training import lifting
+from stylesplat.training.densification import object_share
 from stylesplat.training.lifting import REPULSIONS, class_codes, lift, with_labels_of
-from stylesplat.training.object_sizes import object_share
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
 PHOTOS = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
@@ -109,11 +109,6 @@ def test_labels_on_top_of_others_are_those_of_whole_tables(monkeypatch):
     torch.testing.assert_close(found.identities, shares @ class_codes(6), atol=1e-5, rtol=0)
 
 
-def test_codes_of_few_classes_do_not_mix():
-    codes = class_codes(16)
-    assert torch.equal(codes @ codes.T, torch.eye(16))
-
-
 def test_nothing_to_lift():
     with pytest.raises(StyleSplatError, match="no label maps to lift"):
         lift(PLAIN, capture(None))
@@ -150,33 +145,6 @@ def test_votes_add_up_over_views():
     torch.testing.assert_close(total, every, atol=1e-3, rtol=1e-4)
 
 
-def test_votes_of_all_labels_are_what_a_gaussian_shows_of_itself():
-    _, split = votes(TRUTH, range(8))
-    _, whole = votes([torch.zeros_like(labels) for labels in TRUTH], range(8))
-    torch.testing.assert_close(split.sum(dim=1), whole[:, 0], atol=1e-3, rtol=1e-4)
-
-
-def test_the_order_of_gaussians_is_irrelevant():
-    order = torch.randperm(len(PLAIN), generator=torch.Generator().manual_seed(0))
-    plain, shuffled = lift(PLAIN, capture(TRUTH)), lift(PLAIN[order], capture(TRUTH))
-    assert plain.identities is not None and shuffled.identities is not None
-    # Gaussians of equal depth, or alpha cuts, may fall the other way: 1/255 of a vote.
-    torch.testing.assert_close(plain.identities[order], shuffled.identities, atol=0.02, rtol=0)
-
-
-def test_every_view_twice_changes_nothing_but_the_prior():
-    once, twice = votes(TRUTH, range(8))[1], votes(TRUTH, [*range(8)] * 2)[1]
-    torch.testing.assert_close(2 * once, twice, atol=1e-3, rtol=1e-4)
-
-
-def test_identities_are_shares_of_codes():
-    lifted = lift(PLAIN, capture(TRUTH))
-    assert lifted.identities is not None
-    shares = lifted.identities @ class_codes(4).T
-    assert (shares >= -1e-6).all()
-    assert torch.allclose(shares.sum(dim=1), torch.ones(len(PLAIN)), atol=1e-5)
-
-
 def test_labels_of_the_whole_picture_leave_no_doubt():
     flat = [torch.full_like(labels, 9) for labels in TRUTH]
     _, counts = votes(flat, range(8))
@@ -184,13 +152,6 @@ def test_labels_of_the_whole_picture_leave_no_doubt():
     assert seen.float().mean() > 0.8
     share = object_share(lift(PLAIN, capture(flat)))
     assert share is not None and (share[seen] > 0.999).all()
-
-
-def test_lifting_is_repeatable():
-    one, other = lift(PLAIN, capture(TRUTH)), lift(PLAIN, capture(TRUTH))
-    assert one.identities is not None and other.identities is not None
-    # Threads add up in another order.
-    torch.testing.assert_close(one.identities, other.identities, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("count", [17, 60, 300])

@@ -1,21 +1,29 @@
 import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
 import torch
 
 from begun_runs import begun
+from scenes import random_splats
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.progress import Silence, observed
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
+from stylesplat.signals import TAKEN
 from stylesplat.training import loop
-from stylesplat.training.announce import GPU_STEPS, Tally
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import fit
-from stylesplat.training.ranks import ALONE, Ranks
-from stylesplat.training.run import Run
-from stylesplat.training.state import State
+from stylesplat.training.loop import (
+    deferred_interrupt,
+    fit,
+    progress_meter,
+    warm_up,
+)
+from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import PRESETS, TrainConfig
 from stylesplat.training.training_views import split_views
@@ -37,13 +45,6 @@ def test_held_out_views_get_better(capture: Capture, config: TrainConfig):
     _, held_out = split_views(capture, config.test_every)
     for row in held_out:
         assert error(splats, capture, row) < 0.5 * error(start, capture, row)
-
-
-def test_points_train_alike_whatever_their_layout_in_memory(capture: Capture, config: TrainConfig):
-    assert capture.points is not None
-    transposed = replace(capture, points=capture.points.T.contiguous().T)
-    plain, other = (trained(each, config, steps=4) for each in (capture, transposed))
-    assert torch.equal(plain.means, other.means)
 
 
 def test_the_paper_trains_its_first_thousand_steps_without_higher_bands(capture: Capture):
@@ -88,20 +89,10 @@ def test_gaussians_grow_up_to_the_cap_and_never_beyond(capture: Capture, config:
     assert counts == sorted(counts) and counts[-1] == 300 and counts[0] < 200
 
 
-def test_the_cap_holds_for_first_gaussians_too(capture: Capture, config: TrainConfig):
-    assert len(trained(capture, config, steps=25, max_gaussians=50)) == 50
-
-
 def test_max_seconds_ends_the_run(capture: Capture, config: TrainConfig):
     state = fit(capture, replace(config, max_seconds=0.3))
     assert state.step > 0
     assert state.seconds >= 0.3
-
-
-def test_seconds_add_up_over_steps(capture: Capture, config: TrainConfig):
-    times: list[float] = []
-    state = fit(capture, config, on_progress=lambda state, *_: times.append(state.seconds))
-    assert times == sorted(times) and 0 < times[0] < times[-1] == state.seconds
 
 
 def test_works_without_label_maps_and_points(capture: Capture, config: TrainConfig):
@@ -124,7 +115,7 @@ def test_label_maps_of_held_out_photos_alone_train_no_identities(
     assert capture.label_maps is not None
     only = replace(capture, label_maps=[capture.label_maps[0], *[None] * (len(capture) - 1)])
     assert trained(only, config, steps=3).identities is None
-    assert len(said) == 1 and "object 3, 7 in 0.png" in said[0]
+    assert len(said) == 1 and "object 3, 7," in said[0]
 
 
 def test_objects_that_only_held_out_photos_show_are_no_classes(
@@ -137,7 +128,7 @@ def test_objects_that_only_held_out_photos_show_are_no_classes(
     splats = trained(named, config, steps=3)
     assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
     (line,) = said
-    assert "object 11 (vase) in 8.png" in line and "--test-every 0" in line
+    assert "object 11 (vase)" in line and "--test-every 0" in line
     every = trained(named, config, steps=3, test_every=0, color_correction="off")
     assert every.classifier is not None and every.classifier.ids == (0, 3, 7, 11)
     assert len(said) == 1
@@ -171,33 +162,9 @@ def test_of_several_processes_a_round_has_one_step(
     photos: list[int] = []
     run, state = begun(capture, config, 2, of_photos=True)
     monkeypatch.setattr(loop, "train_step", lambda run, state: photos.append(run.batch))
-    loop._warm_up(run, state, Ranks(0, 2))
-    loop._warm_up(run, state, ALONE)
+    warm_up(run, state, Ranks(0, 2))
+    warm_up(run, state, ALONE)
     assert photos == [1, 1, 2, 2]
-
-
-def test_progress_is_told_after_each_step(capture: Capture, config: TrainConfig):
-    told: list[int] = []
-    config = replace(config, steps=27, photos_at_once=1)
-    fit(capture, config, on_progress=lambda state, *_: told.append(state.step))
-    assert told == [*range(1, 28)]
-
-
-def test_progress_is_told_after_each_round(capture: Capture, config: TrainConfig):
-    told: list[int] = []
-    config = replace(config, steps=10, photos_at_once=4)
-    fit(capture, config, on_progress=lambda state, *_: told.append(state.step))
-    assert told == [4, 8, 10]
-
-
-def test_on_a_gpu_progress_is_told_now_and_then_and_at_the_end(
-    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
-):
-    told: list[int] = []
-    monkeypatch.setattr(Tally, "due", lambda self, step, device: step % GPU_STEPS == 0)
-    config = replace(config, steps=27, photos_at_once=1)
-    fit(capture, config, on_progress=lambda state, *_: told.append(state.step))
-    assert told == [GPU_STEPS, 2 * GPU_STEPS, 27]
 
 
 def test_what_is_told_is_what_was_measured(capture: Capture, config: TrainConfig):
@@ -224,3 +191,126 @@ def test_photos_of_several_sizes(capture: Capture, config: TrainConfig):
     cameras = replace(capture.cameras, sizes=sizes)
     mixed = replace(capture, cameras=cameras, photos=photos, label_maps=None)
     assert len(trained(mixed, config)) == 400
+
+
+GPU = torch.device("cuda")
+STATE = first_state(random_splats(1500))
+
+
+class Listener(Silence):
+    """Remembers what it is told."""
+
+    def __init__(self) -> None:
+        self.begun: tuple = ()
+        self.done = 0.0
+        self.notes: list[str] = []
+
+    @contextmanager
+    def task(self, what: str, total, unit: str, done) -> Iterator["Listener"]:
+        self.begun, self.done = (what, total, unit), done
+        yield self
+
+    def advance(self, amount: float = 1) -> None:
+        self.done += amount
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def at(step: int, seconds: float = 0.0) -> State:
+    return replace(STATE, step=step, seconds=seconds)
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    here = Listener()
+    with observed(here):
+        yield here
+
+
+def test_steps_are_counted(listener: Listener):
+    with progress_meter(TrainConfig(steps=50), at(0)) as meter:
+        for step in (10, 20, 27):
+            meter.report(at(step), 0.5, 20.0)
+            assert listener.done == step
+    assert listener.begun == ("training", 50, "step")
+
+
+def test_seconds_are_counted_where_they_end_the_run(listener: Listener):
+    with progress_meter(TrainConfig(max_seconds=5.0), at(0)) as meter:
+        meter.report(at(10, 2.5), 0.5, 20.0)
+        assert listener.done == 2.5
+        meter.report(at(20, 5.7), 0.5, 20.0)
+        assert listener.done == 5.0, "not beyond the end"
+    assert listener.begun == ("training", 5.0, "s")
+
+
+def test_notes_hold_loss_psnr_and_gaussians(listener: Listener):
+    with progress_meter(TrainConfig(), at(0)) as meter:
+        meter.report(at(1), 0.5, 20.0)
+    assert listener.notes == ["loss 0.5000, PSNR 20.00 dB, 1,500 Gaussians"]
+
+
+def test_what_is_told_is_smooth_and_gets_there(listener: Listener):
+    with progress_meter(TrainConfig(steps=9000), at(0)) as meter:
+        meter.report(at(10), 1.0, 10.0)
+        meter.report(at(20), 0.0, 30.0)
+        meter.report(at(2000), 0.0, 30.0)
+    losses = [float(note.split(",")[0].removeprefix("loss ")) for note in listener.notes]
+    assert losses[0] == 1 > losses[1] > 0.5 and losses[2] == 0
+
+
+class Heard(Exception):
+    """What the handlers of these tests raise."""
+
+
+@pytest.fixture(params=TAKEN, ids=lambda number: number.name)
+def number(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+    """A signal, with a handler that raises `Heard`."""
+
+    def hear(*_: object) -> None:
+        raise Heard
+
+    before = signal.signal(request.param, hear)
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_signals_wait_and_then_do_what_they_would_have_done(number: signal.Signals):
+    reached = False
+    with pytest.raises(Heard), deferred_interrupt() as interrupted:
+        assert not interrupted()
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+        reached = interrupted()
+    assert reached
+    with pytest.raises(Heard):
+        signal.raise_signal(number)
+
+
+def test_also_after_an_error(number: signal.Signals):
+    before = signal.getsignal(number)
+    with pytest.raises(ValueError), deferred_interrupt():
+        assert signal.getsignal(number) is not before
+        raise ValueError
+    assert signal.getsignal(number) is before
+
+
+def test_what_is_ignored_stays_ignored(number: signal.Signals):
+    signal.signal(number, signal.SIG_IGN)  # nohup
+    with deferred_interrupt() as interrupted:
+        signal.raise_signal(number)
+        assert not interrupted()
+
+
+def test_other_threads_handle_no_signals():
+    found: list[bool] = []
+
+    def work() -> None:
+        with deferred_interrupt() as interrupted:
+            found.append(interrupted())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [False]

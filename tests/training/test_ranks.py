@@ -15,17 +15,20 @@ from torch import Tensor
 
 from ball_photos import write_ball_capture
 from begun_runs import begun
-from stylesplat.rendering.at_once import Crew
+from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
-from stylesplat.training.adam import Update, adam_steps
-from stylesplat.training.gradients import fill_gradients
-from stylesplat.training.growth import add_noise
-from stylesplat.training.loop import _photos_at_once
-from stylesplat.training.ranks import ALONE, Ranks
-from stylesplat.training.run import Run
-from stylesplat.training.state import PER_PHOTO, State
-from stylesplat.training.step import Look, _look, _mean, rates, train_step
+from stylesplat.training.adam import AdamUpdate, adam_steps
+from stylesplat.training.densification import perturb_means
+from stylesplat.training.loop import default_batch
+from stylesplat.training.state import ALONE, PER_PHOTO, Ranks, Run, State
+from stylesplat.training.step import (
+    PhotoGradients,
+    average_gradients,
+    compute_gradients,
+    learning_rates,
+    train_step,
+)
 from stylesplat.training.train_config import TrainConfig
 
 together = pytest.mark.skipif(not SHARED, reason="numba has no OpenMP: one thread at a time")
@@ -76,15 +79,16 @@ def at_a_time(function, processes: list[tuple[Run, State]]) -> list:
 def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainConfig, batch: int):
     config, photos = replace(config, refine_poses=True), 3 * batch
 
-    def told(run: Run, state: State) -> Look:
-        return _mean(run, [_look(run, state, step) for step in run.photos(state)])
+    def told(run: Run, state: State) -> PhotoGradients:
+        return average_gradients(
+            run, [compute_gradients(run, state, step) for step in run.photos(state)]
+        )
 
     looks = at_a_time(told, runs(capture, config, 3, batch))
     assert all((look.photos, look.state.step) == (photos, 0) for look in looks)
     (run, state), single = runs(capture, config, 1, 1)[0], []
     for step in range(photos):
-        single.append(state.beside(step))
-        fill_gradients(replace(run, batch=photos), single[-1], run.generator(step))
+        single.append(compute_gradients(replace(run, batch=photos), state, step).state)
     for name in ("means", "quats", "scales", "opacities", "sh0", "identities", "weight"):
         found = [look.state.params[name].grad for look in looks]
         expected = torch.stack([each.params[name].grad for each in single]).sum(dim=0)
@@ -100,15 +104,15 @@ def test_all_photos_of_a_round_have_one_step(capture: Capture, config: TrainConf
     config = replace(config, color_correction="on")
     processes = runs(capture, config, 2, 2)
     run, state = processes[0]
-    expected, looks = state.clone(), [_look(run, state.beside(step), step) for step in range(4)]
+    expected, looks = state.clone(), [compute_gradients(run, state, step) for step in range(4)]
     for name, param in expected.params.items():
         gradients = [look.state.params[name].grad for look in looks]
         param.grad = torch.stack([each for each in gradients if each is not None]).sum(dim=0) / 4
     own = {name: each for name, each in expected.params.items() if name not in PER_PHOTO}
-    seen = torch.stack([look.outcome.seen for look in looks]).any(dim=0)
-    update = Update(own, rates(config, run.extent), step=4, seen=seen)
+    visible = torch.stack([look.visible for look in looks]).any(dim=0)
+    update = AdamUpdate(own, learning_rates(config, run.extent), step=4, visible=visible)
     adam_steps(expected.moments, [update], photos=4)
-    add_noise(expected.params, run.extent, 1.0, looks[0].noise, photos=4)
+    perturb_means(expected.params, run.extent, 1.0, looks[0].noise, photos=4)
     after, _ = at_a_time(train_step, processes)[0]
     assert after.step == 4
     for name in ("means", "opacities", "sh0", "identities", "weight"):
@@ -146,9 +150,9 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
 
 
 def test_processes_on_the_cpu_look_at_four_photos_in_all_or_at_one_each():
-    crew, cpu, cuda = Crew(1), torch.device("cpu"), torch.device("cuda")
-    assert [_photos_at_once(crew, Ranks(0, count), cpu) for count in (2, 3, 4, 8)] == [2, 1, 1, 1]
-    assert _photos_at_once(crew, ALONE, cpu) == _photos_at_once(crew, Ranks(0, 2), cuda) == 1
+    pool, cpu, cuda = RenderPool(1), torch.device("cpu"), torch.device("cuda")
+    assert [default_batch(pool, Ranks(0, count), cpu) for count in (2, 3, 4, 8)] == [2, 1, 1, 1]
+    assert default_batch(pool, ALONE, cpu) == default_batch(pool, Ranks(0, 2), cuda) == 1
 
 
 def test_all_of_a_turn_learn_identities_or_none(capture: Capture, config: TrainConfig):

@@ -4,7 +4,9 @@ import torch
 
 from balls import SPLATS
 from scenes import random_splats
-from stylesplat.training.state import CLASSIFIER, first_state
+from stylesplat.training.initialize import scene_extent
+from stylesplat.training.state import CLASSIFIER, Run, State, first_state
+from stylesplat.training.train_config import TrainConfig
 
 
 def test_splats_come_back():
@@ -17,28 +19,12 @@ def test_splats_come_back():
     assert classifier.ids == state.ids == SPLATS.classifier.ids
 
 
-def test_nothing_is_shared_with_the_splats():
-    before = random_splats(5)
-    state = first_state(before)
-    with torch.no_grad():
-        state.params["means"].zero_()
-    assert before.means.any()
-
-
 def test_a_first_state_is_contiguous_whatever_the_splats_are():
     splats = random_splats(5)
     state = first_state(replace(splats, means=splats.means.T.contiguous().T))
     assert torch.equal(state.params["means"], splats.means)
     tensors = (state.params, state.moments.first, state.moments.second)
     assert all(tensor.is_contiguous() for each in tensors for tensor in each.values())
-
-
-def test_a_first_state_has_done_nothing():
-    state = first_state(random_splats(5))
-    assert (state.step, state.seconds, state.first_count) == (0, 0.0, 5)
-    moments = [*state.moments.first.values(), *state.moments.second.values()]
-    assert not any(tensor.any() for tensor in moments)
-    assert all(tensor.requires_grad for tensor in state.params.values())
 
 
 def test_the_classifier_has_no_row_per_gaussian():
@@ -67,8 +53,56 @@ def test_clones_share_nothing():
     assert not any(tensor.any() for tensor in state.moments.second.values())
 
 
-def test_splats_stay_attached_to_what_is_trained():
-    state = first_state(random_splats(5))
-    state.splats.means.sum().backward()
-    gradient = state.params["means"].grad
-    assert gradient is not None and torch.equal(gradient, torch.ones(5, 3))
+def run(cameras, *, rows=tuple(range(1, 9)), **settings) -> Run:
+    return Run(
+        config=TrainConfig(**settings),
+        rows=rows,
+        views=lambda row, factor: None,  # pyright: ignore[reportArgumentType]
+        cameras=cameras,
+        extent=scene_extent(cameras),
+        device=torch.device("cpu"),
+    )
+
+
+def state(step: int = 0, seconds: float = 0.0) -> State:
+    begun = first_state(random_splats(5))
+    return State(begun.params, begun.moments, (), 5, step, seconds)
+
+
+def test_each_photo_comes_once_per_epoch(cameras):
+    here = run(cameras)
+    for epoch in range(5):
+        rows = [here.row(8 * epoch + place) for place in range(8)]
+        assert sorted(rows) == list(range(1, 9))
+
+
+def test_the_order_is_a_function_of_the_step(cameras):
+    forth = [run(cameras).row(step) for step in range(24)]
+    back = [run(cameras).row(step) for step in reversed(range(24))]
+    assert forth == back[::-1]
+
+
+def test_every_photo_may_come_first(cameras):
+    firsts = {run(cameras, seed=seed).row(0) for seed in range(60)}
+    assert firsts == set(range(1, 9))  # each is missed with a chance of (7/8)^60, 3 in 10,000
+
+
+def test_random_numbers_follow_from_seed_and_step(cameras):
+    def numbers(seed: int, step: int) -> tuple[float, ...]:
+        return tuple(torch.randn(4, generator=run(cameras, seed=seed).generator(step)).tolist())
+
+    assert numbers(1, 5) == numbers(1, 5)
+    assert len({numbers(seed, step) for seed in range(5) for step in range(5)}) == 25
+
+
+def test_offsets_cover_the_stride(cameras):
+    here = run(cameras, identity_stride=3)
+    offsets = [here.offset(step) for step in range(100)]
+    assert set(offsets) == {(y, x) for y in range(3) for x in range(3)}
+    assert offsets[7] == here.offset(7)
+
+
+def test_progress_is_the_share_of_seconds_if_these_are_given(cameras):
+    here = run(cameras, steps=10, max_seconds=4.0)
+    shares = [here.progress(state(1000, seconds)) for seconds in (0.0, 1.0, 4.0, 5.0)]
+    assert shares == [0, 0.25, 1, 1]

@@ -1,13 +1,19 @@
 from dataclasses import asdict, fields, replace
+from itertools import pairwise
 
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.training.gradients import NEIGHBOR_EVERY, NEIGHBOR_SAMPLES, NEIGHBORS
 from stylesplat.training.losses import DSSIM_WEIGHT, NEIGHBOR_WEIGHT
-from stylesplat.training.schedule import means_decay
-from stylesplat.training.step import rates
-from stylesplat.training.train_config import PRESETS, SEGMENTS, TrainConfig
+from stylesplat.training.step import NEIGHBOR_EVERY, NEIGHBOR_SAMPLES, NEIGHBORS, learning_rates
+from stylesplat.training.train_config import (
+    MEANS_DECAY,
+    MIN_SIZE,
+    PRESETS,
+    SEGMENTS,
+    TrainConfig,
+    means_decay,
+)
 
 
 @pytest.mark.parametrize("name", ["steps", "max_gaussians", "refine_every", "sh_degree_every"])
@@ -21,17 +27,6 @@ def test_there_has_to_be_something_to_do(name: str, value: int):
 def test_time_is_positive(value: float):
     with pytest.raises(StyleSplatError, match="max_seconds"):
         TrainConfig(max_seconds=value)
-
-
-@pytest.mark.parametrize("value", [-0.1, float("nan")])
-def test_memory_is_not_negative(value: float):
-    assert TrainConfig(max_memory=0.0).max_memory == 0
-    with pytest.raises(StyleSplatError, match="Cannot train with max_memory"):
-        TrainConfig(max_memory=value)
-
-
-def test_the_default_preset_is_the_default():
-    assert PRESETS["default"] == TrainConfig()
 
 
 GAUSSIANS = "3D Gaussian splatting, arguments/__init__.py"
@@ -72,7 +67,7 @@ def test_each_setting_of_the_paper_has_its_source():
 
 def test_the_rates_of_the_paper():
     extent = 3.0
-    assert rates(PRESETS["paper"], extent) == pytest.approx(
+    assert learning_rates(PRESETS["paper"], extent) == pytest.approx(
         {
             "means": extent * 1.6e-4,  # position_lr_init times spatial_lr_scale
             "sh0": 0.0025,  # feature_lr
@@ -85,7 +80,7 @@ def test_the_rates_of_the_paper():
             "bias": 5e-4,
         }
     )
-    last = rates(PRESETS["paper"], extent * means_decay(1.0))
+    last = learning_rates(PRESETS["paper"], extent * means_decay(1.0))
     assert last["means"] == pytest.approx(extent * 1.6e-6), "position_lr_final"
 
 
@@ -101,3 +96,61 @@ def test_every_setting_says_what_it_is():
     for field in fields(TrainConfig):
         after = source.split(f"    {field.name}:")[1].splitlines()[1]
         assert after.strip().startswith('"""'), field.name
+
+
+SHARES = [i / 100 for i in range(101)]
+CONFIG = TrainConfig(max_gaussians=1000, growth_end=0.5)
+
+
+def test_photos_grow_step_by_step_to_their_full_size():
+    factors = [CONFIG.photo_downscale(p, (480, 360)) for p in SHARES]
+    assert factors == sorted(factors, reverse=True)
+    assert factors[0] == 4 and factors[-1] == 1 and set(factors) == {4, 2, 1}
+    assert [CONFIG.photo_downscale(p, (480, 360)) for p in (0.0, 0.2, 0.5)] == [4, 2, 1]
+
+
+@pytest.mark.parametrize("size", [(64, 64), (100, 300), (130, 130), (256, 255), (256, 256)])
+def test_photos_are_never_smaller_than_is_of_use(size: tuple[int, int]):
+    for share in SHARES:
+        factor = CONFIG.photo_downscale(share, size)
+        assert factor == 1 or min(size) / factor >= MIN_SIZE
+    assert CONFIG.photo_downscale(0.0, (256, 256)) == 4
+
+
+def test_photos_may_be_whole_from_the_start():
+    plain = TrainConfig(coarse_to_fine=False)
+    assert {plain.photo_downscale(p, (4000, 3000)) for p in SHARES} == {1}
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_bands_are_added_one_by_one_up_to_the_degree(degree: int):
+    config = TrainConfig(sh_degree=degree)
+    degrees = [config.active_sh_degree(p, 0) for p in SHARES]
+    assert degrees[0] == 0 and degrees[-1] == degree
+    assert degrees == sorted(degrees) and set(degrees) == set(range(degree + 1))
+
+
+def test_bands_may_follow_the_steps_whatever_the_length_of_the_run():
+    config = TrainConfig(sh_degree_every=1000)
+    for share in SHARES:
+        degrees = [
+            config.active_sh_degree(share, step) for step in (0, 998, 999, 1999, 2999, 29_999)
+        ]
+        assert degrees == [0, 0, 1, 2, 3, 3]
+
+
+def test_rates_of_means_fall_to_a_hundredth():
+    decays = [means_decay(p) for p in SHARES]
+    assert decays[0] == 1 and decays[-1] == pytest.approx(MEANS_DECAY)
+    assert all(one > other for one, other in pairwise(decays))
+
+
+def test_gaussians_grow_from_the_first_to_the_cap():
+    counts = [CONFIG.gaussian_count(p, 10) for p in SHARES]
+    assert counts[0] == 10 and counts == sorted(counts)
+    assert {count for p, count in zip(SHARES, counts, strict=True) if p >= 0.5} == {1000}
+    assert max(counts) == 1000
+
+
+def test_gaussians_grow_exponentially():
+    assert [CONFIG.gaussian_count(p, 10) for p in (0.0, 0.25, 0.5, 1.0)] == [10, 100, 1000, 1000]

@@ -1,17 +1,23 @@
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import pytest
 import torch
 
 from balls import CAMERAS, enlarged
-from stylesplat.scene.cache import GIB
+from stylesplat.scene.cache import GIB, Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
-from stylesplat.scene.lazy import Lazy
-from stylesplat.training import training_views as module
-from stylesplat.training.training_views import Views, split_views, training_views
+from stylesplat.training.training_views import (
+    LearnedIds,
+    Views,
+    class_type,
+    learned_ids,
+    say_unseen,
+    split_views,
+    to_classes,
+    training_views,
+)
 
 LARGE = enlarged(CAMERAS, 2)  # 96x72
 IDS = (0, 3, 7)
@@ -50,18 +56,6 @@ def views(capture: Capture, memory: float = 1.0) -> Views:
 def test_every_nth_photo_is_held_out():
     assert split_views(WHOLE, 3) == ([1, 2, 4, 5, 7], [0, 3, 6])
     assert split_views(WHOLE, 8) == ([1, 2, 3, 4, 5, 6, 7], [0])
-
-
-def test_no_photo_is_both_trained_on_and_held_out():
-    for every in range(12):
-        trained, held_out = split_views(WHOLE, every)
-        assert sorted(trained + held_out) == [*range(8)]
-        assert bool(held_out) == (every > 0)
-
-
-def test_a_single_photo_is_not_held_out():
-    one = Capture(LARGE[:1], PHOTOS[:1])
-    assert split_views(one, 8) == ([0], [])
 
 
 def test_whole_photos_are_what_the_capture_holds():
@@ -115,24 +109,6 @@ def test_what_fits_is_decoded_once_in_all_sizes():
     assert reads.rows == [*range(8)]
 
 
-@pytest.mark.parametrize(("factor", "reads"), [(62, 1), (80, 2)], ids=["0.15 GiB", "0.25 GiB"])
-def test_by_default_a_quarter_gib_holds_the_photos_and_smaller_ones(factor: int, reads: int):
-    """Of photos that do not fit with smaller ones, each size is made of a photo read again."""
-    cameras, rows = enlarged(CAMERAS, factor), list[int]()
-    photo = torch.zeros(36 * factor, 48 * factor, 3, dtype=torch.uint8)
-
-    def read(row: int) -> torch.Tensor:
-        rows.append(row)
-        return photo
-
-    capture = Capture(cameras, Lazy([partial(read, row) for row in range(8)]))
-    load = training_views(capture, range(8), ids=(), device=CPU)
-    rows.clear()  # types are checked by looking at some
-    for smaller in (8, 8, 4, 4):
-        load(3, smaller)
-    assert rows == [3] * reads
-
-
 def test_what_does_not_fit_is_read_again():
     reads = Reads(items=4)
     load = reads.views()
@@ -140,23 +116,6 @@ def test_what_does_not_fit_is_read_again():
         for row in range(8):
             load(row, 1)
     assert len(reads.rows) > 8
-
-
-def test_smaller_photos_may_fit_where_whole_ones_do_not():
-    reads = Reads(items=4)
-    load = reads.views()
-    for _ in range(3):
-        for row in range(8):
-            load(row, 2)  # a quarter of the bytes: two of four
-    assert reads.rows == [*range(8)]
-
-
-def test_nothing_is_kept_without_memory():
-    reads = Reads(items=0)
-    load = reads.views()
-    for _ in range(3):
-        load(5, 1)
-    assert reads.rows == [5, 5, 5]
 
 
 @pytest.mark.parametrize("items", [0, 3, 8, 11])
@@ -168,36 +127,52 @@ def test_memory_changes_no_result(items: int):
                 assert mine is not None and theirs is not None and torch.equal(mine, theirs)
 
 
-@pytest.mark.parametrize("items", [0, 1, 3, 7, 11])
-def test_the_budget_holds_at_every_moment(items: int, monkeypatch: pytest.MonkeyPatch):
-    caches = []
-
-    class Watched(module.Cache):
-        def __init__(self, budget: int) -> None:
-            super().__init__(budget)
-            caches.append(self)
-
-    monkeypatch.setattr(module, "Cache", Watched)
-    load = Reads(items).views()
-    for factor in (4, 2, 1):
-        for row in range(8):
-            load(row, factor)
-            assert caches[0].used <= items * BYTES
-    assert caches[0].used > 0.5 * min(items, 8) * BYTES or items == 0
+def labelled(capture: Capture, *maps: list[int] | None) -> Capture:
+    """One row of labels per photo, photos without repeated."""
+    filled = [*maps, *[None] * (len(capture) - len(maps))]
+    tensors = [None if ids is None else torch.tensor([ids]) for ids in filled]
+    return replace(capture, label_maps=tensors)
 
 
-def test_one_size_at_a_time(monkeypatch: pytest.MonkeyPatch):
-    caches = []
+def test_ids_that_occur_background_first(capture: Capture):
+    assert learned_ids(capture, range(9)) == LearnedIds((0, 3, 7), {})
 
-    class Watched(module.Cache):
-        def __init__(self, budget: int) -> None:
-            super().__init__(budget)
-            caches.append(self)
 
-    monkeypatch.setattr(module, "Cache", Watched)
-    load = Reads(items=9).views()  # all sizes together would need 8 * (1 + 1/4 + 1/16)
-    for row in range(8):
-        load(row, 4)
-    assert caches[0].used == 8 * BYTES / 16
-    load(0, 2)
-    assert caches[0].used == BYTES / 4
+def test_ids_of_trained_photos_only(capture: Capture):
+    maps = labelled(capture, [1, 2], [2, 3], [4, 0], [5])
+    shown = learned_ids(maps, [1, 3])
+    assert shown.trained == (0, 2, 3, 5)
+    assert shown.held_out == {"0.png": (1,), "2.png": (4,)}
+
+
+def test_without_label_maps_there_are_no_classes(capture: Capture):
+    assert learned_ids(replace(capture, label_maps=None), range(9)) == LearnedIds((), {})
+    assert learned_ids(labelled(capture), range(9)) == LearnedIds((), {})
+
+
+def test_classes_are_places_in_the_ids():
+    ids = (0, 3, 7, 300, 70_000)
+    labels = torch.tensor([[70_000, 0, 3], [7, 300, 3]])
+    classes = to_classes(labels, ids)
+    assert torch.equal(torch.tensor(ids)[classes.long()], labels)
+
+
+@pytest.mark.parametrize(
+    ("count", "dtype"),
+    [(1, torch.uint8), (256, torch.uint8), (257, torch.int16), (40_000, torch.int32)],
+)
+def test_the_smallest_type_holds_all_classes(count: int, dtype: torch.dtype):
+    assert class_type(count) == dtype
+    ids = tuple(range(0, 2 * count, 2))
+    classes = to_classes(torch.tensor([[0, ids[-1]]]), ids)
+    assert classes.dtype == dtype and classes.tolist() == [[0, count - 1]]
+
+
+def test_what_is_not_learned_is_said_in_one_line(said: list[str]):
+    held_out = {f"{i}.png": (i, 9) for i in range(5)}
+    say_unseen(LearnedIds((0,), held_out), {2: "vase"})
+    assert said == [
+        "Only held-out photos show object 0, 1, 2 (vase) and 3 more, so training does not learn "
+        "it: 0.png, 1.png, 2.png and 2 more. Use `--test-every 0` to train on all photos, or "
+        "another value to hold out others."
+    ]

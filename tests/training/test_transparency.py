@@ -9,15 +9,13 @@ import torch
 from ball_photos import write_cut_outs
 from balls import CAMERAS, enlarged
 from stylesplat.evaluation.photo_metrics import evaluate_views
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import pick
-from stylesplat.training.gradients import _behind
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import View, split_views
+from stylesplat.training.training_views import split_views
 from stylesplat.verbs.load import load
 
 CONFIG = TrainConfig(steps=250, max_gaussians=400, photos_at_once=1)
@@ -57,44 +55,6 @@ def test_nothing_is_where_photos_are_transparent(cut_outs: Capture, splats: Spla
         assert coverage[0, ..., 0][alpha > 250].mean() > 0.9
 
 
-def test_there_is_an_object_to_select(cut_outs: Capture, splats: Splats):
-    picked = pick(splats, object_id=1)
-    assert picked.float().mean() > 0.5
-    _, coverage, _ = rasterize(splats[picked], cut_outs.cameras[0])
-    alpha = cut_outs.alpha(0)
-    assert alpha is not None
-    agree = (coverage[0, ..., 0] > 0.5) == (alpha >= 128)
-    assert agree.float().mean() > 0.95
-
-
-def view(alpha: torch.Tensor | None) -> View:
-    photo = torch.full((4, 5, 3), 0.25)
-    return View(CAMERAS[0], photo, alpha, None)
-
-
-def test_photos_without_alpha_are_before_black():
-    background, target = _behind(view(None), torch.Generator())
-    assert background is None and torch.equal(target, torch.full((4, 5, 3), 0.25))
-
-
-def test_a_photo_is_laid_over_the_colour_as_much_as_it_is_transparent():
-    alpha = torch.linspace(0, 1, 20).view(4, 5, 1)
-    color, target = _behind(view(alpha), torch.Generator().manual_seed(0))
-    assert color is not None
-    expected = 0.25 + (1 - alpha) * color
-    assert torch.equal(target, expected)
-    assert torch.equal(target[-1, -1], torch.full((3,), 0.25)), "opaque pixels are themselves"
-
-
-def test_colours_follow_from_the_generator():
-    alpha = torch.zeros(4, 5, 1)
-    colors = [_behind(view(alpha), torch.Generator().manual_seed(i // 2))[0] for i in range(4)]
-    one, same, other, _ = colors
-    assert one is not None and same is not None and other is not None
-    assert torch.equal(one, same) and not torch.equal(one, other)
-    assert ((one >= 0) & (one <= 1)).all()
-
-
 def test_training_on_cut_outs_continues_and_repeats(cut_outs: Capture, tmp_path: Path):
     config = replace(CONFIG, steps=30)
     path = tmp_path / "checkpoint.pt"
@@ -104,7 +64,7 @@ def test_training_on_cut_outs_continues_and_repeats(cut_outs: Capture, tmp_path:
             raise RuntimeError("killed")
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(RuntimeError):
-        patch.setattr("stylesplat.training.keeper.CHECKPOINT_SECONDS", 0.0)
+        patch.setattr("stylesplat.training.checkpoint.CHECKPOINT_SECONDS", 0.0)
         fit(cut_outs, config, checkpoint=path, on_progress=killed)
     assert path.exists()
     continued, straight = fit(cut_outs, config, checkpoint=path), fit(cut_outs, config)

@@ -11,8 +11,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.differences import flat
 from stylesplat.scene.frames import Frame, seen_from
-from stylesplat.scene.scene import Scene
-from stylesplat.scene.shared_views import shared_views
+from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.compare import compare
 from stylesplat.verbs.load import load
 

@@ -10,7 +10,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sh_basis import sh_basis
 from stylesplat.scene.splats import Splats

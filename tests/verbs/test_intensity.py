@@ -9,7 +9,7 @@ from jaxtyping import Bool
 
 from balls import SPLATS
 from painted_balls import FAST, TRAINED, own_rows, painted, write_pictures
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sh_basis import sh_basis

@@ -13,7 +13,7 @@ from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_names
 from stylesplat.scene.scene import Scene, name_fault
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.naming import with_names
+from stylesplat.selection.objects import with_names
 from stylesplat.selection.pick import pick
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.import_ import import_
@@ -42,7 +42,10 @@ def check_names(scene: Scene, folder: Path, said: str) -> None:
     assert how["ids"] == [7] and how["gaussians"] == scene.objects["vase"].picked.sum()
     names = {each["id"]: each["names"] for each in objects(scene)}
     assert names == {3: [], 7: ["vase"], 300: []}
-    assert "Object 300 is not called '3'" in said and "`stylesplat select` names it." in said
+    assert (
+        "Object 300 does not get the name '3'" in said
+        and "Name it with `stylesplat select`." in said
+    )
 
 
 def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
@@ -69,7 +72,7 @@ def test_names_of_nothing_are_left_out(said: list[str]):
 def test_a_name_of_two_objects_is_that_of_the_first(said: list[str]):
     named = with_names(SCENE, {3: "cup", 7: "cup"})
     assert named.objects["cup"].how["ids"] == [3]
-    assert "Object 7 is not called 'cup'" in "\n".join(said)
+    assert "Object 7 does not get the name 'cup'" in "\n".join(said)
 
 
 @pytest.mark.parametrize(
@@ -93,8 +96,12 @@ def test_names_that_cannot_be_leave_objects_unnamed(
     scene_folder.save(scene, tmp_path / "scene")
     assert [*scene_folder.open(tmp_path / "scene").objects] == ["cup"]
     (line,) = (line for line in said if line.startswith("Object "))
-    assert line.startswith("Object 7 is not called '") and fault in line
-    assert line.endswith("`stylesplat select` names it.") and line.isprintable() and len(line) < 250
+    assert line.startswith("Object 7 does not get the name '") and fault in line
+    assert (
+        line.endswith("Name it with `stylesplat select`.")
+        and line.isprintable()
+        and len(line) < 250
+    )
 
 
 def test_names_that_can_be_and_cannot():

@@ -12,9 +12,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.ply import read_ply_table
 from stylesplat.io.splats.splat_files import row_order
-from stylesplat.scene.frames import Frame
+from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.turned import moved
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.export import export, export_objects
 from stylesplat.verbs.import_ import import_
@@ -100,7 +99,7 @@ def edited(scene: Scene, *, frame: Frame | None = None) -> tuple[torch.Tensor, S
     order = torch.randperm(len(scene.splats), generator=torch.Generator().manual_seed(0))
     order = order[order % 3 != 0]
     splats = replace(scene.splats[order], identities=None, classifier=None, confidence=None)
-    return order, import_(splats if frame is None else moved(splats, frame), like=scene)
+    return order, import_(splats if frame is None else move_splats(splats, frame), like=scene)
 
 
 def test_a_splat_that_was_edited_keeps_objects(tmp_path: Path):
@@ -131,7 +130,7 @@ def test_layers_are_taken_back_from_an_edited_splat(painted: Scene, tmp_path: Pa
 
 
 def test_views_and_colours_turn_along(painted: Scene):
-    from stylesplat.rendering.rasterize import rasterize
+    from stylesplat.rendering.render import rasterize
 
     _, still = edited(painted)
     _, found = edited(painted, frame=FRAME)

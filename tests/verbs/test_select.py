@@ -46,7 +46,7 @@ def test_several_points_are_united():
 
 def test_a_point_that_is_not_meant():
     assert how(id=(3, 7, 300), not_point=place(7))["ids"] == [3, 300]
-    with pytest.raises(StyleSplatError, match="--not-point only takes away"):
+    with pytest.raises(StyleSplatError, match="--not-point only excludes"):
         select(SCENE, "none", id=7, not_point=place(7))
     box = (-3.0, -3.0, 0.02, 3.0, 3.0, 3.0)
     found = select(SCENE, "all but green", box3d=box, not_point=place(7))
@@ -182,7 +182,7 @@ def test_grow_or_shrink_that_cannot_be():
 
 
 def test_nothing_said():
-    with pytest.raises(StyleSplatError, match="Say it with --id, --point"):
+    with pytest.raises(StyleSplatError, match="Select with --id, --point"):
         select(SCENE, "x")
 
 

@@ -12,7 +12,7 @@ from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.pasted import pasted
+from stylesplat.scene.arguments import pasted
 
 
 @dataclass(frozen=True)

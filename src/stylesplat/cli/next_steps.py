@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stylesplat.scene.pasted import pasted
+from stylesplat.scene.arguments import pasted
 
 PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
 LATER = "      "  # in front of the second command, below the first

@@ -128,7 +128,7 @@ class Render:
         """Of a round trip. A GIF plays half as many a second, and has half as many."""
         from stylesplat.io.video import GIF_FPS as GIF_FPS
         from stylesplat.io.view_files import is_gif
-        from stylesplat.scene.key_frames import frame_count
+        from stylesplat.scene.framing import frame_count
         from stylesplat.verbs.orbit import FPS, FRAMES
 
         gif = is_gif(self.output)

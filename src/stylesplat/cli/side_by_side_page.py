@@ -66,7 +66,7 @@ def write_comparison(
     from stylesplat.io.atomic import changing
     from stylesplat.io.scene_folder import open
     from stylesplat.progress import say
-    from stylesplat.scene.shared_views import shared_views
+    from stylesplat.scene.scene import shared_views
     from stylesplat.verbs.compare import compare
 
     names = _names(paths)

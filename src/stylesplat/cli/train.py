@@ -24,8 +24,8 @@ from stylesplat.cli.options import (
 from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
-from stylesplat.io.atomic import MARK, partial_of
-from stylesplat.io.files import is_there
+from stylesplat.io.files import MARK, is_there
+from stylesplat.io.folders import partial_of
 from stylesplat.signals import WHOLE
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
@@ -117,7 +117,7 @@ class Train:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.cli.joined import joined
-        from stylesplat.io.atomic import changing
+        from stylesplat.io.recovery import changing
 
         with joined(self.device) as first:
             if not first:
@@ -136,15 +136,15 @@ class Train:
         )
 
     def _train(self) -> dict[str, Any]:
-        from stylesplat.io.atomic import refuse_occupied
-        from stylesplat.io.kinds import SCENE
-        from stylesplat.training.checkpoint import refuse_unbegun
-        from stylesplat.training.ranks import Ranks
+        from stylesplat.io.folders import refuse_occupied
+        from stylesplat.io.scene_folder import SCENE
+        from stylesplat.training.checkpoint import require_checkpoint
+        from stylesplat.training.state import Ranks
 
         config, partial = self._config(), self._checkpoint.parent
         if self.finish:
             refuse_given(self, ("restart",), "--finish")
-            refuse_unbegun(self._checkpoint)
+            require_checkpoint(self._checkpoint)
         refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
         capture = self._loaded()
         if self.restart:
@@ -158,7 +158,7 @@ class Train:
     def _help(self) -> NoReturn:
         """Train with the process that tells and keeps what comes of it."""
         from stylesplat.progress import Silence, observed
-        from stylesplat.training.ranks import Ranks
+        from stylesplat.training.state import Ranks
 
         with observed(Silence()):
             Ranks.here().meet()  # the poses are found by now

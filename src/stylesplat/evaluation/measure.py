@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.metrics.psnr import decibels
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

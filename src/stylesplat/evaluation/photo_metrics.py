@@ -13,7 +13,7 @@ from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.scene.sampling import evenly

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.metrics.masked_change import CHANGED, farther_than
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import coverage, label_votes, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from stylesplat.metrics.lab import LUMA
 from stylesplat.metrics.ssim import ssim_map
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

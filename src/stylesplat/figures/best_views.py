@@ -12,14 +12,14 @@ from torch.nn.functional import normalize
 from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
+from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.selection.in_images import in_images
 from stylesplat.stylization.object_views import SURVEY_SIZE
 
 VIEWS = 3  # of an object
@@ -123,6 +123,6 @@ def small(camera: Cameras) -> Cameras:
 
 def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:
     """Some of the cameras that have an object in their image, though something may hide it."""
-    shares = in_images(surface, cameras)
+    shares = share_in_images(surface, cameras)
     good = (shares > 0) & (shares >= MOST * shares.max())
     return evenly(good.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)

@@ -13,12 +13,12 @@ from stylesplat.figures.best_views import Shown, find_views
 from stylesplat.figures.compositing import to_uint8
 from stylesplat.figures.grid import CAPTION, write_line
 from stylesplat.figures.object_sheet import MARGIN, PAPER, TITLE_SIZE
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.selection.own_shares import own_shares
+from stylesplat.selection.soft_picks import own_shares
 
 PANEL = 480  # pixels along the longer side of a view
 DIM = 0.55  # of the brightness of what is not picked

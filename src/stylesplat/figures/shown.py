@@ -8,7 +8,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from stylesplat.figures.compositing import to_uint8
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

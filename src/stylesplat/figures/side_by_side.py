@@ -17,9 +17,8 @@ from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.compose import require_painted
-from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 

@@ -15,7 +15,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import MAX_JSON, fitting, read_json
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.key_frames import MOST_FRAMES, KeyFrames, frame_count, path_of
+from stylesplat.scene.framing import MOST_FRAMES, KeyFrames, frame_count, path_of
 from stylesplat.scene.poses import are_rigid, look_at, median_lens, up_vector
 
 FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise

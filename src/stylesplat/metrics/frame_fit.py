@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.metrics.psnr import psnr
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame, seen_from

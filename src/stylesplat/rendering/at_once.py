@@ -21,39 +21,29 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Crew:
-    """Threads that stay, each of which draws by itself on its share of the cores."""
+class RenderPool:
+    """Threads that live on, each with its share of the cores."""
 
     def __init__(self, most: int, device: torch.device | str = "cpu") -> None:
-        """Start them.
-
-        Args:
-            most: Items to draw at a time, if there are as many cores.
-            device: Where they draw; several at a time on the CPU only.
-        """
+        """Start the threads: at most so many, one per core; one on a GPU."""
         cores = get_num_threads() if torch.device(device).type == "cpu" and SHARED else 1
         self.size = max(1, min(most, cores))
         self._pool: ThreadPoolExecutor | None = None
         if self.size > 1:
-            of_others, ready = torch.get_num_threads(), Barrier(self.size)
+            torch_threads, ready = torch.get_num_threads(), Barrier(self.size)
             self._pool = ThreadPoolExecutor(self.size, "view", _share, (cores // self.size,))
             for begun in [self._pool.submit(ready.wait) for _ in range(self.size)]:
                 begun.result()
-            torch.set_num_threads(of_others)  # what one thread sets, later ones have too
+            torch.set_num_threads(torch_threads)  # what one thread sets, later ones have too
 
     def in_order(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-        """What a function makes of each item; at most two results per thread wait to be asked for.
-
-        Args:
-            function: Draws something by CPU kernels, for each item alone.
-            items: What from.
-        """
+        """The results of a function for each item; at most two per thread wait to be read."""
         if self._pool is None:
             return map(function, items)
         return _in_order(self._pool, function, items, 2 * self.size)
 
     def end(self) -> None:
-        """Let the threads go; what waits is not drawn."""
+        """End the threads and drop what waits."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
@@ -61,27 +51,27 @@ class Crew:
 def at_once(
     function: Callable[[T], R], items: Sequence[T], device: torch.device | str = "cpu"
 ) -> Generator[R]:
-    """What a function makes of each item, in order; on the CPU of several items at a time.
+    """The results of a function for each item, in order; several items at a time on the CPU.
 
-    At most two results per core wait to be asked for, as they may be large.
+    At most two results per core wait to be read, as they may be large.
 
     Args:
-        function: Draws something by CPU kernels, for each item alone.
-        items: What from.
-        device: Where it works.
+        function: Calls CPU kernels, for each item alone.
+        items: Its arguments.
+        device: Where it computes.
     """
     if len(items) == 0:
         return
     yield function(items[0])  # loads the kernels, once
-    crew = Crew(len(items) - 1, device)
+    pool = RenderPool(len(items) - 1, device)
     try:
-        yield from crew.in_order(function, items[1:])
+        yield from pool.in_order(function, items[1:])
     finally:
-        crew.end()
+        pool.end()
 
 
 def _share(threads: int) -> None:
-    """What a thread of its own takes: numba's part, and torch's."""
+    """Set the threads of numba and torch for one thread of the pool."""
     set_num_threads(threads)
     torch.set_num_threads(threads)
 

@@ -25,7 +25,6 @@ from stylesplat.rendering.kernels import (
     sh_colors,
     tiles,
     vecs,
-    view_backward,
 )
 from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.rendering.kernels.project_backward import Geometry
@@ -122,7 +121,7 @@ class _Project(Function):
 def _viewmat_gradient(*known: tuple) -> Tensor:
     """Of the same nouns as `project_backward` takes; the last row of the matrix is 0."""
     sums = np.zeros((get_num_threads(), 12, LANES))
-    view_backward.view_backward(*known, sums)
+    project_backward.view_backward(*known, sums)
     rows = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
     return torch.nn.functional.pad(rows, (0, 0, 0, 1))
 
@@ -168,12 +167,12 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
     tiled = sort_into_tiles(projected, opacities, colors, size)
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
-    picture = picture_of(image, alphas)
+    picture = as_picture(image, alphas)
     blend.blend(vecs.channels(channels), tiled.rows, tiled.lists, picture, get_num_threads())
     return Drawing(tiled, image, alphas)
 
 
-def picture_of(image: Tensor, alphas: Tensor) -> Picture:
+def as_picture(image: Tensor, alphas: Tensor) -> Picture:
     """An image and its coverage, or their gradients, as kernels take them."""
     height, width, _ = image.shape
     colors, coverage = _as_arrays(image.flatten(), alphas.flatten())
@@ -198,8 +197,8 @@ class _Blend(Function):
             blend_backward.split_channels(channels, ctx.geometry_channels),
             rows,
             lists,
-            picture_of(image, alphas),
-            picture_of(v_image, v_alphas),
+            as_picture(image, alphas),
+            as_picture(v_image, v_alphas),
             partial.flatten(1).numpy(),
         )
         shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)
@@ -241,7 +240,7 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `rasterize.Rasterizer`."""
+    """Render; see `render.Rasterizer`."""
     wanted, colors = colors.shape[-1], padded(colors)
     if geometry_channels == wanted:
         geometry_channels = colors.shape[-1]

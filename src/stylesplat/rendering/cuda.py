@@ -36,7 +36,7 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `rasterize.Rasterizer`.
+    """Render; see `render.Rasterizer`.
 
     The Gaussians are projected and sorted into tiles once, for all channels.
     """

@@ -1,18 +1,23 @@
-"""What every backend is given and what it makes of it: Gaussians, one camera, what that sees.
+"""The nouns of every backend: activated Gaussians, one camera, projected Gaussians.
 
 The CPU kernels take these nouns with arrays in the place of tensors.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+EVERYONE = slice(None)
 
 
 class Gaussians(NamedTuple):
-    """Splats, activated."""
+    """Activated splats."""
 
     means: Float[Tensor, "N 3"]
     quats: Float[Tensor, "N 4"]
@@ -33,17 +38,29 @@ class View(NamedTuple):
 
 
 class Projected(NamedTuple):
-    """What one camera sees of Gaussians, in pixels."""
+    """Gaussians in the pixels of one camera."""
 
     means2d: Float[Tensor, "N 2"]
     conics: Float[Tensor, "N 3"]
     """Inverse covariances: xx, xy, yy."""
     depths: Float[Tensor, " N"]
     radii: Int[Tensor, "N 2"]
-    """Whole pixels in x and y; 0 for Gaussians that the camera does not see."""
+    """Whole pixels in x and y; 0 for Gaussians out of view."""
 
 
 def views_of(cameras: Cameras) -> list[View]:
     """The cameras one by one; they share an image size."""
     matrices = zip(cameras.viewmats, cameras.Ks, strict=True)
     return [View(viewmat, K, *cameras.size) for viewmat, K in matrices]
+
+
+def activated(splats: Splats, part: slice = EVERYONE) -> Gaussians:
+    """The Gaussians of splats, or of a part of them, as renderers take them."""
+    scales, opacities = splats.scales[part].exp(), torch.sigmoid(splats.opacities[part])
+    return Gaussians(splats.means[part], splats.quats[part], scales, opacities)
+
+
+def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:
+    """The cameras with matrices of the splats' type and device."""
+    viewmats, Ks = cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)
+    return replace(cameras, viewmats=viewmats, Ks=Ks)

@@ -18,16 +18,16 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.rendering import cpu
+from stylesplat.rendering.gaussians import with_matrices_of
 from stylesplat.rendering.kernels import linear_blocks, vec
 from stylesplat.rendering.kernels.linear_blocks import Kept
-from stylesplat.rendering.one_view import colors_of
-from stylesplat.rendering.rasterize import beside
-from stylesplat.rendering.seen import Seen, seen
+from stylesplat.rendering.render import colors_of
 from stylesplat.rendering.sh import SH_C0
+from stylesplat.rendering.visibility import InView, in_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
-GREY = 0.5  # what colours of no coefficients show
+GREY = 0.5  # the colour of zero coefficients
 
 
 @dataclass(frozen=True)
@@ -35,17 +35,17 @@ class Contributions:
     """One camera's image as a function of the colours of some Gaussians."""
 
     gaussians: Int[Tensor, " M"]
-    """Which Gaussians of the scene show: those of the picked that reach a pixel."""
+    """Rows of the picked Gaussians that are visible."""
     background: Float[Tensor, "H W 3"]
-    """The image of everything else, what hides it in front taken into account."""
+    """The image of everything else, as far as the picked Gaussians do not hide it."""
     coverage: Float[Tensor, "H W"]
     """The opaque share of the picked Gaussians in each pixel: the row sums of the weights."""
     origin: Float[Tensor, "1 3"]
-    """Where the camera is: colours depend on the direction."""
+    """The camera's position: colours depend on the direction."""
     kept: Kept
     """The weights."""
     bands: Float[Tensor, "M 3"] | None = None
-    """What the higher bands of colour add as seen from there, if they are fixed."""
+    """What the higher bands add to the colours from there, if they are fixed."""
 
     @property
     def nbytes(self) -> int:
@@ -76,11 +76,11 @@ class Contributions:
     def with_fixed_bands(
         self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
     ) -> "Contributions":
-        """The same for splats that differ from these at most in `sh0`: quicker.
+        """The same for splats that differ from these at most in `sh0`, which is quicker.
 
         Args:
-            splats: Which they are.
-            varied: Those whose higher bands are not all 0; None if nobody has looked.
+            splats: The splats.
+            varied: Gaussians whose higher bands are not all 0; None if unknown.
         """
         shown, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
         places = torch.arange(len(shown)) if varied is None else varied[shown].nonzero()[:, 0]
@@ -91,7 +91,7 @@ class Contributions:
         return replace(self, bands=bands.index_copy(0, places, colors))
 
     def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
-        """What each Gaussian contributes to some pixels, or to all: column sums of the weights."""
+        """Each Gaussian's contribution to some pixels, or to all: column sums of the weights."""
         counted = torch.ones_like(self.background)
         if pixels is not None:
             counted *= pixels[:, :, None]
@@ -105,16 +105,16 @@ def contributions(
     picked: Bool[Tensor, " N"],
     pixels: Bool[Tensor, "H W"] | None = None,
 ) -> Contributions:
-    """Render everything but some Gaussians and keep what these contribute.
+    """Render everything but some Gaussians, and keep the contributions of these.
 
     Args:
         splats: The scene, on the CPU.
         camera: One camera.
         picked: The Gaussians whose colours are to vary.
-        pixels: Those that are wanted, all that picked ones may reach among them; others need not be
-            right. All of them by default.
+        pixels: The pixels wanted, which have to contain all that picked Gaussians may reach; others
+            need not be right. All by default.
     """
-    near = seen(splats, camera, pixels)
+    near = in_view(splats, camera, pixels)
     mine = picked[near.rows]
     drawing = _draw_others(splats, camera, near, mine)
     numbers, places = _number_shown(drawing.tiled, mine)
@@ -128,11 +128,13 @@ def contributions(
     )
 
 
-def _draw_others(splats: Splats, camera: Cameras, near: Seen, picked: Tensor) -> cpu.Drawing:
-    """Colours of all that is seen but the picked Gaussians, and the coverage of these."""
+def _draw_others(splats: Splats, camera: Cameras, near: InView, picked: Tensor) -> cpu.Drawing:
+    """The image of all but the picked Gaussians, and the coverage of these."""
     others = (~picked).nonzero()[:, 0]
     colors = picked[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
-    colors[others, :3] = colors_of(splats, near.rows[others], beside(splats, camera).positions)
+    colors[others, :3] = colors_of(
+        splats, near.rows[others], with_matrices_of(splats, camera).positions
+    )
     return cpu.draw(near.projected, near.opacities, colors, camera.size)
 
 

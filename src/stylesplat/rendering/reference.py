@@ -131,7 +131,7 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `rasterize.Rasterizer`."""
+    """Render; see `render.Rasterizer`."""
     projections, images, alphas = [], [], []
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = project(gaussians, view)

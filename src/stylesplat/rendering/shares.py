@@ -1,7 +1,7 @@
-"""What Gaussians and pixels are to each other: sums over the columns and rows of the weights W.
+"""Contributions between Gaussians and pixels: sums over the columns and rows of the weights W.
 
-A render is `B + W c` (see `linear.py`). Column sums say how much each Gaussian shows in a set of
-pixels, and so how label maps vote for Gaussians; products with W how Gaussians vote for pixels.
+A render is `B + W c` (see `linear.py`). Column sums are the contributions of each Gaussian to a set
+of pixels, by which label maps vote for Gaussians; products with W let Gaussians vote for pixels.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,9 +14,8 @@ from scipy.sparse import csc_array, csr_array
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.rendering.one_view import render
-from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.seen import LARGE, pixel_bounds
+from stylesplat.rendering.render import rasterize, render
+from stylesplat.rendering.visibility import LARGE, pixel_bounds
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.projection import depths_of
@@ -27,11 +26,11 @@ NOBODY = -1  # no label
 TALL = 0.25  # of a view, beyond which a label counts as tall
 COVERED = 0.5  # the opaque share from which a pixel or a feature is an object's
 TINY_COVERAGE = 1e-6  # of a pixel, below which an average over it is undefined
-PRIOR = 0.02  # pixels of background that every Gaussian has seen: hidden ones have hardly more
+PRIOR = 0.02  # votes of background that every Gaussian has: hidden ones have hardly more
 
 
 def without_looks(splats: Splats) -> Splats:
-    """The same without higher bands and identities: quicker to draw where weights are all."""
+    """The splats without higher bands and identities, which is enough for weights."""
     return replace(splats, shN=splats.shN[:, :0], identities=None, confidence=None)
 
 
@@ -40,7 +39,7 @@ def contributed(
     camera: Cameras,
     wanted: Float[Tensor, "H W L"],
 ) -> Float[Tensor, "N L"]:
-    """What each Gaussian contributes to some sets of pixels of a view, summed over each.
+    """The contribution of each Gaussian to some sets of pixels of a view.
 
     A render is linear in what Gaussians carry, so this is the gradient of its sums. With as many
     sets each time, as many as identities have numbers, no kernel is compiled anew.
@@ -65,9 +64,9 @@ def label_votes(
     cameras: Cameras,
     label_maps: Iterable[tuple[int, Int[Tensor, "H W"]]],
 ) -> tuple[tuple[int, ...], csr_array]:
-    """How many pixels of each label a Gaussian makes up, over some views.
+    """The contributions of each Gaussian to the pixels of each label, over some views.
 
-    Each Gaussian shows in pixels of a few labels, however many there are: only these are kept.
+    A Gaussian contributes to pixels of a few labels, however many there are: only these are kept.
 
     Args:
         splats: The scene.
@@ -148,7 +147,7 @@ def render_shares(
     camera: Cameras,
     shares: Float[Tensor, "N K"],
 ) -> Float[Tensor, "H W K"]:
-    """What one camera sees of numbers that Gaussians carry, such as shares of labels."""
+    """The render of numbers per Gaussian, such as shares of labels."""
     images = []
     for some in shares.split(AT_ONCE, dim=1):
         padded = pad(some, (0, AT_ONCE - some.shape[1]))
@@ -161,7 +160,7 @@ def render_shares(
 def largest_shown(
     splats: Splats, camera: Cameras, shares: csr_array
 ) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W"]]:
-    """The largest in each pixel of what `render_shares` shows, and its column.
+    """The largest number of `render_shares` in each pixel, and its column.
 
     Args:
         splats: The scene.
@@ -181,7 +180,7 @@ def largest_shown(
 
 @torch.no_grad()
 def coverage(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Float[Tensor, "H W"]:
-    """The opaque share of an object in each pixel of one camera, what hides it in front."""
+    """The opaque share of an object in each pixel of one camera; others may hide it."""
     features = picked.to(splats.means)[:, None]
     pixels = None
     if len(splats) >= LARGE:  # others need not be looked at where it cannot show
@@ -205,9 +204,9 @@ def colors_and_coverage(
 def expected_depth(
     splats: Splats, camera: Cameras
 ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The depth of what shows in each pixel of one camera, and how much is covered.
+    """The expected depth of each pixel of one camera, and its coverage.
 
-    Where hardly anything shows, the depth means nothing; where nothing does, it is 0.
+    The depth is undefined where hardly anything is visible, and 0 where nothing is.
     """
     depths = depths_of(splats.means, camera)[:, None]
     image, alphas = render(splats, camera, features=depths, sh_degree=0)

@@ -1,10 +1,10 @@
-"""A store of bounded size."""
+"""Sequences whose items are made on access, and a store of bounded size for them."""
 
 import mmap
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from threading import RLock
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, overload
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.runtime import tidy_heap
 
 Key = TypeVar("Key", bound=Hashable)
-T = TypeVar("T", bound=tuple[Tensor | None, ...])
+Item = TypeVar("Item", bound=tuple[Tensor | None, ...])
 
 GIB = 2**30
 TIDY_EVERY = 2**26  # bytes kept; the steps' own buffers then have to be mapped anew: a tenth second
@@ -41,20 +41,20 @@ class Cache(Generic[Key]):
         """Bytes of what is kept."""
         return self._used
 
-    def get(self, key: Key, make: Callable[[], T]) -> T:
+    def get(self, key: Key, make: Callable[[], Item]) -> Item:
         """What is kept under a key, or what `make` gives, which is then kept."""
         if (kept := self._recent(key)) is not None:
             return kept  # pyright: ignore[reportReturnType]
         item = make()  # without the lock, so that threads decode several at a time
-        if size_of(item) > self._budget:
+        if _size_of(item) > self._budget:
             return item
         item = _apart(item)
         with self._lock:
             if (kept := self._recent(key)) is not None:  # of another thread
                 return kept  # pyright: ignore[reportReturnType]
             self._items[key] = item
-            self._used += size_of(item)
-            self._since_tidied += size_of(item)
+            self._used += _size_of(item)
+            self._since_tidied += _size_of(item)
             while self._used > self._budget:
                 self._drop(next(iter(self._items)))
             tidy = self._since_tidied > TIDY_EVERY
@@ -78,10 +78,10 @@ class Cache(Generic[Key]):
                 self._drop(key)
 
     def _drop(self, key: Key) -> None:
-        self._used -= size_of(self._items.pop(key))
+        self._used -= _size_of(self._items.pop(key))
 
 
-def _apart(item: T) -> T:
+def _apart(item: Item) -> Item:
     """Copies in pages of their own, which return to the system when they go."""
     copies = [t if t is None or t.nbytes == 0 else _copy(t) for t in item]
     make = getattr(type(item), "_make", type(item))  # a NamedTuple takes its items one by one
@@ -93,6 +93,28 @@ def _copy(tensor: Tensor) -> Tensor:
     return torch.frombuffer(pages, dtype=tensor.dtype).view(tensor.shape).copy_(tensor)
 
 
-def size_of(item: tuple[Tensor | None, ...]) -> int:
+def _size_of(item: tuple[Tensor | None, ...]) -> int:
     """Bytes of some tensors together."""
     return sum(t.nbytes for t in item if t is not None)
+
+
+T = TypeVar("T", bound=Tensor | None)
+
+
+class Lazy(Sequence[T]):
+    """Tensors that are made anew at each access; a `Cache` keeps them."""
+
+    def __init__(self, makers: Sequence[Callable[[], T]]) -> None:
+        self._makers = makers
+
+    def __len__(self) -> int:
+        return len(self._makers)
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Lazy[T]": ...
+    def __getitem__(self, index: int | slice) -> "T | Lazy[T]":
+        if isinstance(index, slice):
+            return Lazy(self._makers[index])
+        return self._makers[range(len(self))[index]]()

@@ -1,7 +1,7 @@
 """The `Cameras` noun: undistorted pinhole cameras with names."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -42,6 +42,10 @@ class Cameras:
             sizes=self.sizes[rows],
             names=tuple(self.names[i] for i in rows),
         )
+
+    def __iter__(self) -> Iterator["Cameras"]:
+        """The cameras one by one."""
+        return (self[row] for row in range(len(self)))
 
     def __add__(self, other: "Cameras") -> "Cameras":
         return Cameras(
@@ -99,7 +103,7 @@ class Cameras:
         return replace(self, Ks=Ks, sizes=sizes.to(self.sizes.dtype))
 
     def resize(self, width: int, height: int) -> "Cameras":
-        """Cameras for images of another size that show all that these show, about their middles.
+        """Cameras for images of another size that show all of these images, in the middle.
 
         Args:
             width: Pixels.

@@ -1,19 +1,22 @@
-"""The `Capture` noun: posed photos, with label maps if there are any."""
+"""The `Capture` noun: posed photos, with label maps if there are any; resized, fingerprinted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
+import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, some
+from stylesplat.scene.cache import GIB, Cache, Lazy
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import OwnLabels
-from stylesplat.scene.lazy import Lazy
+from stylesplat.scene.labels import OwnLabels, resize_labels
 from stylesplat.scene.one_line import counted, one_line, pixels
+from stylesplat.scene.sampling import evenly
 
 
 @dataclass(frozen=True)
@@ -93,3 +96,125 @@ class Capture:
     def alpha(self, row: int) -> UInt8[Tensor, "_ _"] | None:
         """How opaque the pixels of a photo are; None if they all are."""
         return None if self.alphas is None else self.alphas[row]
+
+
+PHOTOS = 5  # that a fingerprint reads; who exchanges photos exchanges all, or renames them
+DIGEST = 8  # bytes of each part
+
+
+def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
+    """Digests of a capture's parts: equal for equal captures, wherever they lie.
+
+    All label maps are read, once and one at a time, but only a few photos: about 0.6 s for 50
+    captured at 1080x1920, and 3 s for 300 at 1600x1066.
+
+    Args:
+        capture: At the size that it is used at.
+        photos: How many of them to look at, evenly chosen.
+
+    Returns:
+        `PART=DIGEST`, separated by spaces; see `differences`.
+    """
+    rows = evenly(range(len(capture)), photos)
+    cameras = capture.cameras
+    labels = (capture.labels(row) for row in range(len(capture)))
+    parts = {
+        "names": _digest([repr(cameras.names)]),
+        "size": _digest([cameras.sizes.long()]),
+        "poses": _digest([cameras.viewmats.float(), cameras.Ks.float()]),
+        "points": _digest([capture.points, capture.point_colors]),
+        "labels": _digest(None if one is None else one.int() for one in labels),
+        "objects": _digest([repr(sorted(capture.object_names.items()))]),
+        "photos": _digest(one for row in rows for one in (capture.photos[row], capture.alpha(row))),
+    }
+    return " ".join(f"{part}={digest}" for part, digest in parts.items())
+
+
+DIFFERENCES = {
+    "names": "other photos",
+    "size": "photos of another size",
+    "poses": "other poses",
+    "points": "other points",
+    "labels": "other label maps",
+    "objects": "other names of objects",
+    "photos": "photos with other content",
+}
+CAUSES = ("names", "size")  # which change nearly everything after them
+
+
+def differences(one: str, other: str) -> list[str]:
+    """How the captures of two fingerprints differ, in a few words each.
+
+    Example:
+        >>> differences("size=1 poses=2 labels=3", "size=1 poses=2 labels=4")
+        ['other label maps']
+    """
+    mine, theirs = (dict(part.split("=") for part in text.split()) for text in (one, other))
+    changed = [part for part in DIFFERENCES if mine.get(part) != theirs.get(part)]
+    cause = [part for part in changed if part in CAUSES]
+    return [DIFFERENCES[part] for part in cause[:1] or changed]
+
+
+def _digest(parts: Iterable[Tensor | str | None]) -> str:
+    digest = blake2b(digest_size=DIGEST)
+    for part in parts:
+        if isinstance(part, Tensor):
+            content = part.cpu().contiguous()
+            digest.update(f"{part.dtype}{[*part.shape]}".encode())
+            digest.update(content.numpy().tobytes())
+        else:
+            digest.update(repr(part).encode())
+    return digest.hexdigest()
+
+
+KEPT = 2 * GIB  # for what is made smaller: 4,000 photos of 480 pixels
+
+Size = Sequence[int]  # height and width
+
+
+def at_most(capture: Capture, length: int) -> Capture:
+    """The same capture with photos whose sides have at most so many pixels.
+
+    Label maps and cameras become smaller with the photos. Smaller photos are made on first access
+    and kept; a capture that is small already is returned as it is.
+    """
+    cameras = capture.cameras.at_most(length)
+    if cameras is capture.cameras:
+        return capture
+    cache, sizes = Cache[tuple[str, int]](KEPT), cameras.sizes.tolist()
+
+    def small(name: str, row: int) -> Tensor | None:
+        def make() -> tuple[Tensor | None]:
+            item, (width, height) = getattr(capture, name)[row], sizes[row]
+            return (None if item is None else SHRINK[name](item, (height, width)),)
+
+        return cache.get((name, row), make)[0]
+
+    smaller = {
+        name: Lazy([partial(small, name, row) for row in range(len(capture))])
+        for name in SHRINK
+        if getattr(capture, name) is not None
+    }
+    factor = capture.cameras.shrink_to(length)
+    return replace(
+        capture,
+        cameras=cameras,
+        full=capture.full_cameras,
+        downscale=capture.downscale * factor,
+        **smaller,
+    )
+
+
+def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w *D"]:
+    """A picture in which every pixel averages what it covers."""
+    import cv2  # which commands without photos need not load
+
+    return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))
+
+
+# What a capture holds per photo and pixel
+SHRINK: dict[str, Callable[[Any, Size], Tensor]] = {
+    "photos": _averaged,
+    "alphas": _averaged,
+    "label_maps": resize_labels,
+}

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.layer import Layer
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import SH_C0, Splats
 
@@ -188,7 +188,7 @@ def rows_unpainted(scene: Scene) -> Splats:
     base, count = scene.unpainted, len(scene.unpainted)
     unseen = scene.splats[count:]
     unseen = replace(unseen, opacities=torch.full_like(unseen.opacities, UNSEEN))
-    return joined(base, unseen)
+    return Splats.cat([base, unseen])
 
 
 def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
@@ -196,14 +196,6 @@ def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
     picked = each.picked[rows]
     count = {"gaussians": int(picked.sum())} if "gaussians" in each.how else {}
     return SceneObject(picked, {**each.how, **count})
-
-
-def joined(first: Splats, second: Splats) -> Splats:
-    """The Gaussians of two splats that have the same fields."""
-    if not len(second):
-        return first
-    more = second.tensors()
-    return replace(first, **{k: torch.cat([t, more[k]]) for k, t in first.tensors().items()})
 
 
 def _rows_before(scene: Scene, layers: Sequence[Layer]) -> Int[Tensor, " M"]:
@@ -253,7 +245,7 @@ def _appended(splats: Splats, base: Splats, layer: Layer) -> Splats:
         identities=None if base.identities is None else base.identities[parents],
         confidence=None if base.confidence is None else base.confidence[parents],
     )
-    return joined(splats, canvas)
+    return Splats.cat([splats, canvas])
 
 
 def _form(layer: Layer) -> Float[Tensor, " L"]:

@@ -1,4 +1,9 @@
-"""What a splat is of: without what floats around it, and without a far background."""
+"""The content of a splat: what its photos were about, without floaters and far background.
+
+The model: photos show their subject from near, so its Gaussians lie close to each other. Points
+coarser than the finest quarter by far are background; the rest falls into connected parts, of which
+those belong to the content that are heavy for their distance from it.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,17 +21,17 @@ from stylesplat.scene.splats import Splats
 # Opacity below which a Gaussian is no surface. In two trained scenes 30 to 70 % of an object's are
 # fainter, and many lie far from it: with them, an object measured up to 60 times its size.
 FAINT = 0.05
-SAMPLE = 30_000  # Gaussians that are looked at; neighbours among a million would take seconds
-NEIGHBOURS = 8  # whose mean distance says how fine a place is
-FEW = 20  # Gaussians among which nothing can be told to float
-FINE = 0.25  # share of the opacity that is surely what photos were about
-# Times their distances to neighbours, beyond which the others are too coarse for it. Of a guitar
-# and a figure that was cut out, 0.3 % are; of a demo scene's backdrop nearly all.
+SAMPLE = 30_000  # Gaussians; neighbours among a million would take seconds
+NEIGHBOURS = 8  # whose mean distance measures how fine the splat is at a point
+FEW = 20  # Gaussians that are all content
+FINE = 0.25  # share of the opacity that is surely content
+# Times the distances of these, beyond which a point is background. Of a guitar and a figure that
+# was cut out, 0.3 % are; of a demo scene's backdrop nearly all.
 COARSE = 8.0
-NEAR = 0.15  # of the diagonal: parts that lie closer belong to it, be they ever so light
-FARTHER = 10.0  # diagonals more that a part may lie apart, times its share of the opacity
-EDGE = 0.001  # of the opacity, at each end of each axis, that the content's bounds do not reach
-# The same of an object, some of whose Gaussians lie astray. With 0.001 a toy cube of 0.74 measured
+NEAR = 0.15  # of the diagonal: closer parts are content, however light
+FARTHER = 10.0  # more diagonals of distance for a part, times its share of the opacity
+EDGE = 0.001  # share of the opacity outside the bounds, at each end of each axis
+# The same for an object, some of whose Gaussians are strays. With 0.001 a toy cube of 0.74 measured
 # 1.08 by 0.74, with 0.01 a vase lost 4 % of its height
 STRAY = 0.005
 
@@ -53,45 +58,37 @@ class Extent:
 
 @dataclass(frozen=True)
 class Content:
-    """What a splat is of, and what else there is; a sample of both, in 64 bits."""
+    """Samples of a splat's content and of everything else, in 64 bits."""
 
     points: Float[Tensor, "M 3"]
-    """Centres of its Gaussians, those within its extent."""
+    """Centres of the content's Gaussians within its extent."""
     weights: Float[Tensor, " M"]
     """Their opacities."""
     blur: float
-    """The standard deviation of most of them, in world units."""
+    """The median of their largest standard deviations, in world units."""
     extent: Extent
-    """The box that holds them, and what they are blurred by."""
+    """The box around them, widened by `blur`."""
     others: Float[Tensor, "L 3"]
-    """Centres of Gaussians that float around it, or lie behind it."""
+    """Centres of the other Gaussians outside the extent."""
     areas: Float[Tensor, " L"]
-    """How much of what is behind them each hides, for all that it stands for; square units."""
+    """The area that each hides, with all that the sample leaves out; square units."""
     blurs: Float[Tensor, " L"]
     """Their largest standard deviations."""
 
     @cached_property
     def outline(self) -> Float[Tensor, "_ 3"]:
-        """Places that are in a picture only if all content is."""
+        """Points that lie in a picture only if all content does."""
         return self.outline_of(self.points)
 
     def outline_of(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:
-        """The same for some of the points."""
+        """The outline of some of the points."""
         axes = torch.eye(3).double()
         rims = self.blur * torch.cat([axes, -axes])
         return (_hull(points)[:, None] + rims).flatten(0, 1)
 
 
 def content_of(splats: Splats) -> Content:
-    """Find what a splat is of.
-
-    Photos show what they are about from near, so its Gaussians are close to each other. What is
-    coarser than that by far is taken for background or for floaters, and so are small parts that
-    lie apart: the lighter they are, the closer they have to be.
-
-    Args:
-        splats: At least one Gaussian, of any splat.
-    """
+    """Find the content of a splat with at least one Gaussian."""
     rows, points, weights, sizes = _sample_of(splats)
     kept = _content(points, weights)
     blur = weighted_quantile(sizes[kept, 0], weights[kept], 0.5)
@@ -110,7 +107,7 @@ def content_of(splats: Splats) -> Content:
 
 
 def object_content(splats: Splats, picked: Bool[Tensor, " N"]) -> Content:
-    """The same of an object; all else that lies outside its box is what may hide it.
+    """The content of an object; `others` are all Gaussians outside its box, which may hide it.
 
     Args:
         splats: The scene.
@@ -135,7 +132,7 @@ def object_content(splats: Splats, picked: Bool[Tensor, " N"]) -> Content:
 
 
 def extent_of(splats: Splats, picked: Bool[Tensor, " N"]) -> Extent:
-    """The box around some Gaussians, but for the faint ones and the very few farthest out.
+    """The box around some Gaussians, without faint ones and strays.
 
     Args:
         splats: The scene.
@@ -149,7 +146,7 @@ def extent_of(splats: Splats, picked: Bool[Tensor, " N"]) -> Extent:
 
 
 def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
-    """Those of the picked that show; all of them if none does."""
+    """The picked Gaussians that are not faint; all of them if none is."""
     solid = picked & (torch.sigmoid(splats.opacities) >= FAINT)
     return solid if solid.any() else picked
 
@@ -157,14 +154,14 @@ def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
 def weighted_quantile(
     values: Float[Tensor, " M"], weights: Float[Tensor, " M"], share: float
 ) -> Float[Tensor, ""]:
-    """The value that so large a share of the weight does not exceed."""
+    """The value up to which values have this share of the weight."""
     ordered, order = values.sort()
     reached = weights[order].cumsum(0) / weights.sum().clamp(min=1e-12)
     return ordered[min(int((reached < share).sum()), len(values) - 1)]
 
 
 def _hull(points: Float[Tensor, "M 3"]) -> Float[Tensor, "_ 3"]:
-    """The corners of the convex hull; all points where they span none."""
+    """The corners of the convex hull; all points if they have none."""
     try:
         rows = ConvexHull(points.numpy(), qhull_options="QJ Pp").vertices  # joggled: may be flat
     except QhullError:
@@ -175,7 +172,7 @@ def _hull(points: Float[Tensor, "M 3"]) -> Float[Tensor, "_ 3"]:
 def _sample_of(
     splats: Splats,
 ) -> tuple[Int[Tensor, " M"], Float[Tensor, "M 3"], Float[Tensor, " M"], Float[Tensor, "M 3"]]:
-    """Rows of some that show, their centres, opacities and sizes, the largest first; 64 bits."""
+    """Rows of some solid Gaussians, their centres, opacities and sizes (largest first); 64 bits."""
     everything = torch.ones(len(splats), dtype=torch.bool, device=splats.device)
     rows = solid(splats, everything).nonzero()[:, 0]
     rows = rows[:: -(-len(rows) // SAMPLE)]
@@ -191,14 +188,14 @@ def _areas(
     weights: Float[Tensor, " M"],
     sizes: Float[Tensor, "M 3"],
 ) -> Float[Tensor, " M"]:
-    """How much each of a sample hides, with all that it stands for."""
+    """The area that each of a sample hides, with all that the sample leaves out."""
     shown = int((torch.sigmoid(splats.opacities) >= FAINT).sum())
-    each = max(1.0, shown / len(rows))  # so many does one of the sample stand for
+    each = max(1.0, shown / len(rows))  # Gaussians per one of the sample
     return each * 2 * torch.pi * weights * sizes[:, :2].prod(dim=1)
 
 
 def _content(points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"]) -> Bool[Tensor, " M"]:
-    """Which points are fine enough, and hang together or are heavy enough."""
+    """Which points are fine enough, in parts that are heavy enough for their distance."""
     everything = torch.ones(len(points), dtype=torch.bool)
     if len(points) < FEW:
         return everything
@@ -209,11 +206,11 @@ def _content(points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"]) -> Bool
         return everything
     fine = gap <= coarse
     parts = _parts(points[fine], coarse)
-    return fine.masked_scatter(fine, _together(points[fine], weights[fine], parts))
+    return fine.masked_scatter(fine, _heavy_parts(points[fine], weights[fine], parts))
 
 
 def _parts(points: Float[Tensor, "M 3"], reach: float) -> Int[Tensor, " M"]:
-    """For each point the part that it belongs to: points hang together over cells that touch."""
+    """The connected part of each point: cells that touch are connected."""
     cells, cell_of = np.unique((points / reach).floor().long().numpy(), axis=0, return_inverse=True)
     pairs = KDTree(cells).query_pairs(r=1.75, output_type="ndarray")  # corner to corner is 1.73
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=2 * (len(cells),))
@@ -221,10 +218,10 @@ def _parts(points: Float[Tensor, "M 3"], reach: float) -> Int[Tensor, " M"]:
     return torch.from_numpy(parts[cell_of.reshape(-1)]).long()
 
 
-def _together(
+def _heavy_parts(
     points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"], parts: Int[Tensor, " M"]
 ) -> Bool[Tensor, " M"]:
-    """Which points are of the heaviest part, or of one that is close to it for its weight."""
+    """Which points are of the heaviest part, or of one that is heavy for its distance."""
     count = int(parts.max()) + 1
     shares = weights.new_zeros(count).index_add(0, parts, weights) / weights.sum()
     index = parts[:, None].expand(-1, 3)
@@ -233,8 +230,8 @@ def _together(
     first, *others = shares.argsort(descending=True).tolist()
     low, high, kept = lows[first], highs[first], [first]
     for part in others:
-        apart = torch.maximum(low - highs[part], lows[part] - high).clamp(min=0).norm()
-        if apart <= (NEAR + FARTHER * shares[part]) * (high - low).norm():
+        gap = torch.maximum(low - highs[part], lows[part] - high).clamp(min=0).norm()
+        if gap <= (NEAR + FARTHER * shares[part]) * (high - low).norm():
             low, high = torch.minimum(low, lows[part]), torch.maximum(high, highs[part])
             kept.append(part)
     return torch.isin(parts, torch.tensor(kept))

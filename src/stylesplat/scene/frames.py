@@ -1,5 +1,9 @@
-"""Other world frames that a splat of the same photos may be in."""
+"""World frames: similarities, and cameras and splats moved by them.
 
+A capture's world may differ from the one that another program exports a splat in.
+"""
+
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,6 +12,8 @@ from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.sh_basis import sh_basis
+from stylesplat.scene.splats import Splats
 
 # `ns-process-data` writes COLMAP's world with these axes: x, z, -y
 NERFSTUDIO_AXES = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -25,12 +31,12 @@ class Frame:
     """Added last; None is no shift."""
 
     def place(self, points: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
-        """Where points of the capture's world lie in this frame."""
+        """Points of the capture's world in this frame."""
         moved = self.scale * points @ self.rotation.to(points).T
         return moved if self.shift is None else moved + self.shift.to(points)
 
     def inverse(self) -> "Frame":
-        """The way back."""
+        """The inverse similarity."""
         shift = None if self.shift is None else -(self.shift @ self.rotation) / self.scale
         return Frame(self.rotation.T, 1 / self.scale, shift)
 
@@ -49,7 +55,7 @@ def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
 
 
 def posed_as(capture: Capture, cameras: Cameras) -> Capture:
-    """A capture whose cameras stand where others of the same names do, be they of another size.
+    """A capture with the poses of other cameras of the same names, which may differ in size.
 
     Raises:
         StyleSplatError: If one of its photos has no such camera.
@@ -96,3 +102,68 @@ def _between(one: Float[Tensor, "3"], other: Float[Tensor, "3"]) -> Float[Tensor
     x, y, z = (axis / sine).tolist()
     skew = one.new_tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return torch.eye(3).to(one) + sine * skew + (1 - cosine) * skew @ skew
+
+
+DIRECTIONS = 64  # 7 functions of the third degree are fixed by 7; more keep the system well-posed
+GOLDEN = math.pi * (3 - math.sqrt(5))  # the angle between neighbours that spreads them evenly
+EXACT = 1e-9  # float64 solves a half turn to 1e-15; what is within this of 0 or 1 is that
+
+
+def move_splats(splats: Splats, frame: Frame) -> Splats:
+    """The same splats in another world frame, with their higher colour bands rotated.
+
+    A half turn about an axis changes nothing but signs and is exact, as is no turn at all.
+    """
+    rotation = frame.rotation.double()
+    shN = splats.shN
+    if not torch.equal(rotation, torch.eye(3).double()):
+        shN = torch.einsum("lk,nkc->nlc", _band_turn(rotation, splats.sh_degree).to(shN), shN)
+    quats = _product(_quaternion(rotation).to(splats.quats), splats.quats)
+    return replace(
+        splats,
+        means=frame.place(splats.means),
+        quats=quats,
+        scales=splats.scales + math.log(frame.scale),
+        shN=shN.contiguous(),
+    )
+
+
+def _band_turn(rotation: Float[Tensor, "3 3"], degree: int) -> Float[Tensor, "K K"]:
+    """The matrix that rotates the coefficients of the higher bands.
+
+    A colour seen along `d` is afterwards what it was along the unrotated `d`, for every `d`.
+    """
+    z = 1 - (torch.arange(DIRECTIONS).double() + 0.5) * (2 / DIRECTIONS)
+    angle = GOLDEN * torch.arange(DIRECTIONS).double()
+    across = (1 - z * z).sqrt()
+    dirs = torch.stack([across * angle.cos(), across * angle.sin(), z], dim=1)
+    after, before = sh_basis(degree, dirs), sh_basis(degree, dirs @ rotation)
+    turn = torch.linalg.lstsq(after, before).solution
+    whole = turn.round()
+    return torch.where((turn - whole).abs() < EXACT, whole, turn)[1:, 1:]
+
+
+def _quaternion(rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "4"]:
+    """Of a rotation, wxyz: from its largest part, so that no root is of nearly 0 (Shepperd)."""
+    m = rotation.tolist()
+    trace = m[0][0] + m[1][1] + m[2][2]
+    parts = [trace, m[0][0], m[1][1], m[2][2]]
+    largest = parts.index(max(parts))
+    if largest == 0:
+        w = 1 + trace
+        found = [w, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        found = [m[k][j] - m[j][k], 0.0, 0.0, 0.0]
+        found[1 + i] = 1 + m[i][i] - m[j][j] - m[k][k]
+        found[1 + j] = m[j][i] + m[i][j]
+        found[1 + k] = m[k][i] + m[i][k]
+    return torch.nn.functional.normalize(torch.tensor(found, dtype=torch.float64), dim=0)
+
+
+def _product(one: Float[Tensor, "4"], other: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
+    """Hamilton's: the rotation of the other, then that of the one."""
+    w, x, y, z = one.tolist()
+    left = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return other @ left.to(other).T

@@ -1,13 +1,19 @@
-"""Where a camera stands, and how long its lens is, so that something fills its picture."""
+"""Cameras that nobody photographed with: framing content, rings around it, paths of key frames."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.scene.content import Content
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import Content, content_of
 from stylesplat.scene.poses import look_at
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
 
 FILLED = 0.92  # of the picture's width or height; the rest is room around
 CLEAR = 0.5  # of the content's radius, between its nearest point and the camera
@@ -21,10 +27,10 @@ TINY = 1e-9
 
 @dataclass(frozen=True)
 class Sight:
-    """Which way a camera looks at what, into a picture of what size."""
+    """The direction of a camera, what it looks at, and the size of its picture."""
 
     focus: Float[Tensor, "3"]
-    """What is in the middle."""
+    """The point in the middle."""
     outward: Float[Tensor, "3"]
     """The direction from there to the camera, of length 1."""
     up: Float[Tensor, "3"]
@@ -49,18 +55,18 @@ class Sight:
 
 @dataclass(frozen=True)
 class Distances:
-    """How far from what it looks at a camera may stand to have all content in its picture."""
+    """Distances from which a camera has all content in its picture."""
 
     wanted: float
-    """From where the content fills the picture."""
+    """The content fills the picture."""
     closest: float
-    """From where it does with the widest lens."""
+    """It does with the widest lens."""
     free: float
-    """Nearer than anything that would hide the content."""
+    """Nothing hides the content."""
 
     @property
     def best(self) -> float:
-        """As wanted, or nearer where something is in the way, but never too near."""
+        """The distance wanted, or a smaller one if something is in the way."""
         return max(min(self.wanted, max(self.free, self.closest)), NEAREST)
 
 
@@ -126,3 +132,151 @@ def _free(content: Content, sight: Sight, radius: float) -> float:
     shares = content.areas[between] / (torch.pi * (within**2 + blurs.square()))
     walls = along[shares[order].cumsum(0) > HIDDEN]
     return float(walls[0]) if len(walls) else float("inf")
+
+
+VIEWS = 36
+SIZE = (960, 720)  # pixels; upright for what is taller than wide
+TALL = 1.2  # times as tall as wide, from which that is so
+FOCAL = 960.0  # pixels, where there is room enough
+ELEVATIONS = (10.0, 35.0)  # degrees, by turns
+EACH = 4  # one view in so many is a close-up
+PARTS = 3  # of the content along its longest axis, which close-ups show by turns
+ZOOM = 2.0  # times larger than in the other views, at least, is what they show
+NAMES = tuple(f"view_{row:03d}.png" for row in range(VIEWS))
+
+
+def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
+    """Cameras all around the content: three of four show all of it, one is a close-up of a part.
+
+    They stand before what would hide the content, such as the walls of a room, with a wider lens
+    where that is close.
+
+    Args:
+        splats: What to look at.
+        up: The direction that is up.
+    """
+    content = content_of(splats)
+    parts = [content.outline_of(part) for part in _parts_along(content.points)]
+    up = torch.nn.functional.normalize(up.double(), dim=0)
+    side, ahead = level_axes(up)
+    size = _picture_size(content.outline @ torch.stack([side, ahead, up], dim=1))
+    viewmats, focals = [], []
+    for row in range(VIEWS):
+        turn = 2 * math.pi * row / VIEWS
+        round, place = divmod(row, EACH)
+        close = place == EACH - 1
+        tilt = math.radians(ELEVATIONS[(round if close else place) % len(ELEVATIONS)])
+        level = math.cos(turn) * side + math.sin(turn) * ahead
+        outward = math.cos(tilt) * level + math.sin(tilt) * up
+        sight = Sight(content.extent.centre, outward, up, size)
+        distance = distances(content, sight, FOCAL).best
+        focal = focal_at(content.outline, sight, distance)
+        if close:
+            part = parts[round % PARTS]
+            sight = replace(sight, focus=(part.amin(dim=0) + part.amax(dim=0)) / 2)
+            focal = max(ZOOM * focal, focal_at(part, sight, distance))
+        viewmats.append(sight.viewmats(distance)[0])
+        focals.append(focal)
+    return Cameras(
+        viewmats=torch.stack(viewmats).float(),
+        Ks=torch.stack([centred_K(focal, size) for focal in focals]),
+        sizes=torch.tensor(size).expand(VIEWS, 2).clone(),
+        names=NAMES,
+    )
+
+
+def has_no_photos(scene: Scene) -> bool:
+    """Whether a scene came without photos, so that its views are those of `ring_cameras`."""
+    return scene.capture is None and scene.cameras.names == NAMES
+
+
+def _picture_size(points: Float[Tensor, "M 3"]) -> tuple[int, int]:
+    """Width and height of pictures of points, of which the last coordinate points up."""
+    lengths = points.amax(dim=0) - points.amin(dim=0)
+    return (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
+
+
+def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
+    """Points by where they lie along the axis that they extend along most; all where none do."""
+    offsets = points - points.mean(dim=0)
+    _, axes = torch.linalg.eigh(offsets.T @ offsets)  # the widest one comes last
+    along = offsets @ axes[:, -1]
+    low, high = along.min(), along.max()
+    part_of = ((along - low) / (high - low).clamp(min=1e-12) * PARTS).long().clamp(max=PARTS - 1)
+    parts = [points[part_of == part] for part in range(PARTS)]
+    return [part if len(part) else points for part in parts]
+
+
+MOST_FRAMES = 36_000  # twenty minutes at 30 a second
+
+
+@dataclass(frozen=True)
+class KeyFrames:
+    """Two cameras or more that a path passes, one after the other, in equal times."""
+
+    viewmats: Float[Tensor, "F 4 4"]
+    """World to camera, in OpenCV axes."""
+    focals: Float[Tensor, " F"]
+    """Over the pictures' height."""
+
+    def path(self, count: int, size: tuple[int, int], *, closed: bool = False) -> Cameras:
+        """A smooth path: cubic splines of places, of turns, and of the logarithm of lenses.
+
+        Args:
+            count: Number of frames; the last one is the last key frame, or, on a closed path, the
+                one before the first.
+            size: Width and height of the pictures.
+            closed: Whether it returns to the first key frame.
+        """
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        keys = len(self.focals)
+        # A closed path is the middle one of three rounds, so that it is smooth where it closes
+        rows = np.tile(np.arange(keys), 3 if closed else 1)
+        begin, end = (keys, 2 * keys) if closed else (0, keys - 1)
+        times, keyed = np.linspace(begin, end, count, endpoint=not closed), np.arange(len(rows))
+        rotations = self.viewmats[:, :3, :3].double().numpy()
+        turns = RotationSpline(keyed, Rotation.from_matrix(rotations[rows]))(times).as_matrix()
+        places = -np.einsum("cji,cj->ci", rotations, self.viewmats[:, :3, 3].double().numpy())
+        places = CubicSpline(keyed, places[rows], bc_type="natural")(times)
+        lenses = np.log(self.focals.double().numpy())
+        lenses = np.exp(CubicSpline(keyed, lenses[rows], bc_type="natural")(times))
+        viewmats = torch.eye(4).repeat(count, 1, 1)
+        viewmats[:, :3, :3] = torch.from_numpy(turns)
+        viewmats[:, :3, 3] = -torch.from_numpy(np.einsum("cij,cj->ci", turns, places))
+        return path_of(viewmats, torch.from_numpy(lenses).float(), size)
+
+
+def path_of(
+    viewmats: Float[Tensor, "M 4 4"], focals: Float[Tensor, " M"], size: tuple[int, int]
+) -> Cameras:
+    """The frames of a path.
+
+    Args:
+        viewmats: World to camera, in OpenCV axes.
+        focals: Over the pictures' height.
+        size: Width and height of the pictures.
+    """
+    width, height = size
+    return Cameras(
+        viewmats=viewmats.float(),
+        Ks=torch.stack([centred_K(focal * height, size) for focal in focals.tolist()]),
+        sizes=torch.tensor([width, height]).repeat(len(viewmats), 1),
+        names=tuple(f"path_{row:05d}.png" for row in range(len(viewmats))),
+    )
+
+
+def frame_count(seconds: float | int, fps: float | int) -> int:
+    """How many frames a video has.
+
+    Raises:
+        StyleSplatError: If that is none or far too many.
+    """
+    count = round(seconds * fps) if 0 < seconds * fps < float("inf") else 0
+    if not 0 < count <= MOST_FRAMES:
+        raise StyleSplatError(
+            f"Cannot render {seconds:g} seconds at {fps:g} frames a second. Choose between 1 and "
+            f"{MOST_FRAMES:,} frames in all."
+        )
+    return count

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
+
+IN_IMAGES = 1000  # points that are projected into every image
 
 
 def depths_of(points: Float[Tensor, "P 3"], camera: Cameras) -> Float[Tensor, " P"]:
@@ -64,3 +66,32 @@ def crop(
     Ks[:, :2, 2] -= Ks.new_tensor(corner)
     Ks[:, :2] *= zoom
     return replace(camera, Ks=Ks, sizes=torch.tensor([size], dtype=camera.sizes.dtype))
+
+
+def share_in_images(points: Float[Tensor, "M 3"], cameras: Cameras) -> Float[Tensor, " C"]:
+    """The share of points that lies in each image, whether or not something hides them."""
+    some = points[:: max(1, len(points) // IN_IMAGES)].to(cameras.viewmats)
+    return torch.stack([shown(some, camera).float().mean() for camera in cameras])
+
+
+def overlapping(
+    lows: Shaped[Tensor, "N D"],
+    highs: Shaped[Tensor, "N D"],
+    low: Shaped[Tensor, " D"],
+    high: Shaped[Tensor, " D"],
+) -> Int[Tensor, " M"]:
+    """Which boxes share a point with another one, in order.
+
+    One axis after the other is looked at: few are left after the first.
+
+    Args:
+        lows: Their lower corners; for points, these.
+        highs: Their upper corners.
+        low: The lower corner of the other one.
+        high: Its upper corner.
+    """
+    rows = ((lows[:, 0] <= high[0]) & (highs[:, 0] >= low[0])).nonzero()[:, 0]
+    for axis in range(1, len(low)):
+        shared = (lows[rows, axis] <= high[axis]) & (highs[rows, axis] >= low[axis])
+        rows = rows[shared]
+    return rows

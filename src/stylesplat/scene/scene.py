@@ -1,12 +1,14 @@
-"""The `Scene` noun: splats with all that is known about them."""
+"""The `Scene` noun, and the objects of a scene, named or listed."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from jaxtyping import Bool
+import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief, check_choice, some
@@ -152,3 +154,126 @@ def name_fault(name: str) -> str | None:
     if name == RESERVED:
         return "files of objects use that name for themselves"
     return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
+
+
+@dataclass(frozen=True)
+class ListedObject:
+    """The Gaussians of an object."""
+
+    rows: Int[Tensor, " M"]
+    """Which they are."""
+    shares: Float[Tensor, " M"] | None = None
+    """The share of each Gaussian that is the object, 0 to 1; None if unknown."""
+    ids: tuple[int, ...] = ()
+    """Its label ids."""
+
+
+@dataclass(frozen=True)
+class ListedObjects:
+    """The objects of a splat's Gaussians."""
+
+    count: int
+    """Of Gaussians."""
+    objects: Mapping[str, ListedObject] = field(default_factory=dict)
+    """By name; what has none is called by its label id."""
+    labels: Int[Tensor, " N"] | None = None
+    """The label id of each Gaussian, 0 being that of no object; None if there are none."""
+
+    def ordered(self, order: Int[Tensor, " M"]) -> "ListedObjects":
+        """The same for some of the Gaussians in another order; objects without any are dropped."""
+        place = torch.full((self.count,), -1)
+        place[order] = torch.arange(len(order))
+        objects = dict[str, ListedObject]()
+        for name, each in self.objects.items():
+            rows, indices = place[each.rows].sort()
+            indices = indices[rows >= 0]
+            if len(indices):
+                shares = None if each.shares is None else each.shares[indices]
+                objects[name] = replace(each, rows=rows[rows >= 0], shares=shares)
+        labels = None if self.labels is None else self.labels[order]
+        return ListedObjects(len(order), objects, labels)
+
+    def shares(self) -> Float[Tensor, " N"]:
+        """The largest share of each Gaussian in any object."""
+        shares = torch.zeros(self.count)
+        for each in self.objects.values():
+            if each.shares is not None:
+                shares[each.rows] = torch.maximum(shares[each.rows], each.shares)
+        return shares
+
+    def numbered(self) -> Int[Tensor, " N"]:
+        """The labels; without any, the objects have 1, 2 and so on."""
+        if self.labels is not None:
+            return self.labels
+        labels = torch.zeros(self.count, dtype=torch.int64)
+        for number, each in reversed([*enumerate(self.objects.values(), 1)]):
+            labels[each.rows] = number
+        return labels
+
+
+TURNED = 5.0  # degrees between the same views of two scenes: refined poses differ by less
+
+
+def shared_views(scenes: Mapping[str, Scene]) -> tuple[str, ...]:
+    """The photos that all scenes have views of: those held out in all, or else any.
+
+    Args:
+        scenes: By what they are called; their world frames may differ.
+
+    Returns:
+        Names in the first scene's order.
+
+    Raises:
+        StyleSplatError: If there are none, or views of a name are of other photos: of another
+            size, or turned otherwise against each other.
+    """
+    (first, one), *others = scenes.items()
+    for name, scene in others:
+        common = [view for view in one.cameras.names if view in {*scene.cameras.names}]
+        if not common:
+            raise StyleSplatError(
+                f"{first} and {name} share no view: {one.cameras.names[0]} is one of the first, "
+                f"{scene.cameras.names[0]} of the other. Compare scenes of the same photos."
+            )
+        _refuse_others(first, one.cameras[_rows_of(one.cameras, common)], name, scene.cameras)
+    every = [{*scene.cameras.names} for scene in scenes.values()]
+    held_out = [{*scene.held_out} for scene in scenes.values()]
+    shared = set[str].intersection(*every)
+    if not shared:
+        raise StyleSplatError(
+            f"No view is in all of {', '.join(scenes)}. Compare scenes of the same photos."
+        )
+    unseen = shared.intersection(*held_out)
+    return tuple(name for name in one.cameras.names if name in (unseen or shared))
+
+
+def _refuse_others(first: str, one: Cameras, name: str, cameras: Cameras) -> None:
+    """Raise a StyleSplatError if views of the same names are of other photos."""
+    other = cameras[_rows_of(cameras, one.names)]
+    differ = (one.sizes != other.sizes).any(dim=1)
+    if differ.any():
+        row = int(differ.nonzero()[0])
+        sizes = (f"{w}x{h}" for w, h in (one.sizes[row].tolist(), other.sizes[row].tolist()))
+        raise StyleSplatError(
+            f"{one.names[row]} is {next(sizes)} pixels in {first} and {next(sizes)} in {name}. "
+            "Compare scenes of the same photos."
+        )
+    angle = _turned(one, other)
+    if angle > TURNED:
+        raise StyleSplatError(
+            f"The views of {first} and {name} have the same names, but look elsewhere (by "
+            f"{angle:.0f} degrees). Compare scenes of the same photos."
+        )
+
+
+def _turned(one: Cameras, other: Cameras) -> float:
+    """Degrees by which views are turned otherwise against the first one; the median."""
+    relative = [c.viewmats[:, :3, :3].cpu() @ c.viewmats[:1, :3, :3].cpu().mT for c in (one, other)]
+    traces = torch.einsum("cij,cij->c", *relative)
+    angles = ((traces - 1) / 2).clamp(-1, 1).acos()
+    return math.degrees(float(angles.median()))
+
+
+def _rows_of(cameras: Cameras, names: "tuple[str, ...] | list[str]") -> list[int]:
+    places = {name: row for row, name in enumerate(cameras.names)}
+    return [places[name] for name in names]

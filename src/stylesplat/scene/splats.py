@@ -1,6 +1,6 @@
 """The `Splats` noun: a set of 3D Gaussians, with the objects they belong to."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -94,7 +94,19 @@ class Splats:
         return self.means.shape[0]
 
     def __getitem__(self, index: slice | Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "Splats":
-        return replace(self, **{name: t[index] for name, t in self.tensors().items()})
+        return self.map(lambda tensor: tensor[index])
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> "Splats":
+        """The splats with a function applied to each per-Gaussian tensor."""
+        return replace(self, **{name: function(t) for name, t in self.tensors().items()})
+
+    @staticmethod
+    def cat(parts: "Sequence[Splats]") -> "Splats":
+        """The Gaussians of splats that have the same fields; the classifier is the first's."""
+        parts = [part for part in parts if len(part)] or parts[:1]
+        every = [part.tensors() for part in parts]
+        tensors = {name: torch.cat([each[name] for each in every]) for name in every[0]}
+        return replace(parts[0], **tensors)
 
     @property
     def device(self) -> torch.device:
@@ -119,10 +131,9 @@ class Splats:
 
     def to(self, device: torch.device | str) -> "Splats":
         """The same splats on another device."""
-        moved = {name: t.to(device) for name, t in self.tensors().items()}
         classifier = self.classifier.to(device) if self.classifier else None
-        return replace(self, **moved, classifier=classifier)
+        return replace(self.map(lambda tensor: tensor.to(device)), classifier=classifier)
 
     def detach(self) -> "Splats":
         """The same values, cut from any autograd graph."""
-        return replace(self, **{name: t.detach() for name, t in self.tensors().items()})
+        return self.map(Tensor.detach)

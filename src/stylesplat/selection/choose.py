@@ -1,4 +1,4 @@
-"""Which Gaussians are meant: objects by id, pixels, words and shapes, united, less what is not."""
+"""Selections: objects by id, pixels, words and shapes, united, without what is excluded."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -9,13 +9,11 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import family, mask_of
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.scene import Scene, SceneObject, is_id
-from stylesplat.selection.detector import Detector
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.margins import grow, shrink
 from stylesplat.selection.pick import (
     THRESHOLD,
     Box,
@@ -25,9 +23,8 @@ from stylesplat.selection.pick import (
     pick_objects,
     resolve_ids,
 )
-from stylesplat.selection.rest import rest
-from stylesplat.selection.shapes import in_box, in_sphere, surface_point
-from stylesplat.selection.text import clear_winner, rank_objects
+from stylesplat.selection.shapes import grow, in_box, in_sphere, shrink, surface_point
+from stylesplat.selection.text import Detector, clear_winner, rank_objects
 
 # Selections with these are not the whole object
 SHAPING = frozenset(
@@ -38,7 +35,7 @@ ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which Gaussians are meant: all that is named, less what is taken away."""
+    """The union of all that is named, without what is excluded."""
 
     ids: tuple[int, ...] = ()
     """Label ids."""
@@ -47,25 +44,25 @@ class Choice:
     points: tuple[tuple[str, Point], ...] = ()
     """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
-    """Objects that are not meant."""
+    """Objects to exclude."""
     text: tuple[str, ...] = ()
-    """A few words: the object that they mean. And others."""
+    """A few words each: the object that fits them best."""
     box3d: tuple[tuple[float, ...], ...] = ()
     """Two corners in the world, the lower one first."""
     sphere: tuple[tuple[str, tuple[float, ...]], ...] = ()
     """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
     rows: tuple[tuple[str, Bool[Tensor, " N"]], ...] = ()
-    """Gaussians that somebody listed, and where."""
+    """Listed Gaussians, and the source of each list."""
     plus: tuple[str, ...] = ()
-    """Earlier names that are part of it."""
+    """Names of objects to add."""
     minus: tuple[str, ...] = ()
-    """Earlier names that are not."""
+    """Names of objects to exclude."""
     all: bool = False
     """Everything."""
     background: bool = False
     """What belongs to no object."""
     grow: float | None = None
-    """Share of its extent by which to grow what was chosen by all that is above."""
+    """Share of its extent by which to grow the selection."""
     shrink: float | None = None
     """Share of its extent by which to shrink it."""
 
@@ -79,7 +76,7 @@ class Choice:
 
 
 class Rules(NamedTuple):
-    """How the Gaussians of an object are told from others."""
+    """How `pick` decides which Gaussians are an object's."""
 
     threshold: float = THRESHOLD
     """Probability of the object above which a Gaussian belongs to it."""
@@ -98,23 +95,23 @@ def choose(
     rules: Rules = RULES,
     detector: Detector | None = None,
 ) -> SceneObject:
-    """Pick the Gaussians that are meant.
+    """Find the Gaussians of a choice.
 
     Args:
-        scene: Where they are.
-        choice: Which.
-        name: What they will be called; what is called so now is no other object.
-        rules: How they are told from others.
-        detector: What finds `choice.text`.
+        scene: The scene.
+        choice: What to select.
+        name: The name of the new object; an object of that name now counts as background.
+        rules: How to decide which Gaussians are an object's.
+        detector: Finds `choice.text`.
 
     Raises:
-        StyleSplatError: If the scene has no such object, the text means none or several, or
+        StyleSplatError: If the scene has no such object, the text fits none or several, or
             nothing is left.
     """
     without = _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     if choice.background:
-        masks.append(rest(scene, name, threshold=rules.threshold))
+        masks.append(background_of(scene, name, threshold=rules.threshold))
     named, scores = _ids(scene, choice), dict[int, float]()
     for text in choice.text:
         assert detector is not None  # whoever takes texts loads one
@@ -127,27 +124,27 @@ def choose(
         masks.append(_extended(scene, picked))
     if not masks:
         raise StyleSplatError(
-            "Nothing says which Gaussians. Say it with --id, --point, --box, --text, --box3d, "
-            "--sphere, --rows, --plus, --all or --background; --not-point only takes away."
+            "Nothing is selected. Select with --id, --point, --box, --text, --box3d, --sphere, "
+            "--rows, --plus, --all or --background; --not-point only excludes."
         )
     mask = torch.stack(masks).any(dim=0)
     for each in _taken_away(scene, choice, without, rules.threshold):
         mask &= ~each
     if not mask.any():
-        raise StyleSplatError("Nothing is left of the selection. Take away less.")
+        raise StyleSplatError("Nothing is left of the selection. Exclude less.")
     mask = _resized(scene, mask, choice)
     how: dict[str, Any] = {"ids": list(ids), "threshold": rules.threshold}
     how |= {"gaussians": int(mask.sum())}
     given = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
-    how |= {key: _said(key, value) for key, value in given.items()}
+    how |= {key: _recorded(key, value) for key, value in given.items()}
     return SceneObject(mask, how | ({"scores": scores} if scores else {}))
 
 
 def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
-    """The Gaussians that a name or a label id means.
+    """The Gaussians of a name or a label id.
 
-    Gaussians of layers belong to the objects of their parents; a name that only a layer has means
-    what it covers.
+    Gaussians of layers belong to the objects of their parents; a name that only a layer has stands
+    for the Gaussians that it covers.
 
     Raises:
         StyleSplatError: If the scene knows neither.
@@ -169,7 +166,7 @@ def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
 
 
 def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, " N"]]:
-    """As `find_object` does for each; label ids are looked up together.
+    """`find_object` for several names; label ids are looked up in one pass.
 
     Raises:
         StyleSplatError: If the scene lacks one of them.
@@ -186,12 +183,12 @@ def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, "
 
 
 def _extended(scene: Scene, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
-    """What is picked of the base, and the Gaussians of layers that belong to it."""
+    """A pick of the base, with the Gaussians of layers that belong to it."""
     return picked[family(scene).to(picked.device)] if scene.layers else picked
 
 
 def names_of(scene: Scene, id: int) -> list[str]:
-    """What the whole object of a label id is called."""
+    """The names of the whole object of a label id."""
     return [
         name
         for name, each in scene.objects.items()
@@ -200,7 +197,7 @@ def names_of(scene: Scene, id: int) -> list[str]:
 
 
 def whole_ids(scene: Scene, name: str) -> tuple[int, ...]:
-    """The label ids of which a name or an id means the whole objects; none if it means others."""
+    """The label ids whose whole objects a name or an id stands for; none if it is another pick."""
     if name not in scene.objects:
         return (int(name),) if is_id(name) else ()
     how = scene.objects[name].how
@@ -210,7 +207,7 @@ def whole_ids(scene: Scene, name: str) -> tuple[int, ...]:
 def _taken_away(
     scene: Scene, choice: Choice, without: Sequence[int], threshold: float
 ) -> Iterator[Bool[Tensor, " N"]]:
-    """Gaussians that are not meant, with their strays."""
+    """Gaussians to exclude, with their strays."""
     for name in choice.minus:
         yield find_object(scene, name)
     if without:
@@ -225,7 +222,7 @@ def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:
 
 
 def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
-    """The label ids that are named or pointed at."""
+    """The label ids of `ids`, boxes and points."""
     splats, folder = scene.splats, scene.path
     found = [*resolve_ids(splats, object_id=choice.ids, folder=folder)] if choice.ids else []
     for view, box in choice.boxes:
@@ -246,7 +243,7 @@ def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
 def _scores(
     scene: Scene, text: str, detector: Detector, without: Sequence[int]
 ) -> dict[int, float]:
-    """How well a text fits each object that may be meant, as it looks without a style."""
+    """How well a text fits each object that is not excluded, as it looks without a style."""
     ranking = rank_objects(scene.unpainted, scene.cameras, text, detector)
     return {id: score for id, score in ranking.items() if id not in without}
 
@@ -269,8 +266,8 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
         yield in_sphere(splats, centre, radius)
 
 
-def _said(key: str, value: Any) -> Any:
-    """What is written down of a choice."""
+def _recorded(key: str, value: Any) -> Any:
+    """What `objects.json` records of a choice."""
     if key == "rows":
         return [where for where, _ in value]
     return value[0] if key in ALONE and len(value) == 1 else value
@@ -284,3 +281,44 @@ def _resized(scene: Scene, mask: Bool[Tensor, " N"], choice: Choice) -> Bool[Ten
 
 def _camera(scene: Scene, view: str) -> Cameras:
     return scene.cameras[scene.cameras.index(view)]
+
+
+WHOLE = frozenset({"all", "background"})  # selections with these are no objects beside others
+
+
+def background_of(
+    scene: Scene, name: str | None = None, *, threshold: float = THRESHOLD
+) -> Bool[Tensor, " N"]:
+    """The Gaussians that belong to no object.
+
+    Objects are those of the label ids; in a scene without label ids, those that have a name.
+
+    Args:
+        scene: The scene.
+        name: An object that does not count.
+        threshold: Probability of an object above which a Gaussian belongs to it.
+
+    Raises:
+        StyleSplatError: If there are neither label ids nor names, or nothing is left.
+    """
+    if scene.splats.classifier is not None:
+        ids = object_ids(scene.splats)
+        found = each_object(scene.splats, ids, threshold=threshold, remove_outliers=False)
+        masks = (picked for _, picked in found)
+    else:
+        masks = (
+            each.picked
+            for other, each in scene.objects.items()
+            if other != name and not WHOLE & each.how.keys()
+        )
+    left = None
+    for picked in masks:
+        left = ~picked if left is None else left & ~picked
+    if left is None:
+        raise StyleSplatError(
+            "The scene has no objects, so all of it is background. Select it with --all, or name "
+            "objects first."
+        )
+    if not left.any():
+        raise StyleSplatError("Every Gaussian belongs to an object. Nothing is background.")
+    return left

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.splats import Classifier, Splats

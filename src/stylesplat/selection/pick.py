@@ -10,22 +10,19 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import cut_to_picture, pasted
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.drawn_boxes import cut_to_picture
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.gaps import amid
 from stylesplat.selection.identities import object_ids, render_labels, require_identities
-from stylesplat.selection.members import members
-from stylesplat.selection.outliers import inliers
+from stylesplat.selection.members import fill_gaps, inliers, members
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
-# A Gaussian that the label maps vouch for is no outlier while its neighbours are within four of
+# A Gaussian that the label maps confirm is no outlier while its neighbours are within four of
 # its own sizes. Without this large ones go: 12 % of what shows of the fox, lifted.
 TOUCH = 4.0  # mean distance to neighbours over the standard deviation
-SCENE = "SCENE"  # stands for a scene's folder that nobody knows
+SCENE = "SCENE"  # stands for an unknown folder of a scene
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
@@ -51,10 +48,10 @@ def pick(
         box: `(x0, y0, x1, y1)` in the photo's pixels; the object that shows most inside it.
         point: `(x, y)` in the photo's pixels; the object that shows there.
         camera: The view that `box` or `point` refers to, at the photo's full size.
-        threshold: Probability of the object above which a Gaussian belongs to it; those in doubt
-            do where most of their neighbours do.
-        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object; large
-            ones that touch their neighbours do not.
+        threshold: Probability of the object above which a Gaussian belongs to it; a Gaussian in
+            doubt does if most of its neighbours do.
+        remove_outliers: Whether to drop Gaussians that lie apart from the rest of the object,
+            except large ones that touch their neighbours.
 
     Returns:
         True for the picked Gaussians.
@@ -87,7 +84,7 @@ def resolve_ids(
     camera: Cameras | None = None,
     folder: Path | None = None,
 ) -> tuple[int, ...]:
-    """The label ids that the arguments of `pick` mean; `folder` is the scene's, for messages.
+    """The label ids for the arguments of `pick`; `folder` is the scene's, for messages.
 
     Raises:
         StyleSplatError: As `pick` does.
@@ -116,16 +113,16 @@ def each_object(
 ) -> Iterator[tuple[int, Bool[Tensor, " N"]]]:
     """The Gaussians of one object after the other, with its label id, possibly none.
 
-    These are likelier the object's than `threshold` says, or in doubt and lie amid those that are.
+    Their probability exceeds `threshold`, or they are in doubt and most of their neighbours' does.
     """
     found = members(splats, ids, threshold)
     for id in dict.fromkeys(ids):
         mask = found.mask(id)
         if remove_outliers:
-            rows, vouched = found.likely[id], found.vouched[id]
-            reaches = TOUCH * splats.scales[rows].exp().amax(dim=1) * vouched
+            rows, confirmed = found.likely[id], found.confirmed[id]
+            reaches = TOUCH * splats.scales[rows].exp().amax(dim=1) * confirmed
             mask[rows] = inliers(splats.means[rows], reaches=reaches)
-        mask |= amid(splats, mask, partial(found.doubtful, id))
+        mask |= fill_gaps(splats, mask, partial(found.doubtful, id))
         yield id, mask
 
 
@@ -136,7 +133,7 @@ def pick_objects(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> dict[int, Bool[Tensor, " N"]]:
-    """All of `each_object` by label id; of many objects that takes much memory."""
+    """All of `each_object` by label id; many objects take much memory."""
     return dict(each_object(splats, ids, threshold=threshold, remove_outliers=remove_outliers))
 
 

@@ -1,13 +1,15 @@
-"""Picking Gaussians by a shape in the world, for splats that know no objects."""
+"""Selections by distance: boxes and spheres in the world, growing and shrinking a selection."""
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop, unproject
+from stylesplat.scene.content import FAINT, solid
+from stylesplat.scene.projection import crop, overlapping, unproject
 from stylesplat.scene.splats import Splats
 
 
@@ -43,7 +45,7 @@ def in_sphere(splats: Splats, centre: Float[Tensor, "3"], radius: float) -> Bool
 def surface_point(
     splats: Splats, camera: Cameras, point: tuple[float, float]
 ) -> Float[Tensor, "3"]:
-    """Where in the world the surface lies that shows at a pixel of one camera.
+    """The world position of the surface at a pixel of one camera.
 
     Raises:
         StyleSplatError: If the pixel is outside the image, or nothing solid shows there.
@@ -75,3 +77,77 @@ def _some(inside: Tensor, splats: Splats, shape: str) -> Bool[Tensor, " N"]:
 
 def _text(point: Tensor) -> str:
     return ",".join(f"{value:.3g}" for value in point.tolist())
+
+
+SLACK = 1e-6  # of a distance, more than float32 rounds
+INSIDE = 0.9  # share of an object's solid centres that make up its extent; the rest may be strays
+
+
+def grow(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tensor, " N"]:
+    """Add the Gaussians whose centres lie close to a picked one that is not faint.
+
+    Args:
+        splats: The scene.
+        picked: The object's Gaussians, at least one.
+        share: How close, as a share of the object's extent.
+
+    Raises:
+        StyleSplatError: If the share is not above 0 and at most 1.
+    """
+    others = (~picked).nonzero()[:, 0]
+    surface = splats.means[solid(splats, picked)]
+    close = near(splats.means[others], surface, _reach(surface, share))
+    return picked.index_fill(0, others[close], True)
+
+
+def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tensor, " N"]:
+    """Remove the Gaussians whose centres lie close to one that is neither picked nor faint.
+
+    Args:
+        splats: The scene.
+        picked: The object's Gaussians, at least one.
+        share: How close, as a share of the object's extent.
+
+    Raises:
+        StyleSplatError: If the share is not above 0 and at most 1, or nothing is left.
+    """
+    own = picked.nonzero()[:, 0]
+    reach = _reach(splats.means[solid(splats, picked)], share)
+    around = ~picked & (torch.sigmoid(splats.opacities) >= FAINT)
+    close = near(splats.means[own], splats.means[around], reach)
+    if close.all():
+        raise StyleSplatError(
+            f"Shrinking by {share:g} of its extent leaves nothing of the object. Shrink it less."
+        )
+    return picked.index_fill(0, own[close], False)
+
+
+def extent(points: Float[Tensor, "M 3"]) -> float:
+    """The diameter of the sphere around the median that holds nearly all points."""
+    distances = (points - points.median(dim=0).values).norm(dim=1)
+    return 2 * float(distances.sort().values[int(INSIDE * (len(points) - 1))])
+
+
+def _reach(surface: Float[Tensor, "M 3"], share: float) -> float:
+    if not 0 < share <= 1:
+        raise StyleSplatError(
+            f"Cannot grow or shrink an object by {share:g} of its extent. "
+            "Give more than 0 and at most 1; 0.05 is 5 %."
+        )
+    return share * extent(surface)
+
+
+def near(
+    points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
+) -> Bool[Tensor, " M"]:
+    """Which points lie at most so far from one of the others."""
+    bound = reach * (1 + SLACK)  # the search excludes its bound, so it is a little wider
+    nobody = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+    if not len(others):
+        return nobody
+    low, high = others.amin(dim=0) - bound, others.amax(dim=0) + bound
+    room = SLACK * torch.maximum(low.abs(), high.abs())  # float32 rounds these sums
+    rows = overlapping(points, points, low - room, high + room)
+    positions, targets = (each.detach().cpu().double().numpy() for each in (points[rows], others))
+    distances, _ = KDTree(targets).query(positions, distance_upper_bound=bound, workers=-1)
+    return nobody.index_fill(0, rows[torch.from_numpy(distances <= reach).to(rows.device)], True)

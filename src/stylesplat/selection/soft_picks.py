@@ -1,51 +1,50 @@
-"""Soft picks: how much of what a Gaussian paints belongs to the object that it was picked for.
+"""Soft picks: the share of each picked Gaussian's contribution to renders that is its object's.
 
 A pick says yes or no, but its Gaussians do not end where the object does: some straddle its
-contour, some are haze or float beside it. What they paint is seen in all views together.
+contour, some are haze or float beside it. All views together show where they contribute.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int32
 from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
-from stylesplat.rendering.seen import seen
 from stylesplat.rendering.shares import COVERED, without_looks
+from stylesplat.rendering.visibility import LARGE, bounds, in_view, pixel_bounds, visible
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.projection import crop
+from stylesplat.scene.projection import crop, overlapping
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.contacts import on_support
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.members import likeliest
 
-VIEWS = 16  # that are looked at; more tell hardly more
+VIEWS = 16  # more give the same shares
 LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
 LABELLED = 0.25  # coverage from which a pixel is the object's if its label says so, too
-# Parts of what a Gaussian paints that lie inside the object, up to which it is taken to lie outside
-# altogether, and from which inside. Measured on the fox and the demo: .5 and .9 leave more smudges
-# on the wall, .8 and .97 eat into the fur.
+# The part of a Gaussian's contribution inside the object at which its share begins to exceed 0,
+# and reaches 1. Measured on the fox and the demo: .5 and .9 leave more smudges on the wall, .8 and
+# .97 eat into the fur.
 OUTSIDE, INSIDE = 0.6, 0.95
-UNSEEN = 0.02  # pixels, of all views: what shows less takes after its neighbours
+UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less takes its neighbours' part
 NEIGHBOURS = 9
 NO_IDS = torch.zeros(0, dtype=torch.long)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where an object is in one view."""
+    """An object's pixels in one view."""
 
     camera: Cameras
-    """The camera alone, at a modest size."""
     pixels: Bool[Tensor, "H W"]
-    """The object's."""
     painted: Float[Tensor, "N 2"]
-    """What each Gaussian of the pick that it was found for paints of them, and of the image."""
+    """The contribution of each picked Gaussian to these pixels, and to the whole image."""
 
 
 @torch.no_grad()
@@ -55,18 +54,18 @@ def find_places(
     cameras: Cameras,
     labels: Int[Tensor, " N"] | None = None,
 ) -> list[Place]:
-    """Where an object is in some views.
+    """Find an object's pixels in some views.
 
-    It is where the picked Gaussians cover half of a pixel, or less if its label is one that most
-    Gaussians of the pick, and few others, have.
+    They are where the picked Gaussians cover half of a pixel, or less if the pixel has a label that
+    most Gaussians of the pick, and few others, have.
 
     Args:
         splats: The scene.
         picked: The object's Gaussians.
         cameras: Views to choose from.
-        labels: The likeliest label of each Gaussian, if somebody has looked.
+        labels: The likeliest label of each Gaussian, if known.
     """
-    # contributions are known on the CPU only
+    # contributions exist on the CPU only
     splats, picked = splats.to("cpu"), picked.cpu()
     bare = without_looks(splats)
     if labels is None and splats.identities is not None and splats.classifier is not None:
@@ -75,34 +74,34 @@ def find_places(
     alone = bare[picked.nonzero()[:, 0]]
 
     def find(camera: Cameras) -> Place:
-        view = contributions(bare, camera, picked, seen(alone, camera).box(camera))
+        view = contributions(bare, camera, picked, in_view(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if len(ids) and unsure.any():
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
         return Place(camera, pixels, _painted(view, pixels, len(splats)))
 
-    views = looked_at(cameras)
-    return [*track(at_once(find, views), "looking for contours", total=len(views))]
+    views = sampled_views(cameras)
+    return [*track(at_once(find, views), "finding contours", total=len(views))]
 
 
-def looked_at(cameras: Cameras) -> list[Cameras]:
-    """Those of some views that objects are looked for in, one by one, at the size for that."""
+def sampled_views(cameras: Cameras) -> list[Cameras]:
+    """The views in which shares are measured, one by one, at a small size."""
     return [cameras[row].at_most(LONGER_SIDE) for row in evenly(range(len(cameras)), VIEWS)]
 
 
 def soft_shares(
     splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]
 ) -> Float[Tensor, " N"]:
-    """How much of what each Gaussian paints belongs to the object.
+    """The share of each Gaussian's contribution that belongs to the object.
 
-    Haze and floaters lie mostly outside, all views together, and get exactly 0; what lies well
-    inside gets exactly 1.
+    Haze and floaters, which lie mostly outside over all views, get exactly 0; Gaussians well inside
+    get exactly 1.
 
     Args:
         splats: The scene.
         picked: The object's Gaussians.
-        places: Where the object is, found for these Gaussians or for those that they came from.
+        places: The object's pixels, found for these Gaussians or for those that they came from.
 
     Returns:
         Shares in 0..1; 0 for all that is not picked.
@@ -115,16 +114,7 @@ def soft_shares(
 def inside_parts(
     splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]
 ) -> Float[Tensor, " N"]:
-    """The part of what each picked Gaussian paints that lies where the object is.
-
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians.
-        places: Where the object is.
-
-    Returns:
-        Parts in 0..1; 0 for all that is not picked.
-    """
+    """The part of each picked Gaussian's contribution inside the object, 0..1; 0 for the others."""
     sums = torch.stack([place.painted for place in places]).sum(dim=0)
     inside, everywhere = sums.unbind(dim=1)
     means, mine = splats.means.cpu(), picked.cpu()
@@ -137,12 +127,12 @@ def inside_parts(
 
 @torch.no_grad()
 def seen_anew(splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]) -> list[Place]:
-    """The same places, and what the Gaussians of another scene paint there.
+    """The same places with the contributions of another scene's Gaussians.
 
     Args:
         splats: The scene, whose Gaussians came from those that the places were found for.
-        picked: The object's.
-        places: Where the object is.
+        picked: The object's Gaussians.
+        places: The object's pixels.
     """
     bare, picked = without_looks(splats.to("cpu")), picked.cpu()
 
@@ -150,11 +140,11 @@ def seen_anew(splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place
         view = contributions(bare, place.camera, picked)
         return replace(place, painted=_painted(view, place.pixels, len(splats)))
 
-    return [*track(at_once(see, places), "looking at contours", total=len(places))]
+    return [*track(at_once(see, places), "measuring contours", total=len(places))]
 
 
 def _painted(view: Contributions, pixels: Bool[Tensor, "H W"], count: int) -> Tensor:
-    """What each Gaussian paints of some pixels, and of all."""
+    """The contribution of each Gaussian to some pixels, and to all."""
     sums = torch.stack([view.weights(pixels), view.weights()], dim=1)
     return sums.new_zeros(count, 2).index_copy_(0, view.gaussians, sums)
 
@@ -188,3 +178,102 @@ def _of_neighbours(
     tree = KDTree(others.double().numpy())
     _, rows = tree.query(points.double().numpy(), k=count)
     return values[torch.from_numpy(rows).view(-1, count)].median(dim=1).values
+
+
+MARGIN = 2  # pixels around what an object may reach
+NEARBY = 0.25  # of an object's extent along each axis: what it stands on lies within
+
+
+@dataclass(frozen=True)
+class VisibleInView:
+    """The visible Gaussians of one view, and the pixels that each may reach."""
+
+    camera: Cameras
+    rows: Int32[Tensor, " M"]
+    low: Int32[Tensor, "M 2"]
+    high: Int32[Tensor, "M 2"]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What matters to each object of a large scene; every view is rendered once for all."""
+
+    splats: Splats
+    views: Sequence[VisibleInView]
+
+    def around(self, picked: Bool[Tensor, " N"]) -> Int[Tensor, " M"]:
+        """Rows of an object's Gaussians, those visible around its pixels, and those close by."""
+        mine = picked.clone()
+        own = self.splats[picked.nonzero()[:, 0]]
+        for view in self.views:
+            low, high = pixel_bounds(own, view.camera)
+            shown = (low < high).all(dim=1)
+            if shown.any():
+                low, high = low[shown].amin(dim=0) - MARGIN, high[shown].amax(dim=0) + MARGIN
+                mine[view.rows[overlapping(view.low, view.high, low + 1, high - 1)].long()] = True
+        low, high = own.means.amin(dim=0), own.means.amax(dim=0)
+        room = NEARBY * (high - low).norm()
+        means = self.splats.means
+        mine[overlapping(means, means, low - room, high + room)] = True
+        return mine.nonzero()[:, 0]
+
+
+@torch.no_grad()
+def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
+    """Render every view once; None for small scenes and on a GPU, where that saves no time."""
+    if len(splats) < LARGE or splats.device.type != "cpu":
+        return None
+    bare = without_looks(splats)
+
+    def look(camera: Cameras) -> VisibleInView:
+        near = visible(in_view(bare, camera), camera)
+        low, high = bounds(near.projected)
+        return VisibleInView(camera, near.rows.int(), low.int(), high.int())
+
+    found = at_once(look, cameras)
+    return Survey(splats, [*track(found, "finding visible Gaussians", total=len(cameras))])
+
+
+@torch.no_grad()
+def own_shares(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    cameras: Cameras,
+    *,
+    labels: Int[Tensor, " N"] | None = None,
+    seed: int = 0,
+) -> Float[Tensor, " N"]:
+    """Soft shares without the surface that the object stands on: what `stylize` would paint.
+
+    Args:
+        splats: The scene.
+        picked: The object's Gaussians.
+        cameras: Views to choose from.
+        labels: The likeliest label of each Gaussian, if known.
+        seed: Of the planes that are tried for the surface.
+
+    Returns:
+        Shares in 0..1: 0 for the surface, for haze and floaters, and for all that is not picked.
+    """
+    own = picked & ~on_support(splats, picked, seed=seed)
+    return soft_shares(splats, own, find_places(splats, own, cameras, labels))
+
+
+class OwnShares:
+    """`own_shares` of one object after the other; of a large scene only what matters to each."""
+
+    def __init__(self, splats: Splats, cameras: Cameras) -> None:
+        self._splats, self._cameras = splats, cameras
+        self._survey = survey(splats, sampled_views(cameras))
+        self._labels = None
+        if self._survey is not None and splats.classifier is not None:
+            self._labels = likeliest(splats)
+
+    def of(self, picked: Bool[Tensor, " N"]) -> Float[Tensor, " N"]:
+        """The shares of an object's Gaussians."""
+        if self._survey is None or not picked.any():
+            return own_shares(self._splats, picked, self._cameras)
+        rows = self._survey.around(picked)
+        labels = None if self._labels is None else self._labels[rows]
+        shares = own_shares(self._splats[rows], picked[rows], self._cameras, labels=labels)
+        return shares.new_zeros(len(picked)).index_copy_(0, rows, shares)

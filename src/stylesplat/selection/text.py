@@ -1,32 +1,132 @@
-"""What a phrase means in a scene: boxes that a detector draws in some views vote for objects."""
+"""Selection by text: boxes that a detector finds in some views vote for objects."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.models.hub import find_model, load_model, load_processor
 from stylesplat.progress import track
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.pasted import pasted
 from stylesplat.scene.sampling import far_apart
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.detector import MIN_SCORE, Detections, Detector
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import SCENE
 
-VIEWS = 8  # that are looked at: a view in which the detector errs is outvoted
+CHECKPOINT = "IDEA-Research/grounding-dino-tiny"
+GROUNDED = ("grounding-dino", "mm-grounding-dino")  # score every word of a text for every box
+CONCEPTS = ("sam3", "sam3_video")  # take one phrase
+MIN_SCORE = 0.3  # below it detectors guess; both kinds have about this default
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Boxes in a picture."""
+
+    boxes: Float[Tensor, "B 4"]
+    """Left, top, right and bottom in pixels."""
+    scores: Float[Tensor, " B"]
+    """Confidence of each, from 0 to 1."""
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """Finds a phrase in a picture."""
+
+    def detect(self, picture: UInt8[Tensor, "H W 3"], phrase: str) -> Detections:
+        """Boxes on the CPU."""
+        ...
+
+
+@dataclass(frozen=True)
+class PhraseDetector:
+    """A detector of `transformers`: Grounding DINO (Liu et al. 2024) or SAM 3."""
+
+    model: Any
+    processor: Any
+    grounded: bool
+    """Whether the model scores words (see `GROUNDED`)."""
+    min_score: float = MIN_SCORE
+
+    @torch.no_grad()
+    def detect(self, picture: UInt8[Tensor, "H W 3"], phrase: str) -> Detections:
+        """The boxes of a phrase, on the CPU.
+
+        Raises:
+            StyleSplatError: If the phrase is longer than the model reads.
+        """
+        text = f"{phrase.rstrip('.')}." if self.grounded else phrase  # trained on whole sentences
+        inputs = self.processor(
+            images=picture.cpu().numpy(),
+            text=text,
+            input_data_format="channels_last",
+            return_tensors="pt",
+        ).to(self.model.device)
+        self._check_length(phrase, inputs["input_ids"].shape[1])
+        post_process = (
+            self.processor.post_process_grounded_object_detection
+            if self.grounded
+            else self.processor.post_process_object_detection
+        )
+        given = {"threshold": self.min_score, "target_sizes": [tuple(picture.shape[:2])]}
+        if self.grounded:
+            given["input_ids"] = inputs["input_ids"]
+        (found,) = post_process(self.model(**inputs), **given)
+        return Detections(found["boxes"].float().cpu(), found["scores"].float().cpu())
+
+    def _check_length(self, phrase: str, length: int) -> None:
+        limit = self.model.config.text_config.max_position_embeddings
+        if self.grounded:
+            limit = min(limit, self.model.config.max_text_len)
+        if length > limit:
+            raise StyleSplatError(
+                f"The phrase {phrase[:20]!r}... takes {length} tokens, the model reads {limit}. "
+                "Use fewer words."
+            )
+
+
+def load_detector(model: str | None = None, device: torch.device | str = "cpu") -> PhraseDetector:
+    """Load a model that finds things by words.
+
+    Args:
+        model: Folder or name of a Grounding DINO or SAM 3; by default the smallest of the former.
+        device: Where to compute.
+
+    Raises:
+        StyleSplatError: If the model cannot be found, downloaded or loaded, or is another.
+    """
+    source = find_model(model or CHECKPOINT, [*GROUNDED, *CONCEPTS], job="find objects by a phrase")
+    from transformers import (
+        AutoModelForZeroShotObjectDetection,
+        AutoProcessor,
+        Sam3Model,
+        Sam3Processor,
+    )
+
+    grounded = source.model_type in GROUNDED
+    # In a `sam3_video` other models are found first
+    kind = AutoModelForZeroShotObjectDetection if grounded else Sam3Model
+    processor = load_processor(source, AutoProcessor if grounded else Sam3Processor)
+    loaded = load_model(source, kind, device=device, dtype=torch.float32)
+    return PhraseDetector(loaded, processor, grounded=grounded)
+
+
+VIEWS = 8  # rendered: the others outvote a view in which the detector errs
 LONGER_SIDE = 1024  # pixels of a view; detectors shrink larger ones
-STRAYS = 0.01  # of an object's pixels at each side that may lie apart, out of its box
+STRAYS = 0.01  # share of an object's pixels at each side that its box leaves out
 MIN_FIT = 0.3  # IoU below which a box is around something else, or something without a label
-# Votes that may be chance: a quarter of the views must show a box that just counts, or fewer a
-# box that is surer than that
+# Score that may be chance: a quarter of the views must have a box that just counts, or fewer
+# views a box of a higher score
 CHANCE = MIN_SCORE / 4
-RIVAL = 0.8  # of the best score, from which on the second best may be meant as well
+RIVAL = 0.8  # share of the best score from which the second best is ambiguous
 
 
 def rank_objects(
@@ -37,8 +137,8 @@ def rank_objects(
 ) -> dict[int, float]:
     """How well a phrase fits each object, over views from all around.
 
-    The detector sees renders, not photos: they are at hand for every scene, imported ones and
-    those whose capture is gone too, and show exactly the pixels that the label map is of.
+    The detector sees renders, not photos: every scene has them, also one that was imported or
+    whose capture is gone, and they agree with the rendered label map.
 
     Args:
         splats: Gaussians with identities, in the colours they had before styling.
@@ -53,24 +153,24 @@ def rank_objects(
         StyleSplatError: If the splats have no identities, or the phrase is too long to be read.
     """
 
-    def looked_at() -> Iterator[tuple[Int[Tensor, "H W"], Detections]]:
+    def detections() -> Iterator[tuple[Int[Tensor, "H W"], Detections]]:
         for row in track(far_apart(cameras, VIEWS), "looking for it"):
             camera = cameras[row].at_most(LONGER_SIDE)
             labels = render_labels(splats, camera).cpu()
             yield labels, detector.detect(_picture(splats, camera), phrase)
 
-    return tally(looked_at())
+    return count_votes(detections())
 
 
-def tally(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[int, float]:
-    """Count the votes of boxes for objects.
+def count_votes(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[int, float]:
+    """Count votes of boxes for objects.
 
     Each box votes, with its score, for the object whose own box in the label map it fits best,
     if it fits: by intersection over union, so that a large object in the background does not win
     for filling the box. Boxes of one view around one object are one vote, that of the best.
 
     Args:
-        views: Label maps, 0 for background, and what was found in the same view.
+        views: Label maps, 0 for background, and the detections in the same view.
 
     Returns:
         Votes over the number of views, by label id, the best first.
@@ -103,17 +203,17 @@ def clear_winner(
     *,
     folder: Path | None = None,
 ) -> int:
-    """The object that a phrase means.
+    """The object with clearly the best score.
 
     Args:
-        scores: Votes by id.
-        phrase: What was looked for.
-        names: What objects are called, by id.
+        scores: From `rank_objects`.
+        phrase: For messages.
+        names: Of objects by id, for messages.
         folder: The scene's, for messages.
 
     Raises:
-        StyleSplatError: If none fits, or only by chance, or the second best nearly as well as the
-            best.
+        StyleSplatError: If none fits, the best may be chance, or the second best fits nearly as
+            well.
     """
     if not scores:
         raise StyleSplatError(

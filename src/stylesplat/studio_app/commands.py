@@ -6,8 +6,8 @@ from pathlib import Path
 
 import torch
 
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.layer import Layer
-from stylesplat.scene.pasted import pasted
 from stylesplat.studio_app.studio_state import State
 from stylesplat.stylization.plain_settings import plain
 from stylesplat.stylization.style_config import StyleConfig

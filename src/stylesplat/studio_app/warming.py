@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from stylesplat.progress import Silence, observed
-from stylesplat.scene.ring import ring_cameras
+from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.style import Style

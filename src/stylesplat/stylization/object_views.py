@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from stylesplat.progress import say, track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras

@@ -12,7 +12,7 @@ from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.progress import say
-from stylesplat.scene.intensity import check_form
+from stylesplat.scene.arguments import check_form
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings

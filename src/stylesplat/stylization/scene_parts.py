@@ -12,7 +12,7 @@ from stylesplat.scene.compose import spans, taken_rows
 from stylesplat.scene.layer import Layer, taken
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.listing import no_objects, picks_of
+from stylesplat.selection.objects import no_objects, picks_of
 
 REST = "rest"  # what the part is called that belongs to no object
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.intensity import MAX_INTENSITY, check_intensity
+from stylesplat.scene.arguments import MAX_INTENSITY, check_intensity
 from stylesplat.stylization.stages import (
     FINEST,
     SCALE,

@@ -1,6 +1,6 @@
 """Adam over named tensors whose rows come and go (Kingma and Ba 2015).
 
-Rows whose Gaussian is in no view of a step keep their value and moments, as in gsplat's
+Rows whose Gaussian is invisible in a step keep their value and moments, as in gsplat's
 `SelectiveAdam`.
 """
 
@@ -12,10 +12,9 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from stylesplat.training.parts import AdamSteps, Turn, parts_for
+from stylesplat.training.device_ops import AdamTurn, device_ops
 
 BETA1, BETA2 = 0.9, 0.999
-EPS = 1e-15  # the 3D Gaussian splatting code's
 
 
 @dataclass(frozen=True)
@@ -36,20 +35,19 @@ class Moments:
         return Moments(first, second)
 
     def take(self, rows: Int[Tensor, " M"], names: tuple[str, ...]) -> "Moments":
-        """The same state with other rows in the tensors called `names`; row -1 is zero."""
+        """The state with other rows in the tensors called `names`; row -1 is zero."""
 
         def taken(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-            fresh = rows < 0
             out = dict(tensors)
             for name in names:
                 out[name] = tensors[name][rows.clamp(min=0)]
-                out[name][fresh] = 0
+                out[name][rows < 0] = 0
             return out
 
         return Moments(taken(self.first), taken(self.second))
 
 
-class Update(NamedTuple):
+class AdamUpdate(NamedTuple):
     """One step of Adam over named tensors."""
 
     params: dict[str, Tensor]
@@ -58,21 +56,8 @@ class Update(NamedTuple):
     """Learning rate of each."""
     step: int
     """Number of the last photo of this step, from 1."""
-    seen: Bool[Tensor, " N"] | None = None
+    visible: Bool[Tensor, " N"] | None = None
     """Rows to update of the tensors with this many rows; None updates all."""
-
-    def turn(self, name: str, photos: int) -> Turn | None:
-        """The step of one tensor, if it has a gradient; see `adam_steps`."""
-        param, seen = self.params[name], self.seen
-        if param.grad is None:
-            return None
-        some = seen if seen is not None and len(seen) == len(param) else None
-        return Turn(
-            grad=param.grad,
-            rows=param.new_ones(len(param), dtype=torch.bool) if some is None else some,
-            rate=self.rates[name] * photos**0.5,
-            corrections=(1 - BETA1**self.step, 1 - BETA2**self.step),
-        )
 
 
 def adam_step(
@@ -80,23 +65,15 @@ def adam_step(
     moments: Moments,
     rates: dict[str, float],
     step: int,
-    seen: Bool[Tensor, " N"] | None = None,
+    visible: Bool[Tensor, " N"] | None = None,
 ) -> None:
-    """Update the tensors that have a gradient in place.
-
-    Args:
-        params: Tensors, with their gradients in `.grad`.
-        moments: Their state, updated in place.
-        rates: Learning rate of each.
-        step: Number of this step, from 1.
-        seen: Rows to update of the tensors with this many rows; None updates all.
-    """
-    adam_steps(moments, [Update(params, rates, step, seen)])
+    """Update the tensors that have a gradient, and their moments, in place; see `AdamUpdate`."""
+    adam_steps(moments, [AdamUpdate(params, rates, step, visible)])
 
 
 @torch.no_grad()
-def adam_steps(moments: Moments, updates: Sequence[Update], *, photos: int = 1) -> None:
-    """Several steps, one after the other, in one pass through memory.
+def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int = 1) -> None:
+    """Take several steps, one after the other, in one pass through memory.
 
     A step for several photos at once, by the mean of their gradients, takes the rate times the
     square root of their number, and moments that fade as in as many steps (Zhao et al. 2024, "On
@@ -104,18 +81,20 @@ def adam_steps(moments: Moments, updates: Sequence[Update], *, photos: int = 1) 
 
     Args:
         moments: State of the tensors, updated in place.
-        updates: What to step by.
-        photos: How many the gradients of each are the mean of.
+        updates: The steps.
+        photos: The gradients of each are the mean over so many photos.
     """
-    for name, param in updates[0].params.items():
-        turns = [update.turn(name, photos) for update in updates]
-        turns = [turn for turn in turns if turn is not None]
+    kept = BETA1**photos, BETA2**photos
+    for name, stepped in updates[0].params.items():
+        turns = []
+        for params, rates, step, visible in updates:
+            param = params[name]
+            if param.grad is None:
+                continue
+            if visible is None or len(visible) != len(param):
+                visible = param.new_ones(len(param), dtype=torch.bool)
+            corrections = 1 - BETA1**step, 1 - BETA2**step
+            turns.append(AdamTurn(param.grad, visible, rates[name] * photos**0.5, corrections))
         if turns:
-            steps = AdamSteps(
-                param=param.detach(),
-                first=moments.first[name],
-                second=moments.second[name],
-                turns=turns,
-                kept=(BETA1**photos, BETA2**photos),
-            )
-            parts_for(param.device).adam(steps)
+            adam = device_ops(stepped.device).adam
+            adam(stepped.detach(), moments.first[name], moments.second[name], turns, kept)

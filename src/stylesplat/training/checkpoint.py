@@ -1,23 +1,20 @@
-"""A run on disk, to be continued with the same settings and the same capture only."""
+"""Checkpoints: a run on disk, which continues with the same settings and the same capture only."""
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from zipfile import ZipFile
 
-import msgspec
 import torch
-from msgspec import Meta
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path, left_beside
-from stylesplat.io.files import reason
-from stylesplat.io.json_files import fitting
-from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
-from stylesplat.scene.fingerprint import differences
+from stylesplat.io.declared import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
+from stylesplat.io.files import atomic_path, reason
+from stylesplat.progress import say
+from stylesplat.scene.capture import differences
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.training.adam import Moments
 from stylesplat.training.state import State
@@ -26,34 +23,17 @@ from stylesplat.training.train_config import TrainConfig
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
 LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
 REMEDY = "The same settings and photos continue it; `--restart` begins anew."
-OF_PHOTOS = {
-    "color_maps": Declared(("photos", 3, 4)),
-    "pose_shifts": Declared(("photos", 6)),
-}
-ANY = {"low": -math.inf, "high": math.inf}  # of moments: squares of gradients
-
-
-class _Parts(msgspec.Struct):
-    """What `save_checkpoint` writes of a state."""
-
-    params: dict[str, Tensor]
-    first: dict[str, Tensor]
-    second: dict[str, Tensor]
-    ids: tuple[Annotated[int, Meta(ge=0, le=MAX_ID)], ...]
-    counts: tuple[Annotated[int, Meta(ge=1, le=2**53)], Annotated[int, Meta(ge=0, le=2**53)]]
-    seconds: Annotated[float, Meta(ge=0, le=1e12)]
+CHECKPOINT_SECONDS = 60.0
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a run is kept, and what it has to be to go on from there."""
+    """The file of a run, and what it has to contain for the run to continue."""
 
     path: Path
-    """The file."""
     config: TrainConfig
-    """Its settings."""
     capture: str
-    """Fingerprint of what it trains on."""
+    """Fingerprint of the capture."""
     photos: int = 0
     """How many photos are trained on."""
 
@@ -78,12 +58,8 @@ def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
         _write(content, temporary)
 
 
-def refuse_unbegun(path: Path | None) -> None:
-    """Refuse to finish a run that has no checkpoint.
-
-    Raises:
-        StyleSplatError: If there is none.
-    """
+def require_checkpoint(path: Path | None) -> None:
+    """Raise a StyleSplatError if there is no checkpoint to finish."""
     if path is None or not path.exists():
         fact = "no checkpoint is given" if path is None else f"there is no {path}"
         raise StyleSplatError(
@@ -95,10 +71,10 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: boo
     """The state that `save_checkpoint` wrote; the file stays as it is.
 
     Args:
-        checkpoint: What it has to be of. The length of the run may be another, if the steps taken
-            are enough for the length wanted.
+        checkpoint: What it has to contain. The length of the run may differ if the steps taken
+            suffice for the length wanted.
         device: Where to load it.
-        finish: Whether they are enough anyway.
+        finish: Whether the steps taken suffice in any case.
 
     Raises:
         StyleSplatError: If the file is damaged, or its run had other settings or another capture.
@@ -119,22 +95,8 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: boo
     return state
 
 
-def remove_leftovers(path: Path) -> None:
-    """Delete the temporary files of a checkpoint whose writing was killed.
-
-    Raises:
-        StyleSplatError: If one cannot be deleted.
-    """
-    for file in left_beside(path):
-        if file.is_file():
-            try:
-                file.unlink(missing_ok=True)
-            except OSError as error:
-                raise StyleSplatError(f"Cannot delete {file}: {error.strerror}.") from error
-
-
 def _write(content: dict[str, Any], path: Path) -> None:
-    """`torch.save`, raising OSErrors only, if it cannot write."""
+    """`torch.save`, which raises OSErrors only if it cannot write."""
     try:
         with path.open("wb") as file:
             torch.save(content, file)
@@ -146,11 +108,11 @@ def _write(content: dict[str, Any], path: Path) -> None:
 
 
 def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool) -> str:
-    """In what the run of a checkpoint differs from another one; empty if in nothing."""
+    """How the run of a checkpoint differs from the one wanted; empty if it does not."""
     # A setting that an older version did not have was what is the default now.
     saved, wanted = asdict(TrainConfig()) | content["config"], asdict(checkpoint.config)
     if "capture" not in content:
-        return "an older version, which did not note its photos, poses, label maps and size"
+        return "an older version, which did not record its photos, poses, label maps and size"
     over = finish or checkpoint.config.progress(content["counts"][1], content["seconds"]) >= 1
     free = FREE | LENGTH if over else FREE
     settings = [n for n, value in wanted.items() if n not in free and saved[n] != value]
@@ -159,10 +121,7 @@ def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool
 
 
 def _check_sizes(path: Path) -> None:
-    """Raise a ValueError unless a file is what `torch.save` writes, and no larger inside.
-
-    It never compresses; what claims to be larger would fill the memory as it is read.
-    """
+    """Raise a ValueError if a file expands to more than its size; `torch.save` never compresses."""
     if not path.is_file():
         raise ValueError("no plain file")
     with ZipFile(path) as packed:
@@ -171,32 +130,70 @@ def _check_sizes(path: Path) -> None:
 
 
 def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
-    """The state in a checkpoint of such a run.
-
-    Raises:
-        ValueError: If it cannot be one.
-    """
-    parts = fitting({key: content[key] for key in _Parts.__struct_fields__}, _Parts, "parts", "")
-    bands = (checkpoint.config.sh_degree + 1) ** 2 - 1
-    declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if parts.ids else {})
-    declared |= _of_photos(checkpoint.config, parts.params)
-    sizes = {"N": len(parts.params["means"]), "K": len(parts.ids), "bands": bands}
-    sizes["photos"] = checkpoint.photos
-    if len(set(parts.ids)) < len(parts.ids):
-        raise ValueError("ids are not all different")
-    check_tensors(parts.params, declared, sizes)
-    for moments in (parts.first, parts.second):
-        check_tensors(moments, {n: replace(each, **ANY) for n, each in declared.items()}, sizes)
-    if any((values < 0).any() for values in parts.second.values()):
-        raise ValueError("means of squares are negative")
-    first_count, step = parts.counts
-    params = {name: t.requires_grad_() for name, t in parts.params.items()}
-    moments = Moments(parts.first, parts.second)
-    return State(params, moments, parts.ids, first_count, step, parts.seconds)
-
-
-def _of_photos(config: TrainConfig, params: Mapping[str, Tensor]) -> dict[str, Declared]:
-    """What such a run learns of photos; `auto` has left open whether their colours."""
+    """The state in a checkpoint; raises a ValueError or a KeyError if it cannot be one."""
+    params, ids, config = content["params"], tuple(content["ids"]), checkpoint.config
+    (first_count, step), seconds = content["counts"], content["seconds"]
+    known = all(isinstance(id, int) and 0 <= id <= MAX_ID for id in ids)
+    if not known or len({*ids}) < len(ids):
+        raise ValueError("ids are not all different label ids")
+    counts_fit = isinstance(first_count, int) and isinstance(step, int) and first_count > 0 <= step
+    if not (counts_fit and 0 <= seconds < math.inf):
+        raise ValueError("counts of steps, seconds or Gaussians are out of range")
+    declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if ids else {})
     corrects = {"on": True, "off": False}.get(config.color_correction, "color_maps" in params)
-    learned = {"color_maps": corrects, "pose_shifts": config.refine_poses}
-    return {name: each for name, each in OF_PHOTOS.items() if learned[name]}
+    if corrects:  # `auto` left this open
+        declared |= {"color_maps": Declared(("photos", 3, 4))}
+    if config.refine_poses:
+        declared |= {"pose_shifts": Declared(("photos", 6))}
+    bands = (config.sh_degree + 1) ** 2 - 1
+    sizes = {"N": len(params["means"]), "K": len(ids), "bands": bands, "photos": checkpoint.photos}
+    check_tensors(params, declared, sizes)
+    for low, moments in ((-math.inf, content["first"]), (0.0, content["second"])):
+        anything = {n: replace(each, low=low, high=math.inf) for n, each in declared.items()}
+        check_tensors(moments, anything, sizes)
+    params = {name: t.requires_grad_() for name, t in params.items()}
+    moments = Moments(content["first"], content["second"])
+    return State(params, moments, ids, first_count, step, seconds)
+
+
+class Checkpointer:
+    """Writes the checkpoints of a run; one that cannot be written costs a line, not the run."""
+
+    def __init__(self, checkpoint: Checkpoint | None, state: State) -> None:
+        self._checkpoint = checkpoint
+        self._saved_step = state.step  # of the file, if there is one
+        self._written = time.monotonic()
+        self._fails = False
+
+    def after_step(self, state: State) -> None:
+        """Write a checkpoint if it is time; say when writing fails, and when it works again."""
+        if self._checkpoint is None or time.monotonic() - self._written <= CHECKPOINT_SECONDS:
+            return
+        error = self._try(self._checkpoint, state)
+        if error is not None and not self._fails:
+            say(f"{error} Training goes on without a checkpoint.")
+        elif error is None and self._fails:
+            say("Checkpoints can be written again.")
+        self._fails = error is not None
+
+    def at_end(self, state: State, *, interrupted: bool) -> None:
+        """Write the last checkpoint; say so if an interrupted run cannot be saved."""
+        if self._checkpoint is None:
+            return
+        error = self._try(self._checkpoint, state)
+        if error is None or (self._fails and not interrupted):
+            return
+        there = "There is no checkpoint"
+        if self._checkpoint.path.exists():
+            there = f"The last checkpoint is of step {self._saved_step:,}"
+        say(f"{error} {there}, and the run was at step {state.step:,}.")
+
+    def _try(self, checkpoint: Checkpoint, state: State) -> StyleSplatError | None:
+        try:
+            save_checkpoint(checkpoint, state)
+            self._saved_step = state.step
+            return None
+        except StyleSplatError as error:
+            return error
+        finally:
+            self._written = time.monotonic()

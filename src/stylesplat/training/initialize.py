@@ -81,12 +81,14 @@ def _points(capture: Capture, generator: torch.Generator) -> tuple[Tensor, Tenso
     if capture.points is not None and len(capture.points) > NEIGHBORS:
         grey = torch.full((len(capture.points), 3), 128, dtype=torch.uint8)
         return capture.points.float(), grey if (c := capture.point_colors) is None else c
-    points = seen_together(capture.cameras, RANDOM_POINTS, generator)
+    points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
     return points, torch.full((len(points), 3), 128, dtype=torch.uint8)
 
 
-def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> Float[Tensor, "N 3"]:
-    """Random points in the space that several cameras see, about as far away as they are apart.
+def commonly_visible_points(
+    cameras: Cameras, count: int, generator: torch.Generator
+) -> Float[Tensor, "N 3"]:
+    """Random points in the space that several cameras see, near what they look at.
 
     Raises:
         StyleSplatError: If the cameras look at no common space.
@@ -96,8 +98,8 @@ def seen_together(cameras: Cameras, count: int, generator: torch.Generator) -> F
     reach = float((positions - focus).norm(dim=-1).median())
     points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
     views = torch.zeros(len(points))
-    for row in range(len(cameras)):
-        views += shown(points, cameras[row])
+    for camera in cameras:
+        views += shown(points, camera)
     seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
     if len(seen) < 100:
         raise StyleSplatError(

@@ -1,37 +1,47 @@
-"""Joint training of Gaussians, identities and classifier (StyleSplat section 3.3)."""
+"""The training loop: Gaussians, identities and classifier together (StyleSplat section 3.3)."""
 
+import signal
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.progress import say
-from stylesplat.rendering.at_once import Crew
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.fingerprint import fingerprint
-from stylesplat.training.announce import Report, Tally, announced
+from stylesplat.progress import Task, say, task
+from stylesplat.rendering.at_once import RenderPool
+from stylesplat.scene.capture import Capture, fingerprint
+from stylesplat.signals import TAKEN
 from stylesplat.training.checkpoint import (
     Checkpoint,
+    Checkpointer,
     load_checkpoint,
-    refuse_unbegun,
-    remove_leftovers,
+    require_checkpoint,
 )
-from stylesplat.training.classes import say_unseen, shown_ids
 from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.interrupt import deferred_interrupt
-from stylesplat.training.keeper import Keeper
 from stylesplat.training.per_photo import first_of_photos
-from stylesplat.training.ranks import Ranks
-from stylesplat.training.run import Run
-from stylesplat.training.state import State, first_state
+from stylesplat.training.state import Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views, training_views
+from stylesplat.training.training_views import (
+    learned_ids,
+    say_unseen,
+    split_views,
+    training_views,
+)
 
 MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
+SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
+GPU_STEPS = 10  # between reports, each of which waits for the GPU; a CPU has done the step anyway
+GPU_SECONDS = 1.0  # but slow steps are reported one by one
+
+Report = Callable[[State, float, float], None]
+"""Takes the state, and the means of loss and PSNR since the last report."""
 
 
 def fit(
@@ -53,20 +63,21 @@ def fit(
         capture: Photos, and label maps if identities are wanted.
         config: How to train.
         device: Where to train.
-        checkpoint: A file to continue from if it exists. It is written every minute, when the run
-            is interrupted and at its end, and left where it is. If it cannot be written, that is
-            said, and the training goes on.
-        finish: Take no more steps: return what the checkpoint has, which was of any length.
-        on_progress: Told the state, and the means of loss and PSNR since it was told last: after
-            each step; on a GPU, which would have to be waited for, after every tenth, when a second
-            has passed, and at the end.
+        checkpoint: A file to continue from if it exists. Training writes it every minute, when
+            interrupted and at the end, and leaves it there. If it cannot be written, a line says
+            so, and training goes on.
+        finish: Take no more steps: return the state of the checkpoint, however long its run was
+            to be.
+        on_progress: Called with the state and the means of loss and PSNR since the last call:
+            after each step on the CPU; on a GPU, which the call waits for, after every tenth step,
+            when a second has passed, and at the end.
 
     Returns:
         The trained tensors, with the optimiser's state; `state.splats.detach()` are the Gaussians.
 
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, there is no checkpoint to
-            finish, or it is of other settings or another capture; it is left as it is.
+            finish, or it has other settings or another capture; it is left as it is.
         KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written;
             SIGTERM waits for them too, before it does what it does in your program.
 
@@ -77,22 +88,28 @@ def fit(
         >>> splats = state.splats.detach()  # doctest: +SKIP
     """
     if finish:
-        refuse_unbegun(checkpoint)
+        require_checkpoint(checkpoint)
     device = torch.device(device)
     rows, _ = split_views(capture, config.test_every)
     if not rows:
         raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
-    saved = (
-        None
-        if checkpoint is None
-        else Checkpoint(
-            checkpoint, config, fingerprint(replace(capture, object_names={})), len(rows)
+    saved = None
+    if checkpoint is not None:
+        mark = fingerprint(replace(capture, object_names={}))
+        saved = Checkpoint(checkpoint, config, mark, len(rows))
+    continued = None
+    if saved is not None and saved.path.exists():
+        continued = load_checkpoint(saved, device, finish=finish)
+        if finish or config.progress(continued.step, continued.seconds) >= 1:
+            say(f"Taking no more steps than the {continued.step:,} of {saved.path}.")
+            return continued
+        say(
+            f"Continuing from {saved.path}, after {continued.step:,} steps. `--restart` begins "
+            "anew."
         )
-    )
-    continued = _continued(saved, device, finish=finish)
-    if continued is not None and (finish or _is_over(continued, config)):
-        return continued
     state = continued or _first(capture, rows, config, device)
+    ranks = Ranks.here()
+    pool = RenderPool(config.photos_at_once or most_at_once(ranks), device)
     run = Run(
         config=config,
         rows=tuple(rows),
@@ -102,30 +119,28 @@ def fit(
         cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
         device=device,
+        batch=config.photos_at_once or default_batch(pool, ranks, device),
     )
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
-    ranks = Ranks.here()
-    crew = Crew(config.photos_at_once or most_at_once(ranks), device)
-    run = replace(run, batch=config.photos_at_once or _photos_at_once(crew, ranks, device))
     try:
-        _warm_up(run, state, ranks)
-        run = replace(run, crew=crew, ranks=ranks)
-        keeper = Keeper(saved if ranks.number == 0 else None, state)
-        with announced(config, state, on_progress) as report:
-            return _finish(run, state, keeper, report)
+        warm_up(run, state, ranks)
+        run = replace(run, pool=pool, ranks=ranks)
+        checkpointer = Checkpointer(saved if ranks.number == 0 else None, state)
+        with progress_meter(config, state, on_progress) as meter:
+            return _train(run, state, checkpointer, meter)
     finally:
-        crew.end()
+        pool.end()
 
 
-def _photos_at_once(crew: Crew, ranks: Ranks, device: torch.device) -> int:
-    """Photos of a round of one process, unless the settings say otherwise.
+def default_batch(pool: RenderPool, ranks: Ranks, device: torch.device) -> int:
+    """Photos of a round of one process.
 
-    Of several on the CPU each looks at the same number, however many threads it has: what a round
-    tells is sent once.
+    Of several processes on the CPU each has the same number, however many threads it has, because
+    they send their gradients once per round.
     """
     sends = ranks.count > 1 and device.type == "cpu"
-    return most_at_once(ranks) if sends else crew.size
+    return most_at_once(ranks) if sends else pool.size
 
 
 def most_at_once(ranks: Ranks) -> int:
@@ -133,41 +148,21 @@ def most_at_once(ranks: Ranks) -> int:
     return max(1, MOST_AT_ONCE // ranks.count)
 
 
-def _first(
-    capture: Capture, rows: Sequence[int], config: TrainConfig, device: torch.device
-) -> State:
-    shown = shown_ids(capture, rows)
-    say_unseen(shown, capture.object_names)
+def _first(capture: Capture, rows: list[int], config: TrainConfig, device: torch.device) -> State:
+    learned = learned_ids(capture, rows)
+    say_unseen(learned, capture.object_names)
     splats = first_splats(
         capture,
         sh_degree=config.sh_degree,
         max_gaussians=config.max_gaussians,
         generator=torch.Generator().manual_seed(config.seed),
-        ids=shown.trained,
+        ids=learned.trained,
     )
     return first_state(splats.to(device))
 
 
-def _is_over(state: State, config: TrainConfig) -> bool:
-    return config.progress(state.step, state.seconds) >= 1
-
-
-def _continued(saved: Checkpoint | None, device: torch.device, *, finish: bool) -> State | None:
-    """What an earlier run has left, if there was one."""
-    if saved is None:
-        return None
-    exists = saved.path.exists()
-    state = load_checkpoint(saved, device, finish=finish) if exists else None
-    remove_leftovers(saved.path)
-    if state is not None and (finish or _is_over(state, saved.config)):
-        say(f"Taking no more steps than the {state.step:,} of {saved.path}.")
-    elif state is not None:
-        say(f"Continuing from {saved.path}, after {state.step:,} steps. `--restart` begins anew.")
-    return state
-
-
-def _warm_up(run: Run, state: State, ranks: Ranks) -> None:
-    """Compile the kernels before the clock starts, by rounds on a copy; leaves no trace.
+def warm_up(run: Run, state: State, ranks: Ranks) -> None:
+    """Compile the kernels before the clock starts, by rounds on a copy of the state.
 
     The rounds are those of one process; of several processes all photos of a round have one step.
     """
@@ -177,31 +172,114 @@ def _warm_up(run: Run, state: State, ranks: Ranks) -> None:
             train_step(run, replace(state.clone(), step=number * run.batch))
 
 
-def _finish(run: Run, state: State, keeper: Keeper, report: Report) -> State:
+def _train(run: Run, state: State, checkpointer: Checkpointer, meter: "ProgressMeter") -> State:
     """Train to the end of the run; Ctrl-C and SIGTERM wait for the end of a step."""
-    tally = Tally()
     with deferred_interrupt() as interrupted:
-        state, stopped = _agreed(run, state, interrupted=interrupted())
+        state, stopped = _agree(run, state, interrupted=interrupted())
         while run.progress(state) < 1 and not stopped:
             start = time.perf_counter()
             after, scores = train_step(run, state)
-            tally = tally.plus(scores)
-            means = tally.means() if tally.due(after.step, run.device) else None
+            means = meter.add(scores, after.step)
             state = replace(after, seconds=state.seconds + time.perf_counter() - start)
             if means is not None:
-                report(state, *means)
-                tally = Tally()
-            keeper.after_step(state)
-            state, stopped = _agreed(run, state, interrupted=interrupted())
-        if tally.steps:
-            report(state, *tally.means())
-        keeper.at_end(state, interrupted=stopped)
+                meter.report(state, *means)
+            checkpointer.after_step(state)
+            state, stopped = _agree(run, state, interrupted=interrupted())
+        if meter.steps:
+            meter.report(state, *meter.means())
+        checkpointer.at_end(state, interrupted=stopped)
     if stopped:  # and the program's own handler has let it pass
         raise KeyboardInterrupt
     return state
 
 
-def _agreed(run: Run, state: State, *, interrupted: bool) -> tuple[State, bool]:
-    """The state with the time that the slowest process took; and whether any is to stop."""
+def _agree(run: Run, state: State, *, interrupted: bool) -> tuple[State, bool]:
+    """The state with the time of the slowest process; and whether any process is to stop."""
     seconds, stopped = run.ranks.largest(state.seconds, interrupted)
     return replace(state, seconds=seconds), bool(stopped)
+
+
+class ProgressMeter:
+    """Averages loss and PSNR on the device; shows them, and passes them to `on_progress`."""
+
+    def __init__(
+        self, config: TrainConfig, state: State, bar: Task, on_progress: Report | None
+    ) -> None:
+        self._limit, self._bar, self._on_progress = config.max_seconds, bar, on_progress
+        self._done = state.step if self._limit is None else state.seconds
+        self._step = state.step
+        self._shown: tuple[float, float] | None = None
+        self._restart()
+
+    def _restart(self) -> None:
+        self._sums: Float[Tensor, 2] | None = None
+        self.steps, self._since = 0, time.monotonic()
+
+    def add(self, scores: Float[Tensor, "2"], step: int) -> tuple[float, float] | None:
+        """Add the scores of a step; the means if it is time for a report."""
+        self._sums = scores if self._sums is None else self._sums + scores
+        self.steps += 1
+        waits = scores.device.type != "cpu" and step % GPU_STEPS != 0
+        due = not waits or time.monotonic() - self._since > GPU_SECONDS
+        return self.means() if due else None
+
+    def means(self) -> tuple[float, float]:
+        """Means of loss and PSNR since the last report; waits for the device."""
+        assert self._sums is not None
+        loss, psnr = (self._sums / self.steps).tolist()
+        return loss, psnr
+
+    def report(self, state: State, loss: float, psnr: float) -> None:
+        """Show the progress and smoothed means, and start new means."""
+        kept, (old_loss, old_psnr) = (
+            SMOOTHING ** (state.step - self._step),
+            self._shown or (loss, psnr),
+        )
+        self._shown = (kept * old_loss + (1 - kept) * loss, kept * old_psnr + (1 - kept) * psnr)
+        self._bar.note(
+            f"loss {self._shown[0]:.4f}, PSNR {self._shown[1]:.2f} dB, "
+            f"{len(state.params['means']):,} Gaussians"
+        )
+        done = state.step if self._limit is None else min(state.seconds, self._limit)
+        self._bar.advance(done - self._done)
+        self._done, self._step = done, state.step
+        self._restart()
+        if self._on_progress is not None:
+            self._on_progress(state, loss, psnr)
+
+
+@contextmanager
+def progress_meter(
+    config: TrainConfig, state: State, on_progress: Report | None = None
+) -> Iterator[ProgressMeter]:
+    """A progress bar of the steps, or seconds, of a run that begins or continues at a state."""
+    if config.max_seconds is None:
+        bar = task("training", config.steps, unit="step", done=state.step)
+    else:
+        bar = task("training", config.max_seconds, unit="s", done=state.seconds)
+    with bar as shown:
+        yield ProgressMeter(config, state, shown, on_progress)
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[Callable[[], bool]]:
+    """Delay Ctrl-C and SIGTERM to the end of the block; the function yielded says if one came.
+
+    Then they do what they would have done. Outside the main thread, where Python handles no
+    signals, none comes; ignored signals stay ignored.
+    """
+    came: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in TAKEN}
+    if threading.current_thread() is threading.main_thread():
+        taken = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
+    else:
+        taken = {}
+    try:
+        for number in taken:
+            signal.signal(number, lambda number, _: came.append(number))
+        yield lambda: bool(came)
+    finally:
+        for number, handler in taken.items():
+            signal.signal(number, handler)
+        for number in dict.fromkeys(came):
+            signal.raise_signal(number)

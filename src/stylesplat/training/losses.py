@@ -1,14 +1,18 @@
 """The losses of joint training (StyleSplat section 3.3, Gaussian Grouping)."""
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
 
 from math import log
 
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
 from stylesplat.metrics.ssim import ssim
 from stylesplat.scene.splats import Classifier
-from stylesplat.training.parts import parts_for
+from stylesplat.training.device_ops import device_ops
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
@@ -22,7 +26,7 @@ def photometric_loss(
     Returns:
         The loss; and the mean squared error of the image clamped to 0..1, without gradient.
     """
-    return parts_for(image.device).photometric_loss(image, target, DSSIM_WEIGHT)
+    return device_ops(image.device).photometric_loss(image, target, DSSIM_WEIGHT)
 
 
 def photometric_spec(
@@ -62,3 +66,29 @@ def neighbor_loss(
     theirs = log_softmax(classifier.logits(neighbors), dim=-1)
     divergence = kl_div(theirs, own.expand_as(theirs), reduction="none", log_target=True).sum(-1)
     return NEIGHBOR_WEIGHT * divergence.mean() / len(classifier.ids)
+
+
+class _SplitRender(Function):
+    @staticmethod
+    def forward(ctx, render, rows, columns):
+        ctx.shape, ctx.sampled = render.shape, (rows, columns)
+        return render[..., :3].contiguous(), render[rows, columns, 3:].contiguous()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_colors, v_features):
+        v_render = v_colors.new_zeros(ctx.shape)
+        v_render[..., :3] = v_colors
+        v_render[*ctx.sampled, 3:] = v_features
+        return v_render, None, None
+
+
+def split_render(
+    render: Float[Tensor, "H W D"], offset: tuple[int, int], stride: int
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "h w F"]]:
+    """The colours, and the features at every n-th pixel along y and x from an offset.
+
+    The backward pass fills one gradient of the whole render; slices would fill one each.
+    """
+    y, x = offset
+    return _SplitRender.apply(render, slice(y, None, stride), slice(x, None, stride))

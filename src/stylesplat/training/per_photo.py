@@ -1,48 +1,92 @@
-"""What is learned of each photo and is no part of the splat: its colours, and where it was taken.
+"""What training learns of each photo apart from the splat: its colours and its camera.
 
 The means over the photos are held at nothing, so that the splat has the colours of the typical
 photo, and the world frame stays.
+
+A colour map takes the scene's colours to those of a photo: an affine map of sRGB values, as in
+INRIA's code and gsplat, for exposure and white balance. It matches gains of 0.6 to 1.6 in linear
+light, with a tint, to 58 dB, as measured on photos; except for what is blown out.
 """
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.progress import say
-from stylesplat.training import schedule
+from stylesplat.progress import say, track
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.projection import project
+from stylesplat.scene.sampling import evenly
 from stylesplat.training.adam import Moments, adam_step
-from stylesplat.training.photo_gains import photo_gains
-from stylesplat.training.run import Run
-from stylesplat.training.state import PER_PHOTO, State
+from stylesplat.training.initialize import scene_extent
+from stylesplat.training.state import PER_PHOTO, Run, State
+from stylesplat.training.training_views import TrainingView
 
-# At first; a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
+# First learning rates: a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
 RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
-WEIGHTS = {"color_maps": 0.01, "pose_shifts": 1.0}  # of their squares: what is not told stays 0
+WEIGHTS = {"color_maps": 0.01, "pose_shifts": 1.0}  # of their squares, which the loss adds
 DECAY = 0.1  # last rate over the first
+BLOWN_OUT = 0.99  # of a photo's channel: the photo does not contain how bright the scene was
+FIT_PRIOR = 1e-4  # pull towards no change, over the mean square of what is fitted with
 # Spread of the logarithms of gains from which on photos differ: real photos of fixed exposure have
 # 0.05, exposures of 0.6 to 1.6 in light 0.12 to 0.15, red and blue 0.3 off in turn 0.15
 VARIED = 0.09
+POINTS = 2000  # whose colours are compared
+ROUNDS = 8  # of taking photos' and points' medians in turn
+DARK, BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
+FEWEST = 30  # points by which a photo's gain is estimated
 
 
 def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
-    """What is to be learned of the photos, as a run begins; one row per training photo.
+    """The `PER_PHOTO` tensors that a run learns, as it begins; one row per training photo.
 
     Args:
-        run: What stays the same.
-        points: Sparse points in the world, from which exposures are told.
+        run: Settings and photos.
+        points: Sparse points in the world, which give first exposures.
     """
     shifts = {"pose_shifts": torch.zeros(len(run.rows), 6)} if run.config.refine_poses else {}
     return {name: each.to(run.device) for name, each in (_first_maps(run, points) | shifts).items()}
 
 
 def regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
-    """Pulls what is learned of a photo towards nothing."""
+    """Pulls the `PER_PHOTO` rows of a photo towards 0."""
     names = [name for name in PER_PHOTO if name in params]
     return sum((WEIGHTS[name] * params[name][row].square().sum() for name in names), 0.0)
 
 
+def step_photo(run: Run, state: State) -> None:
+    """Adam for the `PER_PHOTO` rows of a step's photo, in place; each photo has its own clock.
+
+    Args:
+        run: Settings and photos.
+        state: Before the step, with gradients.
+    """
+    names = [name for name in PER_PHOTO if name in state.params]
+    if not names:
+        return
+    row = run.rows.index(run.row(state.step))
+    params, own = dict[str, Tensor](), slice(row, row + 1)
+    for name in names:
+        param = state.params[name]
+        params[name] = param.detach()[own]  # shares its numbers with the tensor
+        params[name].grad = None if param.grad is None else param.grad[own]
+    first, second = (
+        {name: tensors[name][own] for name in names}
+        for tensors in (state.moments.first, state.moments.second)
+    )
+    rates = {name: RATES[name] * DECAY ** run.progress(state) for name in names}
+    visit = state.step // len(run.rows) + 1  # each photo comes once before any comes again
+    adam_step(params, Moments(first, second), rates, visit)
+    with torch.no_grad():
+        for name in names:
+            state.params[name].sub_(state.params[name].mean(dim=0))
+
+
 def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
-    """Changes of colours to start from; none if they are not wanted."""
+    """First colour maps; none if the settings or the photos do not ask for them."""
     wanted = run.config.color_correction
     if points is None or not len(points):
         points = None
@@ -50,54 +94,141 @@ def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tens
         return {}
     gains = torch.zeros(len(run.rows), 3)
     if points is not None:
-        gains = photo_gains(points, lambda row: run.views(row, _coarsest(run, row)), run.rows)
+
+        def coarsest(row: int) -> TrainingView:
+            return run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
+
+        gains = photo_gains(points, coarsest, run.rows)
     spread = gains.std(dim=0, correction=0).max().item()  # of the channel that differs most
     if wanted == "auto" and spread < VARIED:
         return {}
     if wanted == "auto":
         say(
-            "The photos differ in exposure or white balance: training learns how, and keeps it out "
-            "of the splat."
+            "The photos differ in exposure or white balance. Training learns these differences "
+            "and keeps them out of the splat."
         )
     factors = gains.exp() - gains.exp().mean(dim=0)
     changes = torch.cat([torch.diag_embed(factors), torch.zeros(len(gains), 3, 1)], dim=2)
     return {"color_maps": changes}
 
 
-def step_photo(run: Run, state: State) -> None:
-    """Adam for what is learned of the photo of a step, in place; each photo has its own clock.
+def photo_gains(
+    points: Float[Tensor, "M 3"], views: Callable[[int], TrainingView], rows: Sequence[int]
+) -> Float[Tensor, "R 3"]:
+    """The logarithms of each photo's gain per channel of sRGB, whose mean over photos is 0.
+
+    Medians ignore points that are hidden in a photo, or shine.
 
     Args:
-        run: What stays the same.
-        state: Before the step, with gradients.
+        points: Sparse points in the world.
+        views: Photos with their cameras, by row.
+        rows: Which photos.
     """
-    names = [name for name in PER_PHOTO if name in state.params]
-    if not names:
-        return
-    row = run.rows.index(run.row(state.step))
-    params = {name: _own_row(state.params[name], row) for name in names}
-    rates = {name: RATES[name] * DECAY ** run.progress(state) for name in names}
-    visit = state.step // len(run.rows) + 1  # each photo comes once before any comes again
-    adam_step(params, _own_moments(state.moments, names, row), rates, visit)
-    with torch.no_grad():
-        for name in names:
-            state.params[name].sub_(state.params[name].mean(dim=0))
+    some = points[evenly(range(len(points)), POINTS)].cpu()
+    colors = [_log_colors(some, views(row)) for row in track(rows, "comparing exposures")]
+    logs = torch.stack(colors)
+    counts = (~logs.isnan()).all(dim=-1).sum(dim=1)  # [R]
+    gains = torch.zeros(len(rows), 3)
+    for _ in range(ROUNDS):
+        typical = (logs - gains[:, None]).nanmedian(dim=0).values  # [P, 3]
+        gains = (logs - typical).nanmedian(dim=1).values
+        gains = torch.where((counts < FEWEST)[:, None], 0.0, gains)
+        gains = gains - gains.mean(dim=0)
+    return gains
 
 
-def _own_row(param: Tensor, row: int) -> Tensor:
-    """One row, which shares its numbers with the tensor, and its gradient."""
-    own = param.detach()[row : row + 1]
-    own.grad = None if param.grad is None else param.grad[row : row + 1]
-    return own
+def _log_colors(points: Float[Tensor, "P 3"], view: TrainingView) -> Float[Tensor, "P 3"]:
+    """Logarithms of a photo's colours at points; NaN where they say nothing about a gain."""
+    photo = view.photo.cpu()
+    height, width, _ = photo.shape
+    positions, depths = project(points, view.camera)
+    x, y = positions.nan_to_num(-1, -1, -1).clamp(-1, 1e6).floor().long().unbind(dim=1)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (depths > 0)
+    colors = photo[y.clamp(0, height - 1), x.clamp(0, width - 1)]
+    usable = inside & (colors > DARK).all(dim=1) & (colors < BRIGHT).all(dim=1)
+    return torch.where(usable[:, None], colors.clamp(min=DARK).log(), torch.nan)
 
 
-def _own_moments(moments: Moments, names: list[str], row: int) -> Moments:
-    first, second = (
-        {name: tensors[name][row : row + 1] for name in names}
-        for tensors in (moments.first, moments.second)
-    )
-    return Moments(first, second)
+def apply_color_map(
+    image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], change: Float[Tensor, "3 4"]
+) -> Float[Tensor, "H W 3"]:
+    """A render in the colours of a photo.
+
+    Args:
+        image: Rendered over black.
+        alpha: Its coverage, which scales the offset: black behind everything stays black.
+        change: What is added to the colours, per colour and coverage; 0 changes nothing.
+    """
+    return image + torch.cat([image, alpha], dim=-1) @ change.mT
 
 
-def _coarsest(run: Run, row: int) -> int:
-    return schedule.photo_downscale(0.0, run.cameras[row].size, run.config)
+def fit_color_map(
+    image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], photo: Float[Tensor, "H W 3"]
+) -> Float[Tensor, "3 4"]:
+    """The change with which a render is closest to a photo, by ridge regression.
+
+    Pixels that are blown out in the photo do not count.
+
+    Args:
+        image: Rendered over black.
+        alpha: Its coverage.
+        photo: In 0..1, over black.
+    """
+    inputs = torch.cat([image, alpha], dim=-1).flatten(0, 1).double()
+    missing = (photo - image).flatten(0, 1).double()
+    weights = (photo < BLOWN_OUT).all(dim=-1).flatten()[:, None].to(inputs)
+    matrix = (weights * inputs).T @ inputs
+    prior = FIT_PRIOR * matrix.trace().clamp(min=1) * torch.eye(4).to(matrix)
+    return torch.linalg.solve(matrix + prior, (weights * inputs).T @ missing).T.to(image)
+
+
+def blown_out_target(
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
+) -> Float[Tensor, "H W 3"]:
+    """The target, where a blown-out pixel has the value of a brighter image."""
+    brighter = torch.maximum(image.detach(), target)
+    return torch.where(target >= BLOWN_OUT, brighter, target)
+
+
+def shift_cameras(cameras: Cameras, shifts: Float[Tensor, "C 6"], unit: float) -> Cameras:
+    """Cameras turned about their centres and shifted; differentiable by the shifts.
+
+    Args:
+        cameras: The given ones.
+        shifts: Axis times angle in the world, in radians, and shift in units.
+        unit: Of length.
+    """
+    viewmats = cameras.viewmats.to(shifts)
+    turns = torch.linalg.matrix_exp(_cross_matrices(shifts[:, :3]))  # [C, 3, 3]
+    rotations = viewmats[:, :3, :3] @ turns.mT
+    positions = cameras.positions.to(shifts) + unit * shifts[:, 3:]
+    upper = torch.cat([rotations, -rotations @ positions[:, :, None]], dim=2)
+    return replace(cameras, viewmats=torch.cat([upper, viewmats[:, 3:]], dim=1))
+
+
+def with_refined_cameras(capture: Capture, state: State, rows: Sequence[int]) -> Capture:
+    """The capture with the cameras that training refined; unchanged if it refined none.
+
+    Args:
+        capture: The given one.
+        state: After training.
+        rows: Photos that were trained on; the others' cameras stay.
+    """
+    shifts = state.params.get("pose_shifts")
+    if shifts is None:
+        return capture
+    unit, shifts = scene_extent(capture.cameras), shifts.detach().cpu()
+
+    def found(cameras: Cameras) -> Cameras:
+        viewmats = cameras.viewmats.clone()
+        viewmats[list(rows)] = shift_cameras(cameras[rows], shifts.to(viewmats), unit).viewmats
+        return replace(cameras, viewmats=viewmats)
+
+    full = None if capture.full is None else found(capture.full)
+    return replace(capture, cameras=found(capture.cameras), full=full)
+
+
+def _cross_matrices(axes: Float[Tensor, "C 3"]) -> Float[Tensor, "C 3 3"]:
+    """The matrices that multiply as the cross product with each axis does."""
+    basis = torch.eye(3).to(axes)
+    return torch.linalg.cross(axes[:, None].expand(-1, 3, -1), basis.expand(len(axes), 3, 3)).mT

@@ -1,15 +1,23 @@
-"""What training carries from step to step."""
+"""What a training run carries from step to step, and what stays the same throughout."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 import torch
+import torch.distributed as dist
 from torch import Tensor
 
+from stylesplat.rendering.at_once import RenderPool
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
+from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import Views
 
 CLASSIFIER = ("weight", "bias")
 PER_PHOTO = ("color_maps", "pose_shifts")  # one row per training photo; no part of the splat
+STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbers
+EPOCHS, NUMBERS, OFFSETS, MOVES, PURPOSES = range(5)  # what randomness is for; how many kinds
 
 
 @dataclass(frozen=True)
@@ -19,7 +27,6 @@ class State:
     params: dict[str, Tensor]
     """Tensors of `Splats` by name, the classifier's `weight` and `bias`, and `PER_PHOTO` ones."""
     moments: Moments
-    """Of Adam."""
     ids: tuple[int, ...]
     """Label id of each class; empty without label maps."""
     first_count: int
@@ -39,22 +46,17 @@ class State:
         params = {name: t.detach().clone().requires_grad_() for name, t in self.params.items()}
         return replace(self, params=params, moments=self.moments.clone())
 
-    def beside(self, step: int) -> "State":
-        """The same tensors, whose gradients are its own, at another step."""
+    def with_own_gradients(self, step: int) -> "State":
+        """The state at another step: it shares the tensors, but not their gradients."""
         params = {name: t.detach().requires_grad_() for name, t in self.params.items()}
         return replace(self, params=params, step=step)
 
     def with_photos(self, tensors: dict[str, Tensor]) -> "State":
-        """With what is learned of each photo, by name; before the first step."""
+        """The state with `PER_PHOTO` tensors, before the first step."""
         fresh = {name: t.detach().clone().requires_grad_() for name, t in tensors.items()}
-        moments = Moments.zeros(fresh)
-        return replace(
-            self,
-            params=self.params | fresh,
-            moments=Moments(
-                self.moments.first | moments.first, self.moments.second | moments.second
-            ),
-        )
+        zeros = Moments.zeros(fresh)
+        moments = Moments(self.moments.first | zeros.first, self.moments.second | zeros.second)
+        return replace(self, params=self.params | fresh, moments=moments)
 
     @property
     def splats(self) -> Splats:
@@ -76,3 +78,116 @@ def first_state(splats: Splats) -> State:
     }
     ids = splats.classifier.ids if splats.classifier else ()
     return State(params, Moments.zeros(params), ids, len(splats))
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Processes that train together, by torch.distributed; each processes photos of its own.
+
+    All begin alike, draw the same random numbers and step by the same averaged gradients, so their
+    Gaussians stay the same without being sent.
+    """
+
+    number: int = 0  # of this process
+    count: int = 1
+
+    @classmethod
+    def here(cls) -> "Ranks":
+        """The process group that the program has joined; one process without a group."""
+        if dist.is_available() and dist.is_initialized():
+            return cls(dist.get_rank(), dist.get_world_size())
+        return cls()
+
+    def add_up(self, tensors: Iterable[Tensor]) -> None:
+        """Replace each tensor by its sum over all processes; shapes are the same everywhere."""
+        if self.count > 1:
+            works = [dist.all_reduce(each, async_op=True) for each in tensors]
+            for work in works:
+                assert work is not None
+                work.wait()
+
+    def meet(self) -> None:
+        """Wait for all processes."""
+        if self.count > 1:
+            dist.barrier()
+
+    def largest(self, *numbers: float | int) -> list[float]:
+        """The largest of each number over all processes."""
+        if self.count == 1:
+            return [float(each) for each in numbers]
+        device = "cuda" if dist.get_backend() == "nccl" else "cpu"
+        maxima = torch.tensor(numbers, dtype=torch.float64, device=device)
+        dist.all_reduce(maxima, dist.ReduceOp.MAX)
+        return maxima.tolist()
+
+
+ALONE = Ranks()
+
+
+@dataclass(frozen=True)
+class Run:
+    """What stays the same in the course of training."""
+
+    config: TrainConfig
+    rows: tuple[int, ...]
+    """Photos to train on."""
+    views: Views
+    """Loads them."""
+    cameras: Cameras
+    """Of all photos."""
+    extent: float
+    """Unit of length of the scene."""
+    device: torch.device
+    batch: int = 1
+    """Photos of a round: their gradients are computed together, before the first step."""
+    ranks: Ranks = ALONE
+    """Which process this is; each has as many photos in a round."""
+    pool: RenderPool = field(default_factory=lambda: RenderPool(1))
+    """The threads that compute gradients."""
+
+    def progress(self, state: State) -> float:
+        """The share of the run that is done."""
+        return self.config.progress(state.step, state.seconds)
+
+    def photos(self, state: State) -> range:
+        """Steps of the next round that are this process's; `row` gives the photo of each."""
+        own, number, count = self.batch, self.ranks.number, self.ranks.count
+        if self.config.max_seconds is None:
+            own = max(1, min(own, -(-(self.config.steps - state.step) // count)))
+        return range(state.step + number, state.step + own * count, count)
+
+    def every(self, rounds: int, step: int) -> bool:
+        """Whether a step belongs to the first of so many rounds.
+
+        All steps of a round do, or none, if the run has had the same rounds from its start. In any
+        case the processes agree step by step, as they send each other the same tensors.
+        """
+        first = step - self.ranks.number  # the same step of the first process
+        return first // (self.batch * self.ranks.count) % rounds == 0
+
+    def row(self, step: int) -> int:
+        """The photo of a step: every photo once, in random order, then all over again."""
+        epoch, place = divmod(step, len(self.rows))
+        shuffle = _generator(self.config.seed, EPOCHS, epoch, torch.device("cpu"))
+        return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
+
+    def generator(self, step: int, purpose: int = NUMBERS) -> torch.Generator:
+        """Randomness of one step, on the device.
+
+        It follows from seed and step alone, so a run continues without a saved generator.
+        """
+        return _generator(self.config.seed, purpose, step, self.device)
+
+    def offset(self, step: int) -> tuple[int, int]:
+        """The first row and column of the pixels whose identities a step samples.
+
+        The CPU draws it, so that nothing waits for the device.
+        """
+        draw = _generator(self.config.seed, OFFSETS, step, torch.device("cpu"))
+        y, x = torch.randint(self.config.identity_stride, (2,), generator=draw).tolist()
+        return y, x
+
+
+def _generator(seed: int, purpose: int, number: int, device: torch.device) -> torch.Generator:
+    mixed = (seed * STRIDE + number) * PURPOSES + purpose
+    return torch.Generator(device).manual_seed(mixed % 2**63)

@@ -1,4 +1,4 @@
-"""One round of training: gradients, Adam, noise, and now and then growth."""
+"""One round of training: gradients of some photos, Adam, noise, and now and then densification."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,17 +6,23 @@ from functools import partial, reduce
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int, Integer
 from torch import Tensor
 
-from stylesplat.training import growth, schedule
-from stylesplat.training.adam import Update, adam_steps
-from stylesplat.training.gradients import Outcome, fill_gradients
-from stylesplat.training.object_sizes import growth_preference, limit_sizes
-from stylesplat.training.per_photo import step_photo
-from stylesplat.training.run import MOVES, Run
-from stylesplat.training.state import CLASSIFIER, PER_PHOTO, State
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.metrics.psnr import decibels
+from stylesplat.rendering.render import rasterize
+from stylesplat.training import densification, per_photo
+from stylesplat.training.adam import AdamUpdate, adam_steps
+from stylesplat.training.device_ops import device_ops
+from stylesplat.training.losses import (
+    identity_loss,
+    neighbor_loss,
+    photometric_loss,
+    split_render,
+)
+from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
+from stylesplat.training.train_config import TrainConfig, means_decay
+from stylesplat.training.training_views import TrainingView
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -27,122 +33,199 @@ RATES = {
     "sh0": 2.5e-3,
     "identities": 2.5e-3,
 }
+NEIGHBOR_EVERY = 5  # identity steps between uses of the 3D loss (Gaussian Grouping)
+NEIGHBOR_SAMPLES = 1000
+NEIGHBORS = 5
 
 
-class Look(NamedTuple):
-    """What a photo of a round tells, or some photos together."""
+class PhotoGradients(NamedTuple):
+    """The gradients of one photo, or the mean of several photos'; nothing waits for the device."""
 
     state: State
-    """The tensors before the round, with their gradients; its step is the first photo's."""
-    outcome: Outcome
-    """Which Gaussians are seen, and how well."""
+    """The tensors before the round, with these gradients; its step is the first photo's."""
+    visible: Bool[Tensor, " N"]
+    """Which Gaussians the cameras see."""
+    scores: Float[Tensor, "2"]
+    """Loss and PSNR."""
     noise: Float[Tensor, "N 3"]
-    """Standard normal: what moves means at random after the steps of the round."""
+    """Standard normal: moves the means at random after the steps of the round."""
     photos: int = 1
-    """How many the gradients are the mean of."""
 
 
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
-    """The state after the photos of one more round; and the means of their loss and PSNR.
+    """Train on the photos of one more round.
 
-    They are looked at together, each by threads of its own, and then a step of Adam is taken for
-    each in turn: the gradients of the later ones are as old as the round. That costs nothing that
-    can be measured for a few photos (Langford, Smola and Zinkevich 2009, "Slow learners are fast"),
-    and unlike one step for all needs no other rates, as Adam's moments are those of single photos.
-    Then noise moves the means, once for each photo.
+    Threads compute the photos' gradients together. Then each photo has its step of Adam in turn:
+    the gradients of the later ones are as old as the round. That costs nothing that can be measured
+    for a few photos (Langford, Smola and Zinkevich 2009, "Slow learners are fast"), and unlike one
+    step for all needs no other rates, as Adam's moments are those of single photos. Then noise
+    moves the means, once per photo.
 
-    Of several processes each looks at photos of its own, and there is one step for all of a round,
-    by the mean of their gradients, so that these are sent once.
+    Several processes compute the gradients of photos of their own and take one step for the whole
+    round, by the mean of all gradients, so that these are sent once.
 
-    The tensors stay the same ones, unless Gaussians are moved or added.
+    Returns:
+        The next state, in the same tensors unless Gaussians were moved or added; and the means of
+        loss and PSNR.
     """
     first, every = state.step, run.config.refine_every
-    looks = [*run.crew.in_order(partial(_look, run, state), run.photos(state))]
+    photos = [*run.pool.in_order(partial(compute_gradients, run, state), run.photos(state))]
     if run.ranks.count > 1:
-        looks = [_mean(run, looks)]
-    _take_steps(run, looks)
-    end = first + sum(look.photos for look in looks)
+        photos = [average_gradients(run, photos)]
+    apply_gradients(run, photos)
+    end = first + sum(each.photos for each in photos)
     if end // every > first // every:
-        last = end - looks[-1].photos
-        state = _refined(run, replace(state, step=last), run.generator(last, MOVES))
-    scores = torch.stack([look.outcome.scores for look in looks]).mean(dim=0)
+        last = end - photos[-1].photos
+        state = _refine(run, replace(state, step=last))
+    scores = torch.stack([each.scores for each in photos]).mean(dim=0)
     return replace(state, step=end), scores
 
 
-def _look(run: Run, state: State, step: int) -> Look:
-    own, means = state.beside(step), state.params["means"]
-    moves = run.generator(step - run.ranks.number, MOVES)  # alike in all processes
-    noise = torch.randn(means.shape, generator=moves, device=means.device)
-    return Look(own, fill_gradients(run, own, run.generator(step)), noise)
+def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
+    """Compare a render with the photo of a step.
 
-
-def _mean(run: Run, looks: Sequence[Look]) -> Look:
-    """What the photos of a round tell in all processes: the mean of their gradients, sent once.
-
-    Of what is learned of each photo they are sums, as a row has those of its photo alone. The
-    gradients of the looks are used up.
+    Where a photo is transparent, it and the render are laid over the same random colour: only
+    Gaussians that are as transparent fit all colours.
     """
-    first, photos = looks[0], run.ranks.count * len(looks)
-    learned = any(run.every(run.config.identity_every, look.state.step) for look in looks)
+    state, config, generator = state.with_own_gradients(step), run.config, run.generator(step)
+    params, progress, row = state.params, run.progress(state), run.row(step)
+    moves = run.generator(step - run.ranks.number, MOVES)  # alike in all processes
+    noise = torch.randn(params["means"].shape, generator=moves, device=run.device)
+    place = run.rows.index(row)  # in the `PER_PHOTO` tensors
+    view = run.views(row, config.photo_downscale(progress, run.cameras[row].size))
+    classes = view.classes if run.every(config.identity_every, step) else None
+    splats, changes, camera = state.splats, params.get("color_maps"), view.camera
+    if "pose_shifts" in params:
+        camera = per_photo.shift_cameras(
+            camera, params["pose_shifts"][place : place + 1], run.extent
+        )
+    background, target = _random_background(view, generator)
+    render, alphas, info = rasterize(
+        splats,
+        camera,
+        features=None if classes is None else splats.identities,
+        features_move_geometry=config.identity_geometry,
+        background=background if changes is None else None,
+        sh_degree=config.active_sh_degree(progress, step),
+    )
+    image, identities = render.squeeze(0), None
+    (y, x), stride = run.offset(step), config.identity_stride
+    if classes is not None:
+        image, identities = split_render(image, (y, x), stride)
+    if changes is not None:
+        image = per_photo.apply_color_map(image, alphas[0], changes[place])
+        if background is not None:
+            image = image + (1 - alphas[0]) * background
+        target = per_photo.blown_out_target(image, target)
+    loss, error = photometric_loss(image, target)
+    loss = loss + per_photo.regularizer(params, place)
+    loss = loss + densification.regularizer(params, run.extent)
+    if identities is not None and classes is not None:
+        sampled = classes[y::stride, x::stride]
+        loss = loss + _identity_losses(run, state, (identities, sampled), generator)
+    loss.backward()
+    visible = (info["radii"][0] > 0).all(dim=-1)
+    return PhotoGradients(state, visible, torch.stack([loss.detach(), decibels(error)]), noise)
+
+
+def _random_background(
+    view: TrainingView, generator: torch.Generator
+) -> tuple[Float[Tensor, "3"] | None, Float[Tensor, "H W 3"]]:
+    """The colour behind everything, None for black; and the photo before it."""
+    if view.alpha is None:
+        return None, view.photo
+    color = torch.rand(3, generator=generator, device=view.photo.device)
+    return color, view.photo + (1 - view.alpha) * color
+
+
+def _identity_losses(
+    run: Run,
+    state: State,
+    view: tuple[Float[Tensor, "h w 16"], Integer[Tensor, "h w"]],
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    """The loss of sampled pixels, and now and then that of neighbours in 3D."""
+    splats = state.splats
+    assert splats.identities is not None and splats.classifier is not None
+    pixels, targets = (each.flatten(0, 1) for each in view)
+    loss = identity_loss(pixels, targets.long(), splats.classifier)
+    compares = run.every(run.config.identity_every * NEIGHBOR_EVERY, state.step)
+    if compares and len(splats) > NEIGHBORS:
+        means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
+        sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
+        neighbors = device_ops(means.device).nearest(means, sample, NEIGHBORS)
+        own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
+        loss = loss + neighbor_loss(own, others, splats.classifier)
+    return loss
+
+
+def take_rows(
+    table: Float[Tensor, "N D"], rows: Int[Tensor, "*shape"]
+) -> Float[Tensor, "*shape D"]:
+    """`table[rows]`, whose gradient is added up in order on the CPU; that of indexing is not."""
+    return table.index_select(0, rows.flatten()).unflatten(0, rows.shape)
+
+
+def average_gradients(run: Run, photos: Sequence[PhotoGradients]) -> PhotoGradients:
+    """The mean gradients of a round over all processes, sent once; uses up those of the photos.
+
+    `PER_PHOTO` tensors have sums, as each row has the gradient of its photo alone.
+    """
+    first, count = photos[0], run.ranks.count * len(photos)
+    learned = any(run.every(run.config.identity_every, each.state.step) for each in photos)
     skipped = () if learned else ("identities", *CLASSIFIER)
     params = first.state.params
     for name in params.keys() - {*skipped}:
-        own = [look.state.params[name].grad for look in looks]
+        own = [each.state.params[name].grad for each in photos]
         found = [gradient for gradient in own if gradient is not None]  # else: no label map
         params[name].grad = reduce(Tensor.add_, found or [torch.zeros_like(params[name])])
     gradients = {name: p.grad for name, p in params.items() if p.grad is not None}
-    seen = torch.stack([look.outcome.seen for look in looks]).sum(dim=0, dtype=torch.int32)
-    scores = torch.stack([look.outcome.scores for look in looks]).sum(dim=0)
-    run.ranks.add_up([*gradients.values(), seen, scores])
+    visible = torch.stack([each.visible for each in photos]).sum(dim=0, dtype=torch.int32)
+    scores = torch.stack([each.scores for each in photos]).sum(dim=0)
+    run.ranks.add_up([*gradients.values(), visible, scores])
     for name in gradients.keys() - {*PER_PHOTO}:
-        gradients[name].div_(photos)
+        gradients[name].div_(count)
     start = replace(first.state, step=first.state.step - run.ranks.number)
-    return Look(start, Outcome(seen > 0, scores.div_(photos)), first.noise, photos)
+    return PhotoGradients(start, visible > 0, scores.div_(count), first.noise, count)
 
 
-def _take_steps(run: Run, looks: Sequence[Look]) -> None:
-    """Adam and noise for each turn, in place."""
-    decays = [schedule.means_decay(run.progress(look.state)) for look in looks]
+def apply_gradients(run: Run, photos: Sequence[PhotoGradients]) -> None:
+    """Adam and noise for each photo in turn, in place."""
+    decays = [means_decay(run.progress(each.state)) for each in photos]
     updates = [
-        Update(
-            {name: each for name, each in look.state.params.items() if name not in PER_PHOTO},
-            rates(run.config, run.extent * decay),
-            look.state.step + look.photos,
-            look.outcome.seen,
+        AdamUpdate(
+            {name: param for name, param in each.state.params.items() if name not in PER_PHOTO},
+            learning_rates(run.config, run.extent * decay),
+            each.state.step + each.photos,
+            each.visible,
         )
-        for decay, look in zip(decays, looks, strict=True)
+        for decay, each in zip(decays, photos, strict=True)
     ]
-    adam_steps(looks[0].state.moments, updates, photos=looks[0].photos)
-    for decay, look in zip(decays, looks, strict=True):
-        first, photos = look.state.step, look.photos
-        for step in range(first, first + photos):
-            step_photo(run, replace(look.state, step=step))
-        growth.add_noise(look.state.params, run.extent, decay, look.noise, photos=photos)
+    adam_steps(photos[0].state.moments, updates, photos=photos[0].photos)
+    for decay, (state, _, _, noise, count) in zip(decays, photos, strict=True):
+        for step in range(state.step, state.step + count):
+            per_photo.step_photo(run, replace(state, step=step))
+        densification.perturb_means(state.params, run.extent, decay, noise, photos=count)
 
 
-def rates(config: TrainConfig, unit: float) -> dict[str, float]:
-    """The learning rate of each tensor.
-
-    Args:
-        config: Settings.
-        unit: Of length, smaller as training goes on.
-    """
+def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
+    """The learning rate of each tensor; `unit` is of length and decays."""
     classifier = dict.fromkeys(CLASSIFIER, config.classifier_rate)
     return RATES | classifier | {"means": config.means_rate * unit, "shN": config.bands_rate}
 
 
-def _refined(run: Run, state: State, generator: torch.Generator) -> State:
+def _refine(run: Run, state: State) -> State:
     config, progress = run.config, run.progress(state)
     if config.object_pixels is not None:
-        limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
+        densification.limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
     if progress >= config.refine_end:
         return state
-    params, moments = growth.refine(
+    params, moments = densification.relocate_and_grow(
         state.params,
         state.moments,
         state.names,
-        schedule.gaussian_count(progress, state.first_count, config),
-        generator,
-        preference=growth_preference(state.splats, config.object_growth),
+        config.gaussian_count(progress, state.first_count),
+        run.generator(state.step, MOVES),
+        preference=densification.growth_preference(state.splats, config.object_growth),
     )
     return replace(state, params=params, moments=moments)

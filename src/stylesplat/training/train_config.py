@@ -1,4 +1,4 @@
-"""Settings of training."""
+"""Settings of training, and what they say about each point of a run."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -9,6 +9,11 @@ ColorCorrection = Literal["auto", "on", "off"]
 Segment = Literal["joint", "lift"]
 
 SH_DEGREES = range(4)
+COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
+MIN_SIZE = 64  # pixels; photos are not made smaller than this
+SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
+MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
+
 WHOLE = ("steps", "max_gaussians", "test_every", "seed", "refine_every", "identity_every")
 POSITIVE = (
     "steps",
@@ -21,8 +26,6 @@ POSITIVE = (
     "sh_degree_every",
 )
 WHOLE_OR_NONE = ("photos_at_once", "sh_degree_every")
-
-
 IDENTITY_SETTINGS = (
     "object_growth",
     "object_pixels",
@@ -31,7 +34,7 @@ IDENTITY_SETTINGS = (
     "identity_geometry",
     "classifier_rate",
 )
-"""Settings of `TrainConfig` that need identities in training: `segment="joint"`."""
+"""Settings that only `segment="joint"` uses."""
 
 
 @dataclass(frozen=True)
@@ -59,20 +62,20 @@ class TrainConfig:
     refine_end: float = 0.9
     """Share of the run after which dead Gaussians are not moved either."""
     object_growth: float = 4.0
-    """How many times likelier an object's Gaussians are to be copied than the background's."""
+    """Densification prefers an object's Gaussians to the background's by this factor."""
     object_pixels: float | None = None
     """Largest standard deviation of an object's Gaussians, in pixels at the median distance.
 
-    Small ones carry finer strokes and cost some sharpness elsewhere; None sets no limit.
+    Small Gaussians carry finer strokes and cost some sharpness elsewhere. None sets no limit.
     """
     refine_every: int = 100
     """Steps between moving dead Gaussians and adding new ones."""
     identity_every: int = 2
-    """Steps between those that train identities too; they cost over twice as much."""
+    """Identities are trained every this many steps; such a step costs over twice as much."""
     identity_stride: int = 3
-    """The identity loss looks at every n-th pixel along x and y, from a random offset."""
+    """The identity loss samples every n-th pixel along x and y, from a random offset."""
     means_rate: float = 9.6e-4
-    """Learning rate of the means at first, over the scene's extent; it falls to a hundredth."""
+    """First learning rate of the means, over the scene's extent; it falls to a hundredth."""
     bands_rate: float = 5e-4
     """Learning rate of the higher colour bands."""
     classifier_rate: float = 2.5e-3
@@ -80,33 +83,52 @@ class TrainConfig:
     identity_geometry: bool = False
     """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
     color_correction: ColorCorrection = "auto"
-    """Whether each photo's exposure and white balance are learned, and kept out of the splat.
+    """Whether training learns each photo's exposure and white balance, apart from the splat.
 
-    `auto` learns them where points that several photos show tell that brightness differs, in the
-    channel that differs most.
+    `auto` does where points that several photos show differ in brightness, in the channel that
+    differs most.
     """
     refine_poses: bool = False
-    """Whether each training photo's camera is turned and shifted a little to fit better.
+    """Whether training refines the rotation and position of each training photo's camera.
 
     The mean over the photos stays where it was.
     """
     photos_at_once: int | None = None
-    """Photos that are looked at together, each by threads of its own, before their steps are taken.
+    """Photos whose gradients are computed in parallel, before a step is taken for each.
 
-    None: on the CPU as many as there are threads, at most 4; else one. Several processes take one
-    step for all of theirs: on the CPU each looks at as many as make at most 4, or at one.
+    None: on the CPU one per thread, at most 4; on a GPU one. Several processes take one step for
+    all their photos: on the CPU these are at most 4 in all, or one per process.
     """
     max_memory: float | None = None
-    """GiB for photos and label maps; what does not fit is read again.
+    """GiB for decoded photos and label maps; the others are read again each time.
 
     None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
     """
 
     def progress(self, steps: int, seconds: float) -> float:
-        """The share of the run that is done after so many steps, which took so long."""
+        """The share of the run that is done after these steps and seconds."""
         if self.max_seconds is not None:
             return min(seconds / self.max_seconds, 1.0)
         return min(steps / self.steps, 1.0)
+
+    def photo_downscale(self, progress: float, size: tuple[int, int]) -> int:
+        """How many times smaller the photos are at this point of the run."""
+        if self.coarse_to_fine:
+            for until, factor in COARSE_UNTIL:
+                if progress < until and min(size) >= factor * MIN_SIZE:
+                    return factor
+        return 1
+
+    def active_sh_degree(self, progress: float, step: int) -> int:
+        """The degree of the spherical harmonics in use."""
+        if self.sh_degree_every is not None:  # the official code raises it before the 1000th step
+            return min(self.sh_degree, (step + 1) // self.sh_degree_every)
+        return min(self.sh_degree, int(progress / SH_DEGREE_EVERY))
+
+    def gaussian_count(self, progress: float, first: int) -> int:
+        """Gaussians wanted: their number grows exponentially from the first count to the cap."""
+        share = min(progress / self.growth_end, 1.0)
+        return int(first * (max(self.max_gaussians, first) / first) ** share)
 
     def __post_init__(self) -> None:
         for name in POSITIVE:
@@ -128,6 +150,11 @@ class TrainConfig:
                 raise StyleSplatError(
                     f"Cannot train with {name} {getattr(self, name)}: give a whole number."
                 )
+
+
+def means_decay(progress: float) -> float:
+    """Factor on the learning rate of the means and on their noise."""
+    return MEANS_DECAY**progress
 
 
 PRESETS = {
@@ -158,11 +185,7 @@ SEGMENTS: dict[str, Segment] = {"default": "lift", "paper": "joint"}
 
 
 def refuse_identity_settings(config: TrainConfig) -> None:
-    """Refuse settings that lifting ignores, unless they are those of a preset.
-
-    Raises:
-        StyleSplatError: If some are not.
-    """
+    """Raise a StyleSplatError if settings that lifting ignores differ from every preset's."""
     changed = [
         [name for name in IDENTITY_SETTINGS if getattr(config, name) != getattr(preset, name)]
         for preset in PRESETS.values()

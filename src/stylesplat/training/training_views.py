@@ -1,25 +1,27 @@
-"""Training photos and label classes at every size that the schedule asks for."""
+"""Training photos and label classes: which there are, and at every size the schedule asks for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from threading import Lock
 from typing import NamedTuple
 
 import cv2
 import torch
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Float, Int, Integer, UInt8
 from torch import Tensor
 
+from stylesplat.errors import some
+from stylesplat.progress import say, track
 from stylesplat.scene.cache import GIB, Cache
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import resize_labels
-from stylesplat.training.classes import class_type, to_classes
+from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
 
 KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
 COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
 
 
-class View(NamedTuple):
+class TrainingView(NamedTuple):
     """What one step learns from, on the device."""
 
     camera: Cameras
@@ -32,7 +34,7 @@ class View(NamedTuple):
     """The class of each pixel, in the smallest type; None without a label map."""
 
 
-Views = Callable[[int, int], View]
+Views = Callable[[int, int], TrainingView]
 """From a row of the capture and a downscale to what there is to learn."""
 
 
@@ -87,7 +89,7 @@ def training_views(
     def whole(row: int) -> Pixels:
         return kept(row, 1) if all_fit else _read(capture, row, ids)
 
-    def view(row: int, factor: int) -> View:
+    def view(row: int, factor: int) -> TrainingView:
         with lock:  # the threads of a round ask at the same time
             if factor != latest[0]:
                 latest[0] = factor
@@ -125,10 +127,10 @@ def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
     )
 
 
-def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> View:
+def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
     photo, alpha, classes = (None if t is None else _upload(t, device) for t in pixels)
     assert photo is not None
-    return View(
+    return TrainingView(
         camera=camera,
         photo=photo.float().div_(255),
         alpha=None if alpha is None else alpha[..., None].float().div_(255),
@@ -141,3 +143,61 @@ def _upload(tensor: Tensor, device: torch.device) -> Tensor:
     if device.type != "cuda":
         return tensor.to(device)
     return tensor.pin_memory().to(device, non_blocking=True)
+
+
+@dataclass(frozen=True)
+class LearnedIds:
+    """Which label ids training learns."""
+
+    trained: tuple[int, ...]
+    """In the photos that are trained on, background first; none if these have no label maps."""
+    held_out: Mapping[str, tuple[int, ...]]
+    """By name of a held-out photo the ids that no trained one shows."""
+
+
+def learned_ids(capture: Capture, rows: Sequence[int]) -> LearnedIds:
+    """Read all label maps, one at a time.
+
+    Args:
+        capture: With label maps or without.
+        rows: The photos that are trained on; the others are held out.
+    """
+    if capture.label_maps is None:
+        return LearnedIds((), {})
+    found = {row: ids_of(capture.labels(row)) for row in track(range(len(capture)), "reading ids")}
+    labelled = [found[row] for row in rows if found[row]]
+    trained = tuple(sorted({BACKGROUND}.union(*labelled))) if labelled else ()
+    known = {BACKGROUND, *trained}
+    unseen = {
+        capture.cameras.names[row]: tuple(sorted(ids - known))
+        for row, ids in found.items()
+        if row not in rows and not ids <= known
+    }
+    return LearnedIds(trained, unseen)
+
+
+def say_unseen(learned: LearnedIds, names: Mapping[int, str]) -> None:
+    """Say in one line which objects are not learned because only held-out photos show them."""
+    if not learned.held_out:
+        return
+    ids = sorted(set().union(*learned.held_out.values()))
+    objects = some([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
+    photos = some([*learned.held_out])
+    say(
+        f"Only held-out photos show object {objects}, so training does not learn it: {photos}. "
+        "Use `--test-every 0` to train on all photos, or another value to hold out others."
+    )
+
+
+def to_classes(labels: Int[Tensor, "H W"], ids: tuple[int, ...]) -> Integer[Tensor, "H W"]:
+    """Indices into `ids`, which are sorted and hold all labels, in the smallest type."""
+    known = torch.tensor(ids, dtype=torch.int32)
+    classes = torch.searchsorted(known, labels.int(), out_int32=True)
+    return classes.to(class_type(len(ids)))
+
+
+def class_type(count: int) -> torch.dtype:
+    """The smallest type that so many classes fit into."""
+    if count <= 2**8:
+        return torch.uint8
+    return torch.int16 if count <= 2**15 else torch.int32

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import check_form, check_intensity
 from stylesplat.scene.compose import require_painted, with_strengths, without_layers
-from stylesplat.scene.intensity import check_form, check_intensity
 from stylesplat.scene.scene import Scene
 
 

@@ -17,8 +17,7 @@ from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.sampling import evenly
-from stylesplat.scene.scene import Scene
-from stylesplat.scene.shared_views import shared_views
+from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.evaluate import evaluate
 
 VIEWS = 4  # that are shown, unless somebody wants more

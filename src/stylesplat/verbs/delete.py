@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.progress import say
-from stylesplat.scene.pasted import pasted
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.naming import require_named
+from stylesplat.selection.objects import require_named
 
 
 @check_arguments

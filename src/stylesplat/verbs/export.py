@@ -12,11 +12,10 @@ from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file
 from stylesplat.io.gaussian_lists import SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
-from stylesplat.scene.listed import ListedObjects
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import ListedObjects, Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.listing import listed_objects
+from stylesplat.selection.objects import listed_objects
 from stylesplat.stylization.scene_parts import cut_out, every_part, rows_of_part
 
 LABEL, SHARE = "label", "share"  # columns of a .ply; the first is one that `import` reads

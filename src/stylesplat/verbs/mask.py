@@ -14,9 +14,9 @@ from stylesplat.masks.import_masks import check_mask_source, import_label_maps
 from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.ring import has_no_photos
+from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.relabelled import relabelled
+from stylesplat.selection.objects import relabel
 
 Photos = TypeVar("Photos", Capture, Scene)
 Method = Literal["files", "grabcut"] | sam.Method
@@ -130,7 +130,7 @@ def _mask_scene(scene: Scene, options: dict[str, Any], device: str) -> Scene:
         rendered_capture(scene, place), **options, scene=None if foreign else scene, device=device
     )
     drawn = options["method"] in (None, "grabcut") and not foreign
-    return relabelled(scene, masked, add=drawn, device=place)
+    return relabel(scene, masked, add=drawn, device=place)
 
 
 def _refuse_unused(method: Method, given: Mapping[str, Any]) -> None:

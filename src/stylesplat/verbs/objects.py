@@ -11,8 +11,8 @@ from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.own_shares import OwnShares
 from stylesplat.selection.pick import each_object
+from stylesplat.selection.soft_picks import OwnShares
 
 
 @check_arguments

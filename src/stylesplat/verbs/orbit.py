@@ -4,7 +4,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.figures.round_trips import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, object_content
-from stylesplat.scene.ring import has_no_photos
+from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 

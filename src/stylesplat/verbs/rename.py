@@ -5,7 +5,7 @@ from dataclasses import replace
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.scene.scene import Scene, check_name
-from stylesplat.selection.naming import require_named
+from stylesplat.selection.objects import require_named
 
 
 @check_arguments

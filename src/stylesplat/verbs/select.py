@@ -12,12 +12,12 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
+from stylesplat.scene.arguments import Places, check_box, parse_places
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, Rules, choose
-from stylesplat.selection.detector import load_detector
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
+from stylesplat.selection.text import load_detector
 
 
 @check_arguments

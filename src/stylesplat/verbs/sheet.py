@@ -16,7 +16,7 @@ from stylesplat.figures.object_sheet import close_up
 from stylesplat.figures.style_sheet import SheetPlan, captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.one_line import counted, one_line

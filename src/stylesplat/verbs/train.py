@@ -16,14 +16,12 @@ from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.naming import with_names
-from stylesplat.training.classes import say_unseen, shown_ids
+from stylesplat.selection.objects import with_names
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
-from stylesplat.training.pose_shifts import refined
-from stylesplat.training.ranks import Ranks
-from stylesplat.training.state import State
+from stylesplat.training.per_photo import with_refined_cameras
+from stylesplat.training.state import Ranks, State
 from stylesplat.training.train_config import (
     PRESETS,
     SEGMENTS,
@@ -31,7 +29,7 @@ from stylesplat.training.train_config import (
     TrainConfig,
     refuse_identity_settings,
 )
-from stylesplat.training.training_views import split_views
+from stylesplat.training.training_views import learned_ids, say_unseen, split_views
 
 LIBRARIES = ("stylesplat", "torch", "numba")
 
@@ -97,9 +95,9 @@ def train(
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint, finish=finish)
     splats, seconds = state.splats.detach(), state.seconds
-    capture = refined(capture, state, rows)
+    capture = with_refined_cameras(capture, state, rows)
     if segment == "lift" and capture.label_maps is not None:
-        say_unseen(shown_ids(capture, rows), capture.object_names)
+        say_unseen(learned_ids(capture, rows), capture.object_names)
         start = time.perf_counter()
         splats = _lifted(splats, capture, rows)
         seconds += time.perf_counter() - start

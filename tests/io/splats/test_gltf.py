@@ -12,9 +12,8 @@ from glb_files import NAME, as_gltf, attributes, changed_glb, extension, glb_of,
 from scenes import random_splats
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.rendering.sh import rgb_from_sh0
-from stylesplat.scene.frames import Frame
+from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
 
 COUNT = 40
 HALF_TURN = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
@@ -141,7 +140,7 @@ def test_files_of_others_have_y_up(tmp_path: Path):
     path, splats = written(tmp_path), some()
     turned_by({}, path)
     found = read_splats(path)
-    assert_same(found, moved(splats, Frame(HALF_TURN)))
+    assert_same(found, move_splats(splats, Frame(HALF_TURN)))
     assert torch.equal(found.means, splats.means * torch.tensor([-1.0, -1, 1]))
     assert torch.equal(found.shN.abs(), splats.shN.abs())
 
@@ -159,13 +158,13 @@ def test_nodes_turn_scale_and_shift(tmp_path: Path, degree: int):
     changed_glb(path, lambda d: d.update(nodes=[above, below]))
     turn = HALF_TURN @ torch.from_numpy(rotation.as_matrix())
     shift = 2 * turn @ torch.tensor([1.0, 2.0, 3.0]).double()
-    assert_same(read_splats(path), moved(splats, Frame(turn, 2.0, shift)), 1e-5)
+    assert_same(read_splats(path), move_splats(splats, Frame(turn, 2.0, shift)), 1e-5)
     # The same as one matrix, column by column
     matrix = np.eye(4)
     matrix[:3, :3] = 2 * rotation.as_matrix()
     matrix[:3, 3] = matrix[:3, :3] @ [1, 2, 3]
     turned_by({"matrix": matrix.T.flatten().tolist()}, path)
-    assert_same(read_splats(path), moved(splats, Frame(turn, 2.0, shift)), 1e-5)
+    assert_same(read_splats(path), move_splats(splats, Frame(turn, 2.0, shift)), 1e-5)
 
 
 def test_a_quarter_turn_changes_axes_and_nothing_else(tmp_path: Path):

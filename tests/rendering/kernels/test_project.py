@@ -5,8 +5,7 @@ import torch
 
 from scenes import random_splats, two_cameras
 from stylesplat.rendering import cpu, reference
-from stylesplat.rendering.gaussians import Gaussians, View, views_of
-from stylesplat.rendering.rasterize import activated
+from stylesplat.rendering.gaussians import Gaussians, View, activated, views_of
 
 FIRST, SECOND = views_of(two_cameras())
 TURNED = SECOND._replace(

@@ -9,12 +9,10 @@ import torch
 from scenes import random_splats, two_cameras
 from stylesplat.rendering import constants as const
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.gaussians import activated, views_of
 from stylesplat.rendering.kernels import tiles
-from stylesplat.rendering.kernels.columns import span
-from stylesplat.rendering.kernels.rows import Rows
+from stylesplat.rendering.kernels.rows import Rows, span
 from stylesplat.rendering.kernels.tiles import Ellipses
-from stylesplat.rendering.rasterize import activated
 
 GAUSSIANS = activated(random_splats())
 SIZE = (70, 52)  # 5 x 4 tiles, the last ones cut

@@ -15,13 +15,51 @@ Ctrl-C that came while the kernel ran) is a segmentation fault.
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
 import numba
+from numba.core import event
 
-from stylesplat.rendering.kernels.code_cache import keep
-from stylesplat.rendering.kernels.compiling import announce_compilation
+from stylesplat.progress import say
+
+COMPILING = (
+    "Compiling the CPU kernels for this processor. It takes up to half a minute, once: later "
+    "starts find them in the cache."
+)
+NO_CACHE = (
+    "Neither the package's folder nor the home can be written to, so every start compiles the CPU "
+    "kernels. Name a folder for them in NUMBA_CACHE_DIR."
+)
+
+
+class _Announcement(event.Listener):
+    """Says a line when the first compilation of the process begins."""
+
+    said = False
+
+    def on_start(self, event: event.Event) -> None:
+        """Called before each compilation, but not when a kernel is loaded from the cache."""
+        if not self.said and no_cache.cache_info().currsize == 0:
+            say(COMPILING)
+        self.said = True
+
+    def on_end(self, event: event.Event) -> None:
+        """Nothing to say."""
+
+
+@lru_cache(maxsize=1)
+def announce_compilation() -> None:
+    """Say so in one line if kernels have to be compiled from now on."""
+    event.register("numba:compile", _Announcement())
+
+
+@lru_cache(maxsize=1)
+def no_cache() -> None:
+    """Say once that kernels cannot be cached."""
+    say(NO_CACHE)
+
 
 announce_compilation()  # whoever loads kernels may have to compile them
 
@@ -33,13 +71,14 @@ ONLY_PRANGE = {
 
 
 def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` whose machine code is kept where that is possible; see `code_cache`."""
-    compiled = numba.njit(**options)
+    """`numba.njit` with numba's cache on disk, or without where it finds no folder to write to."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = compiled(function)
-        keep(dispatcher, function)
-        return dispatcher
+        try:
+            return numba.njit(cache=True, **options)(function)
+        except RuntimeError:  # numba has tried all places
+            no_cache()
+            return numba.njit(**options)(function)
 
     return decorate
 

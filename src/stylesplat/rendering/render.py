@@ -1,0 +1,204 @@
+"""The one way to an image: activate the splats, pick a backend, render.
+
+`rasterize` is differentiable and takes several cameras; `render` takes one, without gradients, in
+the memory of what is in view.
+"""
+
+from importlib.util import find_spec
+from typing import Literal, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.gaussians import Gaussians, activated, with_matrices_of
+from stylesplat.rendering.reference import Info
+from stylesplat.rendering.visibility import PART, in_view, visible
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+
+Backend = Literal["auto", "reference", "cpu", "cuda"]
+MANY = 1 << 21  # Gaussians in view, from which features are gathered of the visible ones alone
+
+
+@runtime_checkable
+class Rasterizer(Protocol):
+    """The two functions of a backend's module."""
+
+    def spherical_harmonics(
+        self,
+        degree: int,
+        dirs: Float[Tensor, "N 3"],
+        sh0: Float[Tensor, "N 1 3"],
+        shN: Float[Tensor, "N _ 3"],
+        *,
+        clamp: bool = True,
+    ) -> Float[Tensor, "N 3"]:
+        """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+        ...
+
+    def rasterize(
+        self,
+        gaussians: Gaussians,
+        colors: Float[Tensor, "C N D"],
+        cameras: Cameras,
+        *,
+        geometry_channels: int,
+    ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+        """Image, coverage and projections of Gaussians, each camera with colours of its own.
+
+        Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
+        matrices have the Gaussians' type and device.
+        """
+        ...
+
+
+def rasterize(
+    splats: Splats,
+    cameras: Cameras,
+    *,
+    features: Float[Tensor, "N F"] | None = None,
+    features_move_geometry: bool = True,
+    background: Float[Tensor, " 3"] | None = None,
+    sh_degree: int | None = None,
+    clamp: bool = True,
+    backend: Backend = "auto",
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+    """Render splats from cameras of one size, differentiably.
+
+    Gradients reach the cameras' `viewmats`, too, if these require them.
+
+    Args:
+        splats: The Gaussians, as stored; they are activated here.
+        cameras: One or more cameras that share an image size.
+        features: More channels to composite in the same pass, such as the identities; they
+            follow the three colours.
+        features_move_geometry: Whether gradients of these channels reach more than `features`.
+        background: RGB behind everything; black by default. Features have 0 behind them.
+        sh_degree: Degree of colour to use; that of the splats by default.
+        clamp: Whether Gaussians' colours below 0 become 0, as gsplat has it.
+        backend: `auto` takes `cuda` for tensors on a GPU and `cpu` for the others.
+
+    Returns:
+        The image, linear in the features and not clamped above 1; the coverage; and gsplat's
+        `means2d` [C,N,2], `conics` [C,N,3], `depths` [C,N] and `radii` [C,N,2] (0 = out of view).
+
+    Raises:
+        StyleSplatError: If the cameras differ in size or gsplat is not installed.
+    """
+    backend_module = _module(backend, splats.device)
+    cameras = with_matrices_of(splats, cameras)
+    degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
+    colors = torch.stack(
+        [
+            backend_module.spherical_harmonics(
+                degree, splats.means - origin, splats.sh0, splats.shN, clamp=clamp
+            )
+            for origin in cameras.positions
+        ]
+    )  # [C, N, 3]
+    if features is not None:
+        colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
+    render_colors, render_alphas, info = backend_module.rasterize(
+        activated(splats),
+        colors,
+        cameras,
+        geometry_channels=colors.shape[-1] if features_move_geometry else 3,
+    )
+    return over_background(render_colors, render_alphas, background), render_alphas, info
+
+
+def over_background(
+    colors: Float[Tensor, "*B H W D"],
+    alphas: Float[Tensor, "*B H W 1"],
+    background: Float[Tensor, " 3"] | None,
+) -> Float[Tensor, "*B H W D"]:
+    """Images before a colour, or before black; features have 0 behind them."""
+    if background is None:
+        return colors
+    padding = background.new_zeros(colors.shape[-1] - 3)
+    return colors + (1 - alphas) * torch.cat([background, padding]).to(colors)
+
+
+def _module(backend: Backend, device: torch.device) -> Rasterizer:
+    if backend == "auto":
+        backend = "cuda" if device.type == "cuda" else "cpu"
+    if backend == "reference":
+        from stylesplat.rendering import reference
+
+        return reference
+    if backend == "cpu":
+        from stylesplat.rendering import cpu
+
+        return cpu
+    if find_spec("gsplat") is None:
+        raise StyleSplatError(
+            "Rendering on a GPU needs gsplat, which is not installed. "
+            "Run `pip install stylesplat[cuda]`, or choose the cpu device."
+        )
+    from stylesplat.rendering import cuda
+
+    return cuda
+
+
+@torch.no_grad()
+def render(
+    splats: Splats,
+    camera: Cameras,
+    *,
+    features: Float[Tensor, "N F"] | None = None,
+    background: Float[Tensor, " 3"] | None = None,
+    sh_degree: int | None = None,
+    pixels: Bool[Tensor, "H W"] | None = None,
+) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
+    """Render splats from one camera, without gradients.
+
+    Args:
+        splats: The Gaussians.
+        camera: One camera.
+        features: More channels to composite in the same pass; they follow the three colours.
+        background: RGB behind everything; black by default. Features have 0 behind them.
+        sh_degree: Degree of colour to use; that of the splats by default.
+        pixels: The pixels wanted; others need not be right. All by default.
+
+    Returns:
+        The image and the coverage, as `rasterize` has them.
+    """
+    rest = {"features": features, "background": background, "sh_degree": sh_degree}
+    if splats.device.type != "cpu":
+        images, alphas, _ = rasterize(splats, camera, **rest)
+        return images[0], alphas[0]
+    from stylesplat.rendering import cpu
+
+    near = in_view(splats, camera, pixels)
+    if features is not None and len(near.rows) > MANY:
+        near = visible(near, camera)
+    colors = colors_of(
+        splats, near.rows, with_matrices_of(splats, camera).positions, sh_degree, features
+    )
+    drawing = cpu.draw(near.projected, near.opacities, cpu.padded(colors), camera.size)
+    image, alphas = drawing.image[..., : colors.shape[1]], drawing.alphas
+    return over_background(image, alphas, background), alphas
+
+
+def colors_of(
+    splats: Splats,
+    rows: Int[Tensor, " M"],
+    origin: Float[Tensor, "1 3"],
+    sh_degree: int | None = None,
+    features: Float[Tensor, "N F"] | None = None,
+) -> Float[Tensor, "M D"]:
+    """Colours of some Gaussians as seen from a point, on the CPU; their features follow."""
+    from stylesplat.rendering import cpu
+
+    degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
+    tensors = splats.means, splats.sh0, splats.shN[:, : (degree + 1) ** 2 - 1]
+    parts = []
+    for some in rows.split(PART):
+        means, *sh = (each.index_select(0, some) for each in tensors)
+        own = cpu.spherical_harmonics(degree, means - origin, *sh)
+        if features is not None:
+            own = torch.cat([own, features.index_select(0, some)], dim=1)
+        parts.append(own)
+    return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -1,0 +1,172 @@
+"""Which Gaussians are in view of one camera, and which of them are visible; on the CPU.
+
+Gaussians in view may reach its image if there were no others; visible ones do reach a pixel. The
+scene is projected a part at a time, so that memory is that of the Gaussians in view. Kernels are
+loaded on the first call: to select by id none are needed.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, Real
+from torch import Tensor
+from torch.nn.functional import pad
+
+from stylesplat.rendering.gaussians import Projected, activated, views_of, with_matrices_of
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import overlapping
+from stylesplat.scene.splats import Splats
+
+LARGE = 400_000  # Gaussians of a scene; culling a smaller one takes as long as it saves
+PART = 1 << 17  # Gaussians whose numbers stay in the processor's cache
+
+
+class InView(NamedTuple):
+    """The Gaussians in view of a camera."""
+
+    rows: Int[Tensor, " M"]
+    """Rows of the scene, in order."""
+    projected: Projected
+    opacities: Float[Tensor, " M"]
+    """From 0 to 1."""
+
+    def some(self, places: Int[Tensor, " L"]) -> "InView":
+        """Some of them."""
+        projected = Projected(*(each[places] for each in self.projected))
+        return InView(self.rows[places], projected, self.opacities[places])
+
+    def box(self, camera: Cameras) -> Bool[Tensor, "H W"]:
+        """The rectangle of the camera's pixels that they may reach."""
+        width, height = camera.size
+        inside = torch.zeros(height, width, dtype=torch.bool)
+        if len(self.rows):
+            low, high = bounds(self.projected)
+            left, top = low.amin(dim=0).clamp(min=0).tolist()
+            right, bottom = high.amax(dim=0).tolist()
+            inside[int(top) : int(bottom), int(left) : int(right)] = True
+        return inside
+
+
+@torch.no_grad()
+def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> InView:
+    """The Gaussians that may reach the image of one camera, if there were no others.
+
+    Args:
+        splats: The scene, on the CPU.
+        camera: The camera.
+        pixels: Leave out Gaussians that cannot reach one of these; all pixels by default.
+    """
+    camera = with_matrices_of(splats, camera)
+    starts = range(0, max(1, len(splats)), PART)
+    marked = None if pixels is None else _marked(pixels)
+    parts = [_part_in_view(splats, camera, start, marked) for start in starts]
+    rows, opacities, *projected = parts.pop() if len(parts) == 1 else _joined(parts)
+    return InView(rows, Projected(*projected), opacities)
+
+
+def _part_in_view(
+    splats: Splats, camera: Cameras, start: int, marked: "_Marked | None"
+) -> tuple[Tensor, ...]:
+    from stylesplat.rendering import cpu
+
+    gaussians = activated(splats, slice(start, start + PART))
+    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
+    if marked is not None:
+        low, high = (corner.index_select(0, rows) for corner in bounds(projected))
+        rows = rows[_touching(low, high, marked)]
+    found = (gaussians.opacities, *projected)
+    return start + rows, *(each.index_select(0, rows) for each in found)
+
+
+def _joined(parts: list[tuple[Tensor, ...]]) -> Iterator[Tensor]:
+    """Each column as a whole; parts are freed once they are joined."""
+    columns = [[*each] for each in zip(*parts, strict=True)]
+    parts.clear()
+    for column in columns:
+        yield torch.cat(column)
+        column.clear()
+
+
+def touching(
+    low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
+) -> Bool[Tensor, " N"]:
+    """Which boxes of pixels, from and to, hold marked ones."""
+    return _touching(low, high, _marked(pixels))
+
+
+class _Marked(NamedTuple):
+    """Marked pixels, for looking up many boxes."""
+
+    sums: Int[Tensor, "_ _"]
+    """How many lie left of and above each corner of a pixel: [H + 1, W + 1]."""
+    first: Int[Tensor, " 2"]
+    """The rectangle that holds them, from; beyond the image if there are none."""
+    last: Int[Tensor, " 2"]
+    """And to."""
+
+
+def _marked(pixels: Bool[Tensor, "H W"]) -> _Marked:
+    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))
+    places = pixels.nonzero().flip(1)  # x, y
+    size = places.new_tensor([*pixels.shape[::-1]])
+    first, last = torch.aminmax(places, dim=0) if len(places) else (size + 1, size)
+    return _Marked(sums, first, last + 1)
+
+
+def _touching(low: Tensor, high: Tensor, marked: _Marked) -> Bool[Tensor, " N"]:
+    touched = torch.zeros(len(low), dtype=torch.bool)
+    first, last = marked.first.to(low), marked.last.to(low)
+    rows = overlapping(low, high, first, last)  # few are near a small object
+    sums = marked.sums
+    size = low.new_tensor([side - 1 for side in reversed(sums.shape)])
+    corners = (corner[rows].clamp(min=0).minimum(size).long() for corner in (low, high))
+    (left, top), (right, bottom) = (corner.unbind(1) for corner in corners)
+    counts = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    return touched.index_fill(0, rows[counts > 0], True)
+
+
+@torch.no_grad()
+def visible_rows(
+    splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None
+) -> Int[Tensor, " M"]:
+    """The rows of the visible Gaussians of one camera, in order.
+
+    Args:
+        splats: The scene, on the CPU.
+        camera: The camera.
+        pixels: Leave out Gaussians that cannot reach one of these; all pixels by default.
+    """
+    return visible(in_view(splats, camera, pixels), camera).rows
+
+
+@torch.no_grad()
+def visible(near: InView, camera: Cameras) -> InView:
+    """The Gaussians that reach a pixel of the camera, though others hide some."""
+    from stylesplat.rendering import cpu
+    from stylesplat.rendering.linear import reaching
+
+    colors = near.opacities.new_zeros(len(near.rows), 3)
+    tiled = cpu.draw(near.projected, near.opacities, colors, camera.size).tiled
+    places = np.sort(tiled.order[reaching(tiled)])
+    return near.some(torch.from_numpy(places.astype(np.int64)))
+
+
+@torch.no_grad()
+def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
+    """The pixels that each Gaussian may reach, from and to; none if it is out of view."""
+    from stylesplat.rendering import cpu
+
+    views = views_of(with_matrices_of(splats, camera))
+    projected = cpu.project_gaussians(activated(splats), views[0])
+    inside = (projected.radii > 0).all(dim=1, keepdim=True)
+    low, high = (corner * inside for corner in bounds(projected))
+    return low.long(), high.long()
+
+
+def bounds(projected: Projected) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
+    """The whole pixels that projected Gaussians may reach, from and to."""
+    places, radii = projected.means2d, projected.radii
+    return (places - radii).floor(), (places + radii).ceil()

@@ -1,0 +1,109 @@
+"""What users give and paste: boxes and points in photos, strengths, commands. Loads no torch.
+
+Pixels are those of the photo at its full size, whatever size it is worked on at.
+"""
+
+import shlex
+from collections.abc import Sequence
+from typing import Any
+
+from stylesplat.errors import StyleSplatError
+
+Places = Sequence[Any]
+"""A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
+
+OVERSHOOT = 0.05  # of a side, that a box may reach beyond: `sfm` cuts photos as it undistorts them
+
+
+def cut_to_picture(
+    box: Sequence[float | int], size: tuple[int, int]
+) -> tuple[float, float, float, float] | None:
+    """The part of a box inside its picture; None if it reaches far outside, or is empty.
+
+    Args:
+        box: Left, upper, right and lower edge, in pixels.
+        size: The picture's width and height.
+    """
+    (x0, y0, x1, y1), (width, height) = map(float, box), map(float, size)
+    over, under = OVERSHOOT * width, OVERSHOOT * height
+    if not (-over <= x0 and x1 <= width + over and -under <= y0 and y1 <= height + under):
+        return None
+    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)
+    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+
+
+def check_box(
+    box: Sequence[float | int], size: tuple[int, int], name: str
+) -> tuple[float, float, float, float]:
+    """The part of a box inside its photo.
+
+    Raises:
+        StyleSplatError: If it reaches far outside, or is empty.
+    """
+    inside = cut_to_picture(box, size)
+    if inside is None:
+        raise StyleSplatError(
+            f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
+            f"which is {size[0]}x{size[1]} pixels. Give x0,y0,x1,y1 in pixels of the photo."
+        )
+    return inside
+
+
+def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any], ...]:
+    """The views' names and their numbers apart.
+
+    Args:
+        places: One or several.
+        count: How many numbers each has: 2 for a point, 4 for a box.
+        what: The argument that they were given as, for messages.
+
+    Raises:
+        StyleSplatError: If one is anything else.
+
+    Example:
+        >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], 2, "point")
+        (('a.jpg', (1.0, 2.0)), ('b.jpg', (3.0, 4.0)))
+    """
+    several = [places] if len(places) and _is_place(places) else places
+    return tuple(_parsed(place, count, what) for place in several)
+
+
+def _is_place(places: Places) -> bool:
+    """Whether it is one; several consist of sequences, and a lone number is no place either."""
+    return isinstance(places, str) or isinstance(places[0], str | int | float)
+
+
+def _parsed(place: Any, count: int, what: str) -> tuple[str, tuple[float, ...]]:
+    view, *numbers = place if isinstance(place, Sequence) and len(place) else (None,)
+    if len(numbers) == 1 and isinstance(numbers[0], Sequence):
+        (numbers,) = numbers
+    try:
+        found = tuple(map(float, numbers))
+    except (TypeError, ValueError):
+        found = ()
+    if not isinstance(view, str) or len(found) != count:
+        raise StyleSplatError(
+            f"Cannot use {what}={place!r}. Give the name of a view and {count} numbers, its pixels."
+        )
+    return view, found
+
+
+MAX_INTENSITY = 1.5  # beyond it colours leave their range
+MAX_FORM = 1.5  # likewise
+
+
+def check_intensity(intensity: float) -> None:
+    """Raise a StyleSplatError if colours cannot be blended so."""
+    if not 0 <= intensity <= MAX_INTENSITY:
+        raise StyleSplatError(f"Cannot blend with intensity {intensity}: use 0 to {MAX_INTENSITY}.")
+
+
+def check_form(form: float) -> None:
+    """Raise a StyleSplatError if so much relief cannot be shown."""
+    if not 0 <= form <= MAX_FORM:
+        raise StyleSplatError(f"Cannot show the form {form}: use 0 to {MAX_FORM}.")
+
+
+def pasted(verb: str, *arguments: object) -> str:
+    """A command that can be pasted, whatever the names and places in it hold."""
+    return shlex.join(["stylesplat", verb, *map(str, arguments)])

@@ -1,0 +1,144 @@
+"""Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
+
+Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, so that it and its
+copies look as it did; noise in proportion to transparency lets Gaussians explore.
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.training.adam import Moments
+from stylesplat.training.device_ops import DEAD_OPACITY, MAX_COPIES, Geometry, device_ops
+
+MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
+NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an extent of 8
+OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
+SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
+CERTAIN = 0.95  # probability of an object; a hole in the background would show
+
+Params = dict[str, Tensor]
+
+
+def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
+    """Pulls opacities and sizes, in a scene's unit of length, towards 0."""
+    opacity = torch.sigmoid(params["opacities"]).mean()
+    return OPACITY_WEIGHT * opacity + SCALE_WEIGHT * params["scales"].exp().mean() / extent
+
+
+@torch.no_grad()
+def perturb_means(
+    params: Params,
+    extent: float,
+    decay: float,
+    noise: Float[Tensor, "N 3"],
+    *,
+    photos: int = 1,
+) -> None:
+    """Move the means at random, along their own covariance, the fainter the more.
+
+    Covariances are squares of lengths: over the extent, the same scene in other units moves alike.
+
+    Args:
+        params: Trained tensors; the means change in place.
+        extent: Unit of length of the scene.
+        decay: Factor that becomes smaller as training goes on.
+        noise: Standard normal.
+        photos: Photos of the step; the variances of their noises add up.
+    """
+    geometry = Geometry(**{name: params[name].detach() for name in Geometry._fields})
+    device_ops(noise.device).add_noise(geometry, noise, NOISE_RATE * decay * photos**0.5 / extent)
+
+
+@torch.no_grad()
+def relocate_and_grow(
+    params: Params,
+    moments: Moments,
+    names: tuple[str, ...],
+    count: int,
+    generator: torch.Generator,
+    *,
+    preference: Float[Tensor, " N"] | None = None,
+) -> tuple[Params, Moments]:
+    """Move the dead Gaussians and add others, up to `count` in all.
+
+    Args:
+        params: Trained tensors.
+        moments: Their optimiser state.
+        names: Which of them have one row per Gaussian.
+        count: Gaussians wanted; fewer than there are moves the dead ones only.
+        generator: Source of randomness, on their device.
+        preference: Factors on the opacities, which are the chances of being copied.
+
+    Returns:
+        The new tensors and state; rows that were moved or copied start from zero moments.
+    """
+    opacities = torch.sigmoid(params["opacities"])
+    alive = (opacities > DEAD_OPACITY).nonzero()[:, 0]
+    dead = (opacities <= DEAD_OPACITY).nonzero()[:, 0]
+    n = len(opacities)
+    needed = len(dead) + max(count - n, 0)
+    if needed == 0 or len(alive) == 0:
+        return params, moments
+    chances = opacities if preference is None else opacities * preference
+    drawn = torch.multinomial(chances[alive], needed, replacement=True, generator=generator)
+    sources = alive[drawn]
+    rows = torch.cat([torch.arange(n, device=sources.device), sources[len(dead) :]])
+    rows[dead] = sources[: len(dead)]
+    params = dict(params) | _shrink_sources(params, sources)
+    fresh = rows.clone()
+    fresh[dead] = -1
+    fresh[n:] = -1
+    fresh[sources] = -1
+    taken = {name: params[name].detach()[rows].requires_grad_() for name in names}
+    return params | taken, moments.take(fresh, names)
+
+
+def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
+    """Opacities and scales with which a source and its copies together look as before."""
+    copies = torch.bincount(sources, minlength=len(params["opacities"])) + 1
+    opacities, scales = params["opacities"].detach().clone(), params["scales"].detach().clone()
+    new_opacities, new_scales = device_ops(sources.device).relocate(
+        torch.sigmoid(opacities[sources]),
+        scales[sources].exp(),
+        copies[sources].clamp(max=MAX_COPIES),
+    )
+    opacities[sources] = torch.logit(new_opacities.clamp(DEAD_OPACITY, MAX_OPACITY))
+    scales[sources] = new_scales.log()
+    return {"opacities": opacities, "scales": scales}
+
+
+@torch.no_grad()
+def object_share(splats: Splats) -> Float[Tensor, " N"] | None:
+    """Probability of each Gaussian to belong to any object; None without identities."""
+    if splats.identities is None or splats.classifier is None:
+        return None
+    scores = splats.classifier.some_at_a_time(splats.identities)
+    return torch.cat([1 - some.softmax(dim=-1)[:, 0] for _, some in scores])
+
+
+@torch.no_grad()
+def growth_preference(splats: Splats, object_growth: float) -> Float[Tensor, " N"] | None:
+    """Factors on the chances of being copied: `object_growth` for objects, else 1."""
+    share = object_share(splats)
+    return None if share is None else 1 + (object_growth - 1) * share
+
+
+@torch.no_grad()
+def limit_sizes(splats: Splats, cameras: Cameras, pixels: float) -> None:
+    """Shrink an object's Gaussians that are too large for detailed painting, in place.
+
+    Args:
+        splats: Gaussians, of which `scales` change.
+        cameras: Those of the photos, at the size trained at.
+        pixels: Largest standard deviation, seen from the cameras' median distance.
+    """
+    share = object_share(splats)
+    if share is None or not (inside := share > CERTAIN).any():
+        return
+    middle = splats.means[inside].median(dim=0).values
+    distance = (cameras.positions.to(middle) - middle).norm(dim=-1).median()
+    limit = pixels * distance / cameras.Ks[:, 0, 0].median().to(middle)
+    splats.scales[inside] = splats.scales[inside].clamp(max=float(limit.log()))

@@ -1,0 +1,48 @@
+"""Kernels are compiled once and cached by numba, or run uncached where it cannot write."""
+
+from collections import defaultdict
+from pathlib import Path
+
+import numba
+import pytest
+from numba.core import event
+from numba.core.caching import CompileResultCacheImpl
+
+from stylesplat.rendering.kernels import jit
+from stylesplat.rendering.kernels.jit import COMPILING, NO_CACHE, announce_compilation, cached
+
+
+@pytest.fixture(autouse=True)
+def unannounced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tests may have registered a listener, or have had no cache."""
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
+    jit.no_cache.cache_clear()
+
+
+def plus_one(x: int) -> int:
+    return x + 1
+
+
+def test_compilation_is_announced_once(said: list[str]):
+    announce_compilation.cache_clear()
+    announce_compilation()
+    announce_compilation()
+    numba.njit(lambda x: x + 1)(1)
+    numba.njit(lambda x: x + 2)(1)
+    assert said == [COMPILING]
+
+
+def test_code_is_loaded_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    hits = []
+    for _ in range(2):
+        kernel = cached()(plus_one)
+        assert kernel(1) == 2
+        hits.append(sum(kernel.stats.cache_hits.values()))
+    assert hits == [0, 1]
+
+
+def test_without_a_folder_kernels_run_all_the_same(said: list[str], monkeypatch):
+    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    assert [cached()(plus_one)(1) for _ in range(2)] == [2, 2]
+    assert said == [NO_CACHE]

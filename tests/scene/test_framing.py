@@ -1,0 +1,97 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import SPLATS
+from bare_splats import UP, figure, floaters, guitar, joined, painting, room, shares
+from stylesplat.rendering.render import rasterize
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import content_of
+from stylesplat.scene.framing import has_no_photos, ring_cameras
+from stylesplat.scene.poses import up_vector
+from stylesplat.scene.projection import project, shown
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+
+
+def close_ups(cameras: Cameras) -> list[int]:
+    return [row for row in range(len(cameras)) if row % 4 == 3]
+
+
+@pytest.mark.parametrize(
+    ("splats", "own"),
+    [
+        (guitar(), None),
+        (joined(figure(), floaters()), 4000),
+        (painting(), None),
+        (room(), 6000),
+        (SPLATS, None),
+    ],
+    ids=["guitar", "figure and floaters", "painting", "room", "balls"],
+)
+def test_all_content_is_in_three_of_four_views_and_some_are_close_ups(
+    splats: Splats, own: int | None
+):
+    cameras = ring_cameras(splats, UP)
+    found = shares(cameras, splats.means[:own])
+    whole = [share for row, share in enumerate(found) if row % 4 != 3]
+    assert min(whole) > 0.99, "those that the content's edge leaves out"
+    assert min(found[row] for row in close_ups(cameras)) > 0.01
+    assert max(found[row] for row in close_ups(cameras)) < 1
+    places, _ = project(content_of(splats).points, cameras[0])
+    lengths = (places.amax(dim=0) - places.amin(dim=0)) / torch.tensor(cameras.size)
+    assert 0.6 < lengths.max() < 1, "and fills the picture"
+
+
+def test_close_ups_show_every_part_of_what_is_long():
+    splats = guitar()
+    cameras = ring_cameras(splats, UP)
+    seen = torch.zeros(len(splats), dtype=torch.bool)
+    for row in close_ups(cameras):
+        here = shown(splats.means.double(), cameras[row])
+        assert 0 < here.float().mean() < 1
+        seen |= here
+    assert seen.float().mean() > 0.999
+
+
+def test_cameras_stand_within_the_walls_of_a_room():
+    splats, cameras = room(), ring_cameras(room(), UP)
+    assert cameras.positions[:, :2].abs().max() < 3
+    assert cameras.positions[:, 2].max() < 2
+    things = torch.arange(len(splats)) < 6000
+    for row in (0, 1, 5):
+        image, _, _ = rasterize(
+            splats, cameras[row].downscale(8), features=things.float()[:, None], sh_degree=0
+        )
+        assert image[0, 45, 60, 3] > 0.9, "no wall hides what is in the middle"
+
+
+@pytest.mark.parametrize("up", [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+def test_the_content_is_in_the_middle_and_whole(up: list[float]):
+    cameras = ring_cameras(SPLATS, torch.tensor(up))
+    assert len(set(cameras.names)) == len(cameras) > 20
+    torch.testing.assert_close(up_vector(cameras).float(), torch.tensor(up), atol=0.01, rtol=0)
+    for row in (0, 9, 18, 26):
+        _, alphas, _ = rasterize(SPLATS, cameras[row].downscale(8))
+        places = (alphas[0, ..., 0] > 0.5).nonzero().float()
+        middle = places.mean(dim=0) / torch.tensor(alphas.shape[1:3])
+        assert (middle - 0.5).abs().max() < 0.2
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1e-4])
+def test_a_single_gaussian_is_looked_at(sigma: float):
+    one = SPLATS[torch.tensor([0])]
+    one = replace(one, scales=torch.full((1, 3), sigma).log())
+    cameras = ring_cameras(one, torch.tensor([0.0, 0.0, 1.0]))
+    assert cameras.viewmats.isfinite().all() and cameras.Ks.isfinite().all()
+    assert (torch.linalg.det(cameras.viewmats[:, :3, :3]) - 1).abs().max() < 1e-4
+    _, alphas, _ = rasterize(one, cameras[0].downscale(8))
+    assert 0.01 < (alphas > 0.3).float().mean() < 0.98, "neither lost nor all over the picture"
+
+
+def test_scenes_without_photos_are_known():
+    scene = Scene(SPLATS, ring_cameras(SPLATS, UP))
+    assert has_no_photos(scene)
+    renamed = replace(scene.cameras, names=tuple(f"{i}.jpg" for i in range(36)))
+    assert not has_no_photos(replace(scene, cameras=renamed))

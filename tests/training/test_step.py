@@ -1,0 +1,213 @@
+"""One step: what is compared, and whom the gradients reach."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numba
+import pytest
+import torch
+
+from begun_runs import begun
+from stylesplat.rendering.at_once import RenderPool
+from stylesplat.scene.capture import Capture
+from stylesplat.training.state import Run, State, first_state
+from stylesplat.training.step import (
+    NEIGHBOR_SAMPLES,
+    NEIGHBORS,
+    apply_gradients,
+    compute_gradients,
+    take_rows,
+    train_step,
+)
+from stylesplat.training.train_config import TrainConfig
+
+GEOMETRY = ("means", "quats", "scales", "opacities")
+
+
+def gradients(capture: Capture, config: TrainConfig, step: int = 0) -> dict[str, torch.Tensor]:
+    run, state = begun(capture, config)
+    found = compute_gradients(run, state, step).state.params
+    return {name: t.grad for name, t in found.items() if t.grad is not None}
+
+
+@pytest.fixture
+def config() -> TrainConfig:
+    return TrainConfig(coarse_to_fine=False, identity_every=2)
+
+
+def test_the_identity_loss_moves_no_geometry_unless_told(capture: Capture, config: TrainConfig):
+    plain = gradients(replace(capture, label_maps=None), config)
+    joint = gradients(capture, config)
+    moving = gradients(capture, replace(config, identity_geometry=True))
+    for name in (*GEOMETRY, "sh0"):
+        # The same sums in another order.
+        assert (joint[name] - plain[name]).norm() < 1e-4 * plain[name].norm(), name
+    for name in GEOMETRY:
+        if name != "quats":  # of round Gaussians
+            assert (moving[name] - plain[name]).norm() > 1e-2 * plain[name].norm(), name
+
+
+def test_identities_have_gradients_every_few_steps_only(capture: Capture, config: TrainConfig):
+    for step in range(5):
+        names = gradients(capture, config, step).keys()
+        assert ({"identities", "weight", "bias"} <= names) == (step % 2 == 0)
+        assert {*GEOMETRY, "sh0", "shN"} <= names
+
+
+def test_visible_are_those_in_the_picture(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, config)
+    with torch.no_grad():
+        state.params["means"][:10] += 100
+    visible = compute_gradients(run, state, 0).visible
+    assert not visible[:10].any() and visible[10:].all()
+
+
+def test_a_step_leaves_what_nobody_sees(capture: Capture, config: TrainConfig):
+    run, state = begun(replace(capture, label_maps=None), config)
+    with torch.no_grad():
+        state.params["means"][:10] += 100
+        state.params["opacities"][:10] = 5.0  # no noise either
+    before = state.clone()
+    after, _ = train_step(run, state)
+    for name in state.names:
+        assert torch.equal(after.params[name][:10], before.params[name][:10]), name
+        assert not after.moments.first[name][:10].any()
+        if name not in ("quats", "shN"):  # of round Gaussians, of bands not in use yet
+            assert not torch.equal(after.params[name][10:], before.params[name][10:]), name
+
+
+def test_a_step_is_a_function_of_state_and_number(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, config)
+    one, _ = train_step(run, replace(state.clone(), step=10))
+    train_step(run, replace(state.clone(), step=11))
+    other, _ = train_step(run, replace(state.clone(), step=10))
+    for name, tensor in one.params.items():
+        assert torch.equal(tensor, other.params[name]), name
+
+
+def test_growth_comes_at_the_end_of_its_interval(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, replace(config, steps=100, refine_every=10, max_gaussians=200))
+    counts = [
+        len(train_step(run, replace(state.clone(), step=step))[0].splats)
+        for step in (8, 9, 10, 19, 89, 99)
+    ]
+    first = len(state.splats)
+    assert counts[0] == counts[2] == first < counts[1] < counts[3] <= 200
+    assert counts[4] == 200 and counts[5] == first, "nothing is added in the last tenth"
+
+
+def test_fewer_gaussians_than_neighbours_still_train(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, config)
+    few = first_state(state.splats.detach()[torch.arange(NEIGHBORS)])
+    after, scores = train_step(run, few)
+    assert scores.isfinite().all() and len(after.splats) == NEIGHBORS
+
+
+def test_gradients_of_rows_are_added_up_in_order():
+    """Enough of them that torch would share the work, and each many times."""
+    generator = torch.Generator().manual_seed(0)
+    table = torch.randn(50, 16, generator=generator).requires_grad_()
+    rows = torch.randint(len(table), (NEIGHBOR_SAMPLES, NEIGHBORS), generator=generator)
+    v_found = torch.randn(*rows.shape, 16, generator=generator)
+    assert torch.equal(take_rows(table, rows), table[rows])
+
+    def gradient() -> torch.Tensor:
+        return torch.autograd.grad(take_rows(table, rows), table, v_found)[0]
+
+    first, threads = gradient(), torch.get_num_threads()
+    try:
+        torch.set_num_threads(max(2, threads))
+        assert all(torch.equal(gradient(), first) for _ in range(50))
+    finally:
+        torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("cut_out", [False, True])
+def test_photos_without_anything_of_their_own_teach_the_same(
+    capture: Capture, config: TrainConfig, cut_out: bool
+):
+    assert capture.label_maps is not None
+    covered = [255 * (x > 0).to(torch.uint8) for x in capture.label_maps if x is not None]
+    photos = [photo.clamp(max=200) for photo in capture.photos]  # nothing is blown out
+    alphas = covered if cut_out else None
+    run, state = begun(replace(capture, photos=photos, label_maps=None, alphas=alphas), config)
+    zeros = {"color_maps": torch.zeros(9, 3, 4), "pose_shifts": torch.zeros(9, 6)}
+    learning = state.clone().with_photos(zeros)
+    one, two = (compute_gradients(run, each, 0) for each in (state, learning))
+    assert torch.allclose(one.scores, two.scores, rtol=1e-5)
+    learned = two.state.params
+    for name, param in one.state.params.items():
+        other = learned[name].grad
+        assert param.grad is not None and other is not None
+        # Colours are put over the background in another order
+        assert (other - param.grad).norm() <= 1e-3 * param.grad.norm(), name
+    for name in zeros:
+        own = learned[name].grad
+        assert own is not None and own[run.row(0)].any()
+        assert int(own.flatten(1).any(dim=1).sum()) == 1
+
+
+@pytest.fixture
+def one_thread() -> Iterator[int]:
+    """As each of two threads has it that share two cores; yields how many there are else."""
+    before = numba.get_num_threads(), torch.get_num_threads()
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+    yield before[0]
+    numba.set_num_threads(before[0])
+    torch.set_num_threads(before[1])
+
+
+def after(run: Run, state: State, rounds: int) -> State:
+    state = state.clone()
+    for _ in range(rounds):
+        state, _ = train_step(run, state)
+    return state
+
+
+def same(one: State, other: State) -> bool:
+    pairs = zip(one.params.values(), other.params.values(), strict=True)
+    return one.step == other.step and all(torch.equal(a, b) for a, b in pairs)
+
+
+def test_every_step_is_of_one_round(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, replace(config, steps=11), 4, of_photos=True)
+    found = [[*run.photos(replace(state, step=step))] for step in (0, 4, 8)]
+    assert found == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
+    timed = replace(run, config=replace(run.config, max_seconds=9.0))
+    assert [*timed.photos(replace(state, step=8))] == [8, 9, 10, 11]
+
+
+def test_all_of_a_round_learn_identities_or_none(capture: Capture, config: TrainConfig):
+    run, _ = begun(capture, config, 3, of_photos=True)
+    found = [run.every(2, step) for step in range(9)]
+    assert found == [True] * 3 + [False] * 3 + [True] * 3
+
+
+def test_threads_change_nothing(capture: Capture, config: TrainConfig, one_thread: int):
+    config = replace(config, refine_poses=True, color_correction="on")
+    run, state = begun(capture, config, 4, of_photos=True)
+    alone = after(run, state, 3)
+    numba.set_num_threads(min(one_thread, 2))
+    pool = RenderPool(4)
+    try:
+        assert pool.size == numba.get_num_threads()
+        assert same(after(replace(run, pool=pool), state, 3), alone)
+    finally:
+        pool.end()
+    assert alone.step == 12
+
+
+def test_looks_are_of_one_moment_and_steps_in_turn(capture: Capture, config: TrainConfig):
+    run, state = begun(capture, config, 2, of_photos=True)
+    together, one, other = after(run, state, 1), state.clone(), state.clone()
+    looks = [compute_gradients(run, one, step) for step in (0, 1)]
+    calm = [look._replace(noise=torch.zeros_like(look.noise)) for look in looks]
+    apply_gradients(run, calm)
+    for look in [compute_gradients(run, other, step) for step in (0, 1)]:
+        still = look._replace(noise=torch.zeros_like(look.noise))
+        apply_gradients(run, [still])
+    assert same(one, other)
+    for name, each in one.params.items():
+        assert torch.equal(each, together.params[name]) == (name != "means"), name
+    assert not same(after(replace(run, batch=1), state, 2), together)
