@@ -21,12 +21,7 @@ from stylesplat.demo.cloud import surface_points
 from stylesplat.demo.noise import fractal_noise, noise
 from stylesplat.demo.solids import smooth_max, smooth_min
 from stylesplat.demo.still_life import View
-from stylesplat.demo.surroundings import (
-    backdrop_albedo,
-    hit_backdrop,
-    hit_table,
-    table_albedo,
-)
+from stylesplat.demo.surroundings import backdrop_albedo, hit_backdrop, hit_table, table_albedo
 from stylesplat.demo.tracer import AO_TAPS, BOUNCE, LIGHT, SKYLIGHT
 from stylesplat.demo.vectors import (
     FAST,

@@ -26,12 +26,12 @@ from torch.nn import functional as F
 from tqdm import tqdm
 from training_pictures import SIZE, training_pictures
 
+from stylesplat.rendering.linear import GREY
 from stylesplat.stylization.features.compact import (
     CELLS,
     CONTRAST,
     DEPTHS,
     FOLD,
-    GREY,
     Compact,
     compact_from,
 )

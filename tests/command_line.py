@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from stylesplat.cli import main
+from stylesplat.__main__ import main
 
 QUICK = ("--features", "compact", "--quality", "draft", "--device", "cpu")
 

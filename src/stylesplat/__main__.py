@@ -13,7 +13,7 @@ def main() -> int:
     try:
         try:
             take_signals()
-            from stylesplat.cli import main as run
+            from stylesplat.__main__ import main as run
 
             return run()
         finally:

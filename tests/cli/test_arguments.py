@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from stylesplat.cli import VERBS, main
+from stylesplat.__main__ import main
+from stylesplat.cli.__init__ import VERBS
 from stylesplat.cli.arguments import read_command
 
 STYLIZE = ("stylize", "garden", "-o", "wave")

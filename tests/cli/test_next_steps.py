@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from stylesplat.cli.next_steps import next_lines, object_commands, pasted, stylize_command, unused
+from stylesplat.cli.next_steps import next_lines, object_commands, stylize_command, unused
+from stylesplat.scene.arguments import pasted
 
 
 def test_names_with_spaces_and_quotes_are_quoted():

@@ -6,10 +6,11 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.figures.object_sheet import MARGIN, PAPER
 from stylesplat.figures.pictures import label_colors
-from stylesplat.figures.preview import COLUMNS, HEIGHT, TINT, WIDTH, mask_preview
+from stylesplat.figures.preview import COLUMNS, HEIGHT, TINT, mask_preview
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.identities import render_labels
+from stylesplat.studio_app.keep_panel import WIDTH
 
 GREY = 100
 

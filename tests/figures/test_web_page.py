@@ -16,8 +16,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.palettes import meant, nearest, palette_of
 from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.packing import morton_order
-from stylesplat.rendering.rasterize import rasterize
-from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.reference import rasterize, rotation_matrices
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import rows_unpainted

@@ -11,16 +11,16 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_objects, read_rows, write_objects
 from stylesplat.io.ply import write_ply_table
-from stylesplat.scene.listed import Listed, ListedObjects
+from stylesplat.scene.scene import ListedObject, ListedObjects
 
 COUNT = 8
-POT = Listed(torch.tensor([1, 4, 6]), torch.tensor([1.0, 0.5, 0.25]), (3,))
+POT = ListedObject(torch.tensor([1, 4, 6]), torch.tensor([1.0, 0.5, 0.25]), (3,))
 LISTED = ListedObjects(
     COUNT,
     {
         "pot": POT,
-        "ünïque name": Listed(torch.tensor([0])),
-        "7": Listed(torch.tensor([2]), None, (7,)),
+        "ünïque name": ListedObject(torch.tensor([0])),
+        "7": ListedObject(torch.tensor([2]), None, (7,)),
     },
     torch.tensor([0, 3, 7, 0, 3, 0, 3, 0]),
 )

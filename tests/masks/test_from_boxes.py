@@ -25,8 +25,8 @@ from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.grabcut import Box, Stroke
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.scene import Scene
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig

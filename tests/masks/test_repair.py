@@ -6,13 +6,7 @@ import torch
 from right_ids import right_ids
 
 from balls import BALLS, CAMERAS, SPLATS
-from stylesplat.masks.repair import (
-    SAME_IOU,
-    cluster_parts,
-    connected_parts,
-    map_labels,
-    repair_ids,
-)
+from stylesplat.masks.repair import SAME_IOU, cluster_parts, connected_parts, map_labels, repair_ids
 from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels

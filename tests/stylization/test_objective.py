@@ -12,12 +12,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import near_palette
-from stylesplat.stylization.object_views import (
-    ObjectView,
-    cut_views,
-    find_boxes,
-    typical_length,
-)
+from stylesplat.stylization.object_views import ObjectView, cut_views, find_boxes, typical_length
 from stylesplat.stylization.objective import SIDE, Losses, Objective, content_weight
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.style_config import StyleConfig

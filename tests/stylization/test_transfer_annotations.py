@@ -11,7 +11,7 @@ from scenes import random_splats
 from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
 from stylesplat.scene.frames import SAME, Frame
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
+from stylesplat.stylization.paint_objects import moved
 from stylesplat.stylization.transfer_annotations import match_gaussians
 
 KNOWN = replace(random_splats(600), identities=None)  # plain, as files have them

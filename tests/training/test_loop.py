@@ -17,12 +17,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.signals import TAKEN
 from stylesplat.training import loop
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import (
-    deferred_interrupt,
-    fit,
-    progress_meter,
-    warm_up,
-)
+from stylesplat.training.loop import deferred_interrupt, fit, progress_meter, warm_up
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import PRESETS, TrainConfig

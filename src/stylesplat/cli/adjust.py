@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.next_steps import next_lines, unused
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.cli.rewriting import rewritten
 from stylesplat.cli.scene_pictures import before_after_line, write_before_after
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
-from stylesplat.cli.next_steps import mask_command, next_lines, pasted, unused
+from stylesplat.cli.next_steps import mask_command, next_lines, unused
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose, refuse_picture
 from stylesplat.cli.posed import earlier_capture
+from stylesplat.scene.arguments import pasted
 
 if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.next_steps import next_lines, pasted
+from stylesplat.cli.next_steps import next_lines
 from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite, Verbose
+from stylesplat.scene.arguments import pasted
 
 
 @dataclass(frozen=True)

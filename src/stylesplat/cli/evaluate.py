@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.next_steps import next_lines, unused
 from stylesplat.cli.options import Device, Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 
 if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture

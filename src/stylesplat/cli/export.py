@@ -7,9 +7,10 @@ from typing import Any, ClassVar, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import next_lines, pasted, size_of, unused
+from stylesplat.cli.next_steps import next_lines, size_of, unused
 from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.mask_scene import is_without_photos, mask_scene, scene_words
-from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.next_steps import next_lines, unused
 from stylesplat.cli.optional_pictures import told_if_missing
 from stylesplat.cli.options import (
     CONTINUES,
@@ -25,6 +25,7 @@ from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.io.atomic import partial_of
+from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ def is_without_photos(folder: Path) -> bool:
     """
     from stylesplat.io.kinds import SCENE
     from stylesplat.io.scene_folder import open
-    from stylesplat.scene.ring import has_no_photos
+    from stylesplat.scene.framing import has_no_photos
 
     # Unlike Path.is_file, it takes any name
     return os.path.isfile(folder / SCENE) and has_no_photos(open(folder))  # noqa: PTH113
@@ -132,7 +132,7 @@ def _draw(scene: "Scene", names: dict[int, str], target: Path, device: "Device")
     from stylesplat.io.images import write_image
     from stylesplat.masks.quick_splat import rendered_capture
     from stylesplat.rendering.device import pick_device
-    from stylesplat.scene.resized import at_most
+    from stylesplat.scene.capture import at_most
     from stylesplat.selection.identities import render_labels
 
     place = pick_device(device)

@@ -65,8 +65,8 @@ def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]
     """Raise a StyleSplatError for what is drawn in no photo; frames of a video get names later."""
     from stylesplat.io.atomic import partial_of
     from stylesplat.io.images import image_sizes
+    from stylesplat.scene.arguments import check_box
     from stylesplat.scene.cameras import row_called
-    from stylesplat.scene.drawn_boxes import check_box
     from stylesplat.structure_from_motion.photo_folder import find_sources
 
     photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.next_steps import next_lines, unused
 from stylesplat.cli.options import (
     CONTINUES,
     Device,
@@ -21,6 +21,7 @@ from stylesplat.cli.options import (
 from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError
+from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE
 from stylesplat.stylization.style_config import Network
 

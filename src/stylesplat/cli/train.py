@@ -24,9 +24,10 @@ from stylesplat.cli.options import (
 from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
-from stylesplat.io.files import MARK, is_there
-from stylesplat.io.folders import partial_of
+from stylesplat.io.atomic import partial_of
+from stylesplat.io.files import is_there
 from stylesplat.signals import WHOLE
+from stylesplat.studio_app.wire import MARK
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ class Train:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.cli.joined import joined
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         with joined(self.device) as first:
             if not first:
@@ -136,8 +137,8 @@ class Train:
         )
 
     def _train(self) -> dict[str, Any]:
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.scene_folder import SCENE
+        from stylesplat.io.atomic import refuse_occupied
+        from stylesplat.io.kinds import SCENE
         from stylesplat.training.checkpoint import require_checkpoint
         from stylesplat.training.state import Ranks
 

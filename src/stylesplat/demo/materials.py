@@ -9,7 +9,6 @@ from typing import no_type_check
 from stylesplat.demo.noise import fractal_noise, lattice, noise
 from stylesplat.demo.solids import (
     BALL_PANELS,
-    BLOCK,
     BLOCK_HALF,
     PEAR,
     TEAPOT,
@@ -19,6 +18,7 @@ from stylesplat.demo.solids import (
     pole_height,
 )
 from stylesplat.demo.vectors import Vec, along, kernel, mix, scaled, smoothstep
+from stylesplat.rendering.kernels.tiles import BLOCK
 
 CREAM = (0.84, 0.76, 0.60)
 COBALT = (0.018, 0.06, 0.26)

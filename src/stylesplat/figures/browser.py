@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NoReturn
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.at_rest import AtRest
-from stylesplat.figures.compositing import BLACK
 from stylesplat.figures.first_view import first_view
 from stylesplat.figures.live_splats import LiveSplats
 from stylesplat.figures.private_server import PrivateServer, private_server
 from stylesplat.figures.shown import Shown
+from stylesplat.io.captures.photos import BLACK
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

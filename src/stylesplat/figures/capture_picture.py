@@ -10,11 +10,12 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from stylesplat.figures.grid import write_line
-from stylesplat.figures.object_sheet import COUNT_SIZE, INK, MARGIN, PAPER, TITLE_SIZE
+from stylesplat.figures.object_sheet import COUNT_SIZE, MARGIN, PAPER, TITLE_SIZE
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import seen_from
 from stylesplat.structure_from_motion.capture_statistics import STRIDE
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.studio_app.thumbnails import INK
 
 FINE = 2  # times the size at which all but the text is drawn, so that edges are smooth
 PANEL = 720  # pixels along a side of a panel

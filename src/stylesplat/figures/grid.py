@@ -9,7 +9,8 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from stylesplat.figures.object_sheet import CELL, COUNT_SIZE, INK, MARGIN, PAPER, TITLE_SIZE
+from stylesplat.figures.object_sheet import CELL, COUNT_SIZE, MARGIN, PAPER, TITLE_SIZE
+from stylesplat.studio_app.thumbnails import INK
 
 HEAD = CELL // 2  # pixels of width for a row's label and small pictures
 CAPTION = TITLE_SIZE + 12  # pixels of height below a picture

@@ -11,13 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.best_views import (
-    VIEWS,
-    best_rows,
-    find_views,
-    small,
-    visibility,
-)
+from stylesplat.figures.best_views import VIEWS, best_rows, find_views, small, visibility
 from stylesplat.figures.compositing import to_uint8
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once

@@ -8,15 +8,9 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.compositing import (
-    BLACK,
-    WHITE,
-    Background,
-    over,
-    parse_background,
-    to_uint8,
-)
-from stylesplat.io.images import ColorPicture, ViewPicture
+from stylesplat.figures.compositing import Background, over, parse_background, to_uint8
+from stylesplat.io.captures.photos import BLACK
+from stylesplat.io.images import WHITE, ColorPicture, ViewPicture
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import expected_depth

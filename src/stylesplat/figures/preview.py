@@ -9,11 +9,12 @@ from jaxtyping import Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from stylesplat.figures.object_sheet import INK, MARGIN, PAPER, TITLE_SIZE
+from stylesplat.figures.object_sheet import MARGIN, PAPER, TITLE_SIZE
 from stylesplat.figures.pictures import label_colors
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
 from stylesplat.scene.sampling import evenly
+from stylesplat.studio_app.thumbnails import INK
 
 PHOTOS = 8
 COLUMNS = 4

@@ -9,14 +9,7 @@ from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import Content
-from stylesplat.scene.framing import (
-    Distances,
-    Sight,
-    centred_K,
-    distances,
-    focal_at,
-    level_axes,
-)
+from stylesplat.scene.framing import Distances, Sight, centred_K, distances, focal_at, level_axes
 from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide

@@ -31,8 +31,7 @@ from stylesplat.io.files import read_bytes, reason
 from stylesplat.io.json_files import strict_json
 from stylesplat.io.ply import read_ply_table
 from stylesplat.scene.labels import MAX_ID
-from stylesplat.scene.listed import Listed, ListedObjects
-from stylesplat.scene.scene import is_id, name_fault
+from stylesplat.scene.scene import ListedObject, ListedObjects, is_id, name_fault
 
 SUFFIXES = (".npz", ".json")  # of `write_objects`
 SIDECAR = ".objects.npz"  # follows the name of a splat's file
@@ -204,7 +203,7 @@ def _read_npz(path: Path, count: int) -> ListedObjects | None:
             found = _read_member(archive, names[key], _at_most(max(count, 1)), kinds=NUMBERS)
             return torch.from_numpy(found.astype(np.float32 if found.dtype.kind == "f" else int))
 
-        objects = dict[str, Listed]()
+        objects = dict[str, ListedObject]()
         for key in names:
             if key.endswith(ROWS):
                 name = key.removesuffix(ROWS)
@@ -215,10 +214,10 @@ def _read_npz(path: Path, count: int) -> ListedObjects | None:
         return ListedObjects(int(array(COUNT)), objects, labels)
 
 
-def _listed(name: str, rows: Tensor, shares: Tensor | None, ids: list[int]) -> Listed:
+def _listed(name: str, rows: Tensor, shares: Tensor | None, ids: list[int]) -> ListedObject:
     if shares is not None and (len(shares) != len(rows) or not _within(shares, 1)):
         raise ValueError(f"the shares of {brief(name)!r} are not one from 0 to 1 for each row")
-    return Listed(rows, shares, tuple(ids))
+    return ListedObject(rows, shares, tuple(ids))
 
 
 def _check(listed: ListedObjects, count: int) -> None:

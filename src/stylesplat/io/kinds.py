@@ -165,7 +165,7 @@ def refuse_other_than_photos(path: Path) -> None:
 
 
 def _scene_for_capture(scene: Path) -> StyleSplatError:
-    from stylesplat.scene.ring import NAMES
+    from stylesplat.scene.framing import NAMES
 
     content, fault = read_json(scene / SCENE), f"{scene} is a scene, not a capture"
     capture = find_capture(scene, content.get("capture"), content.get("capture_relative"))

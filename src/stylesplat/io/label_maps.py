@@ -20,9 +20,9 @@ from stylesplat.io.files import inside, is_file, require_regular
 from stylesplat.io.images import image_sizes, map_rows, open_image
 from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.progress import track
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, MAX_ID, OwnLabels, ids_of, resize_labels
-from stylesplat.scene.lazy import Lazy
 
 RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
 ID_MODES = ("1", "L", "P", "I", "I;16", "RGB", "RGBA")  # of Pillow

@@ -21,7 +21,7 @@ from stylesplat.masks.grabcut import (
 )
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.progress import task
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import PRIOR, contributed
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

@@ -10,10 +10,9 @@ from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes
 from stylesplat.masks.grabcut import Box, Stroke, refuse_box
 from stylesplat.masks.import_masks import overlay_masks
 from stylesplat.masks.quick_splat import with_label_maps, working_splat
+from stylesplat.scene.arguments import Places, check_box, parse_places
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.drawn_boxes import Places, check_box, parse_places
-from stylesplat.scene.resized import at_most
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.scene import Scene, check_name
 
 SIZE = 480  # pixels of the longer side at which objects are cut out

@@ -15,10 +15,8 @@ from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_propose
 from stylesplat.masks.tracking import Segmenter, split_clips, track_clip
 from stylesplat.progress import task
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.fingerprint import fingerprint
+from stylesplat.scene.capture import Capture, at_most, fingerprint
 from stylesplat.scene.labels import Labels, Mask
-from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
 
 SIZE = 1024  # pixels of the longer side; the models look at no more

@@ -12,9 +12,9 @@ from torch.nn import functional as F
 
 from stylesplat.masks.tracking import labels_to_masks, masks_to_labels
 from stylesplat.rendering.shares import PRIOR, label_votes, largest_shown, scaled_rows
+from stylesplat.scene.cache import Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND, Mask
-from stylesplat.scene.lazy import Lazy
 from stylesplat.scene.splats import Splats
 
 MIN_CERTAINTY = 0.3  # share of a pixel that an object must have in the render of a splat

@@ -12,12 +12,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.one_view import render
-from stylesplat.scene.capture import Capture
+from stylesplat.rendering.render import render
+from stylesplat.scene.cache import Lazy
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import SAME, posed_as
 from stylesplat.scene.labels import OwnLabels, resize_labels
-from stylesplat.scene.lazy import Lazy
-from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.training.loop import fit

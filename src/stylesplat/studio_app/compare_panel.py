@@ -3,13 +3,7 @@
 from typing import TYPE_CHECKING
 
 from stylesplat.scene.compose import strengths_of
-from stylesplat.studio_app.comparing import (
-    Variant,
-    at_intensity,
-    described,
-    taken_back,
-    variant_of,
-)
+from stylesplat.studio_app.comparing import Variant, at_intensity, described, taken_back, variant_of
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio_state import State
 from stylesplat.studio_app.thumbnails import grid

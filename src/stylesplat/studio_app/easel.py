@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.shown import Shown
+from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
@@ -20,7 +21,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.session import Progress, Session, Stopped
 from stylesplat.studio_app.studio_state import State, names_in, shown, unless_all, with_scene
 from stylesplat.stylization.color import color_map, map_colors
-from stylesplat.stylization.style import Picture, Style
+from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize_live import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of what is painted

@@ -14,12 +14,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
 from stylesplat.scene.compose import compose, mask_of, spans, taken_rows
-from stylesplat.scene.frames import SAME, Frame, seen_from
+from stylesplat.scene.frames import SAME, Frame, move_splats, seen_from
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.layer import Layer, taken
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
 
 DEGREE = 3  # of the splats of scenes
 # Two Gaussians may be the same if they differ by less than this; what formats round is within
@@ -215,8 +214,8 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
         first, end = canvases.get(id(layer), (0, 0))
         new = ((rows >= first) & (rows < end)).nonzero()[:, 0]
         paint = of_degree(replace(known[layer.rows], sh0=layer.sh0, shN=layer.shN), DEGREE)
-        canvas = moved(of_degree(layer.canvas, DEGREE), frame)
-        layer = replace(layer, shN=moved(paint, frame).shN, canvas=canvas)
+        canvas = move_splats(of_degree(layer.canvas, DEGREE), frame)
+        layer = replace(layer, shN=move_splats(paint, frame).shN, canvas=canvas)
         part = taken(layer, places, rows[new] - first if layer.is_shown else None)
         if not (len(part.rows) or len(part.parents)):
             continue
@@ -228,7 +227,7 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
     if not layers:
         return found
     hidden = (covered[base_rows.clamp(min=0)] & (base_rows >= 0)).nonzero()[:, 0]
-    before = of_degree(moved(known[base_rows[hidden]], frame), DEGREE)
+    before = of_degree(move_splats(known[base_rows[hidden]], frame), DEGREE)
     looks = {n: getattr(before, n) for n in ("sh0", "shN", "opacities")}
     base = found.splats[mine].with_rows(hidden, looks)
     objects = {name: taken_rows(each, torch.cat(order)) for name, each in found.objects.items()}

@@ -28,12 +28,7 @@ from stylesplat.training.per_photo import first_of_photos
 from stylesplat.training.state import Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import (
-    learned_ids,
-    say_unseen,
-    split_views,
-    training_views,
-)
+from stylesplat.training.training_views import learned_ids, say_unseen, split_views, training_views
 
 MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
 SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot

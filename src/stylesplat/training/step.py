@@ -14,12 +14,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.training import densification, per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.device_ops import device_ops
-from stylesplat.training.losses import (
-    identity_loss,
-    neighbor_loss,
-    photometric_loss,
-    split_render,
-)
+from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss, split_render
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
 from stylesplat.training.train_config import TrainConfig, means_decay
 from stylesplat.training.training_views import TrainingView

@@ -18,16 +18,14 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import known_frames, posed_as, seen_from
+from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.listed import ListedObjects
-from stylesplat.scene.resized import at_most
-from stylesplat.scene.ring import ring_cameras
-from stylesplat.scene.scene import Scene, SceneObject, is_id
+from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.naming import with_names
+from stylesplat.selection.objects import with_names
 from stylesplat.stylization.transfer_annotations import transfer_annotations
 from stylesplat.training.lifting import labelled, lift
 

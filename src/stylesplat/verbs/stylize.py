@@ -15,6 +15,7 @@ from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import (
     beneath,
@@ -37,7 +38,7 @@ from stylesplat.stylization.paint_objects import (
     paint_layer,
 )
 from stylesplat.stylization.paint_task import PaintTask, load_network, paint_tasks
-from stylesplat.stylization.style import Picture, Recipe, Style, StyledObject, as_recipe
+from stylesplat.stylization.style import Recipe, Style, StyledObject, as_recipe
 from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.style_job import Studio
 

@@ -11,9 +11,9 @@ from full_scenes import COUNT, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.io.tensors import GAUSSIANS
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.reference import rasterize
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.outliers import inliers
+from stylesplat.selection.members import inliers
 from stylesplat.verbs.select import select
 
 

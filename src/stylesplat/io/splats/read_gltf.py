@@ -34,9 +34,8 @@ from stylesplat.io.splats.gltf_file import (
 from stylesplat.io.splats.splat_ply import check_splats, of_degree
 from stylesplat.io.splats.spz import spz_within
 from stylesplat.progress import say
-from stylesplat.scene.frames import Frame
+from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.turned import moved
 
 SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
 SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
@@ -62,7 +61,7 @@ def read_gltf(path: Path | str) -> Splats:
     parts, count = list[Splats](), 0
     for primitive, frame in _placed_splats(gltf):
         part = check_splats(_splats(gltf, primitive), path)
-        parts.append(part if frame is None else check_splats(moved(part, frame), path))
+        parts.append(part if frame is None else check_splats(move_splats(part, frame), path))
         count += len(part)
         if count * SMALLEST_ROW > gltf.size:
             fault = f"it shows {count} Gaussians, which {gltf.size} bytes cannot hold"

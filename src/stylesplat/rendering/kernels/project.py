@@ -14,13 +14,7 @@ import numpy as np
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.rendering.kernels.rows import (
-    Lanes,
-    read_four,
-    read_three,
-    span,
-    write_column,
-)
+from stylesplat.rendering.kernels.rows import Lanes, read_four, read_three, span, write_column
 
 
 @no_type_check
