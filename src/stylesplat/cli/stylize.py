@@ -16,8 +16,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
 if TYPE_CHECKING:
-    from stylesplat.scene.capture import Capture
-    from stylesplat.scene.scene import Scene
     from stylesplat.stylization.style import Recipe, StyledObject
 
 SETTINGS = (
@@ -124,9 +122,11 @@ class Stylize:
         save_or_rescue(painted.scene, self.output, overwrite=self.overwrite)
         say(f"The painted scene is in {self.output}. What is left is to measure and to draw it.")
         tidy_heap()
-        picture = write_before_after(painted.scene, self.output, device=self.device)
+        picture = write_before_after(
+            painted.scene, self.output, surveys=painted.surveys, device=self.device
+        )
         tidy_heap()
-        styled = painted.measured(_capture(painted.scene))
+        styled = painted.measured()
         revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
         return {"scene": self.output, **picture, **numbers}
@@ -156,22 +156,6 @@ class Stylize:
             )
         recipe = read_recipe(self.recipe, preset=self.preset)
         return Recipe(tuple(_overridden(each, settings) for each in recipe.objects))
-
-
-def _capture(scene: "Scene") -> "Capture | None":
-    """The photos of a scene, if they are there; their label maps say where its objects are."""
-    from stylesplat.io.captures.capture_folder import exact_masks
-    from stylesplat.progress import say
-    from stylesplat.verbs.load import load
-
-    if scene.capture is None or not scene.capture.is_dir():
-        return None
-    try:
-        masks = exact_masks(scene.capture)
-        return load(scene.capture, downscale=scene.downscale, masks=masks)
-    except StyleSplatError as error:  # the painting is done all the same
-        say(f"Stains beside the objects are not looked for: {error}")
-        return None
 
 
 def _overridden(each: "StyledObject", settings: dict[str, Any]) -> "StyledObject":

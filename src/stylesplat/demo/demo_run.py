@@ -16,7 +16,6 @@ from stylesplat.figures.object_sheet import object_sheet
 from stylesplat.figures.page_parts import Figure, Section
 from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.quiet_cut import quiet_cut
-from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.folders import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
@@ -68,7 +67,6 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
             name: Style(capture / "styles" / f"{style}.png", config=STYLING)
             for name, style in STYLES.items()
         },
-        capture=load(capture, masks=exact_masks(capture)),
     )
     save(styled, output / "styled", overwrite=True)
     _render(scene, styled, output)

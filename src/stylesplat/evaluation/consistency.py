@@ -14,7 +14,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, project, unproject
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import find_boxes
+from stylesplat.stylization.object_views import Box, find_boxes
 
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it
 MAX_PAIRS = 4  # per range
@@ -40,6 +40,8 @@ def view_consistency(
     styled: Splats,
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
+    *,
+    boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
     """Compare the colours of the same places of an object between views.
 
@@ -53,12 +55,13 @@ def view_consistency(
         styled: The scene after, which may have other Gaussians.
         cameras: Views in the order in which they were photographed.
         picked: The object's Gaussians in `base`.
+        boxes: Where it shows in these views, if that is known.
 
     Returns:
         `short_range_rmse` and `long_range_rmse` of the styled scene, and both with `_base` of
         the other; a range whose views share no visible surface is left out.
     """
-    boxes = find_boxes(base, cameras, picked)
+    boxes = boxes or find_boxes(base, cameras, picked)
     pairs = {name: view_pairs(len(boxes), gap) for name, gap in RANGES.items()}
     rows = {row for chosen in pairs.values() for pair in chosen for row in pair}
     looks = {row: _look(base, styled, boxes[row].camera, picked) for row in rows}

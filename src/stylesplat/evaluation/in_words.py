@@ -16,7 +16,7 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
         names: What was painted.
     """
     lines = [f"{each}: {_way(metrics, each)}{_colors(metrics, each)}" for each in names]
-    rest = around(metrics)
+    rest = around(metrics, count=len(lines))
     if len(lines) == 1:
         return [f"{lines[0]}, {rest}."]
     return [*(f"{line}." for line in lines), f"{rest[:1].upper()}{rest[1:]}."]
@@ -38,13 +38,14 @@ def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def around(metrics: Mapping[str, Any]) -> str:
+def around(metrics: Mapping[str, Any], *, count: int = 1) -> str:
     """What changed that was not painted."""
     changed, largest = metrics["changed_outside"], metrics["outside_max_difference"]
     if changed:
         return f"{changed:,} Gaussians outside changed as well"
     if metrics.get("stain_pixels"):
-        stain = f"a stain of {metrics['stain_pixels']:,} pixels beside the object"
+        beside = "beside the object" if count == 1 else "beside the objects"
+        stain = f"a stain of {metrics['stain_pixels']:,} pixels {beside}"
         return f"{stain} in view {metrics['stain_view']}"
     if largest >= VISIBLE:
         levels = max(1, round(255 * largest))

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.one_view import render
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -48,9 +48,21 @@ def object_nnfm(
     blocks: Sequence[int],
 ) -> float:
     """The mean of `view_loss` over some views."""
-    images = (render(splats, view.camera)[0] for view in views)
+    images = [render(splats, view.camera)[0].clamp(0, 1) for view in views]
+    return images_nnfm(images, views, targets, network, blocks)
+
+
+@torch.no_grad()
+def images_nnfm(
+    images: Sequence[Float[Tensor, "_ _ 3"]],
+    views: Sequence[ObjectView],
+    targets: Sequence[Float[Tensor, "_ _"]],
+    network: FeatureNetwork,
+    blocks: Sequence[int],
+) -> float:
+    """As `object_nnfm`, of renders of these views in 0..1."""
     losses = [
-        view_loss(image.clamp(0, 1), view, targets, network, blocks)
+        view_loss(image, view, targets, network, blocks)
         for image, view in zip(images, views, strict=True)
     ]
     return float(torch.stack(losses).mean())
@@ -81,9 +93,9 @@ def changes(
     outside, edge, rim = [], [], []
     for index in range(len(cameras)):
         camera = cameras[index]
-        before, after = (render(s, camera)[0] for s in (base, styled))
-        difference = after.clamp(0, 1) - before.clamp(0, 1)
-        covered = coverage(base, camera, picked)
+        before, covered = colors_and_coverage(base, camera, picked)
+        difference = render(styled, camera)[0].clamp(0, 1) - before.clamp(0, 1)
+        covered = covered[..., 0]
         outside.append(difference[covered == 0].flatten())
         edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
         rim.append(difference[_rim(covered >= COVERED)].flatten())

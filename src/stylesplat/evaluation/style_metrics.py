@@ -5,23 +5,30 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.consistency import view_consistency
-from stylesplat.evaluation.measure import changes, object_nnfm
+from stylesplat.evaluation.measure import changes, images_nnfm, object_nnfm
 from stylesplat.evaluation.own_distance import own_nnfm, share_of_way
 from stylesplat.evaluation.palette import off_palette, palette_distance
 from stylesplat.evaluation.statistics import content_ssim, object_statistics_distance
 from stylesplat.progress import say
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.color import object_colors
 from stylesplat.stylization.cut_scene import CutScene
 from stylesplat.stylization.looking import object_views, see_object
-from stylesplat.stylization.object_views import Box, ObjectView, find_boxes, typical_length
+from stylesplat.stylization.object_views import (
+    Box,
+    ObjectView,
+    boxes_in,
+    find_boxes,
+    typical_length,
+)
 from stylesplat.stylization.paint_objects import moved
 from stylesplat.stylization.repaint import target_features
 from stylesplat.stylization.style_job import Studio, StyleJob
@@ -37,22 +44,25 @@ def measure_painted(
     styled: Splats,
     *,
     held_out: Cameras | None = None,
+    surveys: Mapping[str, Sequence[Box]] | None = None,
     cuts: Mapping[str, CutScene] | None = None,
     families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
-    """What painting some objects did to them and to the scene.
+    """What painting some objects did to them and to the scene: the numbers that take little time.
 
     Args:
         studio: The scene before, and the views that were optimised on.
         jobs: The objects and their styles.
         styled: The scene after; it may have more Gaussians.
         held_out: Views to measure on; those of the studio by default.
+        surveys: By name, where objects show in the views, if that is known.
         cuts: By name, of a large scene, what objects are measured in, as rows of the base.
         families: The rows of the base that the Gaussians before and after belong to, if there are
             `cuts`.
 
     Returns:
-        What `measure_changes` returns, and by name in `objects` what `measure_object` does.
+        What `measure_changes` returns, and by name in `objects` what `measure_style` does. It is
+        empty if the style is too small at the size of comparison.
     """
     base, training = studio.splats, studio.cameras
     measured = replace(studio, cameras=held_out or training)
@@ -64,92 +74,93 @@ def measure_painted(
             rows, after = (cuts[job.name].among(each.to(base.device)) for each in families)
             cut = replace(cuts[job.name], rows=rows)
             part, own, after = cut.studio(measured), cut.job(job), styled[after]
-            fallback = cut.showing(training)
         else:
-            part, own, after, fallback = measured, job, styled, training
-        objects[job.name] = measure_object(part, own, after, fallback=fallback)
+            part, own, after = measured, job, styled
+        survey = (surveys or {}).get(job.name)
+        if survey is None:
+            survey = find_boxes(part.splats, part.every_camera, own.picked)
+        boxes = boxes_in(survey, part.cameras) or survey
+        try:
+            objects[job.name] = measure_style(part, own, after, boxes=boxes)
+        except StyleSplatError as error:  # the style is done all the same
+            say(f"{job.name} is not compared with its style: {error}")
+            objects[job.name] = {}
     picked = torch.stack([job.picked for job in jobs]).any(dim=0)
     return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
 
 
-def measure_object(
-    studio: Studio, job: StyleJob, styled: Splats, *, fallback: Cameras
+@torch.no_grad()
+def measure_style(
+    studio: Studio, job: StyleJob, styled: Splats, *, boxes: Sequence[Box] | None = None
 ) -> dict[str, float]:
-    """How close an object is to its style, what is left of it, and whether views agree.
-
-    What cannot be told, because the style is too small at the size of comparison, is left out.
+    """Measure how close an object is to its style by NNFM, in float32.
 
     Args:
         studio: The scene before, and the views to measure on.
         job: The object and its style.
         styled: The scene after; it may have more Gaussians.
-        fallback: Views to measure on if the studio's do not show the object.
+        boxes: Where the object shows in these views, if that is known.
 
     Returns:
-        What `measure_style` and `measure_look` return.
+        `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see
+        `own_nnfm`), and `share_of_way` between these; if the object is to have the colours of the
+        style, the share of it that does not (`off_palette`).
+
+    Raises:
+        StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
-    base = studio.splats
-    cameras = showing(base, job.picked, studio.cameras, fallback=fallback)
-    try:
-        numbers = measure_style(replace(studio, cameras=cameras), job, styled)
-    except StyleSplatError as error:  # the style is done all the same
-        say(f"{job.name} is not compared with its style: {error}")
-        numbers = {}
-    return numbers | measure_look(base, styled, cameras, job.picked)
+    blocks = job.config.layers
+    boxes = boxes or see_object(studio, job, studio.cameras)
+    views, targets = _object_in_styles(studio, job, boxes, blocks)
+    rest = (views, targets, studio.network, blocks)
+    images = [render(styled, view.camera)[0].clamp(0, 1) for view in views]
+    before, after = object_nnfm(studio.splats, *rest), images_nnfm(images, *rest)
+    numbers = {"nnfm_before": before, "nnfm_after": after}
+    own = own_nnfm(job.styles, studio.network, blocks, length=job.config.scale * LENGTH)
+    if own is not None:
+        numbers["nnfm_of_style"] = own
+        share = share_of_way(before, after, own)
+        numbers |= {} if share is None else {"share_of_way": share}
+    if job.config.color == "style":
+        colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
+        numbers["off_palette"] = off_palette(torch.cat(colors), _colors(job))
+    return numbers
 
 
 @torch.no_grad()
-def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, float]:
-    """How close an object is to its style. Its views and all style features are in float32.
+def measure_statistics(
+    studio: Studio, job: StyleJob, styled: Splats, *, boxes: Sequence[Box]
+) -> dict[str, float]:
+    """Compare the statistics of an object with those of its style.
 
     Args:
-        studio: The scene before, and the views to measure on.
+        studio: The scene before.
         job: The object and its style.
         styled: The scene after; it may have more Gaussians.
+        boxes: Where the object shows.
 
     Returns:
-        `nnfm_before`, `nnfm_after`, `statistics_before` and `statistics_after` (see
-        `style_statistics_distance`); where they can be told, `nnfm_of_style` (see `own_nnfm`) and
-        `share_of_way` between what it was and that; where the colours are to be the style's, the
-        share `off_palette` that is not, and `palette_distance`.
+        `statistics_before` and `statistics_after` (see `style_statistics_distance`); if the object
+        is to have the colours of the style, `palette_distance`.
+
+    Raises:
+        StyleSplatError: As `measure_style` does.
     """
-    layers, boxes = job.config.layers, see_object(studio, job, studio.cameras)
-    views, targets = _object_in_styles(studio, job, boxes, layers)
-    rest = (views, targets, studio.network, layers)
+    blocks = STATISTICS[: studio.network.depth]
+    views, targets = _object_in_styles(studio, job, boxes, blocks)
+    rest = (views, targets, studio.network, blocks)
     numbers = {
-        "nnfm_before": object_nnfm(studio.splats, *rest),
-        "nnfm_after": object_nnfm(styled, *rest),
-    }
-    numbers |= _way(numbers, studio, job) | _colors(views, job, styled)
-    layers = STATISTICS[: studio.network.depth]
-    views, targets = _object_in_styles(studio, job, boxes, layers)
-    rest = (views, targets, studio.network, layers)
-    return numbers | {
         "statistics_before": object_statistics_distance(studio.splats, *rest),
         "statistics_after": object_statistics_distance(styled, *rest),
     }
+    if job.config.color == "style":
+        colors = object_colors(styled, views)
+        numbers["palette_distance"] = palette_distance(colors, _colors(job))
+    return numbers
 
 
-def _way(nnfm: Mapping[str, float], studio: Studio, job: StyleJob) -> dict[str, float]:
-    """How far the style is from itself, and the share of the way there that is done."""
-    length = job.config.scale * LENGTH
-    own = own_nnfm(job.styles, studio.network, job.config.layers, length=length)
-    if own is None:
-        return {}
-    share = share_of_way(nnfm["nnfm_before"], nnfm["nnfm_after"], own)
-    return {"nnfm_of_style": own} | ({} if share is None else {"share_of_way": share})
-
-
-def _colors(views: Sequence[ObjectView], job: StyleJob, styled: Splats) -> dict[str, float]:
-    """Whether the object's colours are the style's, if they are to be."""
-    if job.config.color != "style":
-        return {}
-    colors = object_colors(styled, views)
-    style = torch.cat([picture.reshape(-1, 3) for picture in job.styles])
-    return {
-        "off_palette": off_palette(colors, style),
-        "palette_distance": palette_distance(colors, style),
-    }
+def _colors(job: StyleJob) -> Float[Tensor, "P 3"]:
+    return torch.cat([picture.reshape(-1, 3) for picture in job.styles])
 
 
 @torch.no_grad()
@@ -158,6 +169,8 @@ def measure_look(
     styled: Splats,
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
+    *,
+    boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
     """What is left of an object, and whether views agree: what can be told without its style.
 
@@ -166,6 +179,7 @@ def measure_look(
         styled: The scene after; it may have more Gaussians.
         cameras: The views to measure on.
         picked: The object's Gaussians in `base`.
+        boxes: Where it shows in these views, if that is known.
 
     Returns:
         `content_ssim`, if it can be told, and what `view_consistency` returns.
@@ -173,7 +187,7 @@ def measure_look(
     few = cameras[evenly(range(len(cameras)), VIEWS)]
     similarity = content_ssim(base, styled, few, picked)
     numbers = {} if similarity is None else {"content_ssim": similarity}
-    return numbers | view_consistency(base, styled, cameras, picked)
+    return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
 
 
 @torch.no_grad()
@@ -186,17 +200,6 @@ def measure_changes(
     """What `changes` finds in a few of the views."""
     few = cameras[evenly(range(len(cameras)), VIEWS)]
     return changes(base, styled, few, picked)
-
-
-def showing(
-    splats: Splats,
-    picked: Bool[Tensor, " N"],
-    cameras: Cameras,
-    *,
-    fallback: Cameras,
-) -> Cameras:
-    """The cameras, or the others if these do not show the object."""
-    return cameras if find_boxes(splats, cameras, picked) else fallback
 
 
 def _object_in_styles(

@@ -1,8 +1,9 @@
 """Which views show an object best, and from sides that differ."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import torch
 from jaxtyping import Bool, Float
@@ -20,7 +21,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.in_images import in_images
-from stylesplat.stylization.object_views import SURVEY_SIZE
+from stylesplat.stylization.object_views import SURVEY_SIZE, Box
 
 VIEWS = 3  # of an object
 SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
@@ -63,6 +64,30 @@ def find_views(
     masks = dict(zip(rows, found, strict=True))
     scores = {row: visibility(mask) for row, mask in masks.items()}
     return [Shown(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
+
+
+def surveyed_views(
+    surveys: Iterable[Sequence[Box]], cameras: Cameras, *, count: int
+) -> list[Shown]:
+    """The views that show most of some objects, the best one first, without rendering any.
+
+    Args:
+        surveys: Where each object shows.
+        cameras: Views to choose from, by name.
+        count: How many to find; fewer if the objects show in fewer.
+    """
+    masks = dict[int, Tensor]()
+    for box in chain.from_iterable(surveys):
+        (name,) = box.camera.names
+        if name in cameras.names:
+            row = cameras.index(name)
+            width, height = small(cameras[row]).size
+            mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
+            scale = box.places.new_tensor([width, height]) / box.camera.sizes[0]
+            x, y = (box.places * scale).long().unbind(1)
+            mask[y.clamp(max=height - 1), x.clamp(max=width - 1)] = True
+    rows = sorted(masks, key=lambda row: visibility(masks[row]), reverse=True)[:count]
+    return [Shown(row, masks[row]) for row in rows]
 
 
 @torch.no_grad()

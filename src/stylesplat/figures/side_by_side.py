@@ -1,6 +1,6 @@
 """Two pictures side by side: before and after a style, a photo and its render."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,12 @@ from jaxtyping import UInt8
 from PIL import Image
 from torch import Tensor
 
-from stylesplat.figures.best_views import SEARCHED_VIEWS, find_views, most_detailed
+from stylesplat.figures.best_views import (
+    SEARCHED_VIEWS,
+    find_views,
+    most_detailed,
+    surveyed_views,
+)
 from stylesplat.figures.grid import write_line
 from stylesplat.figures.object_sheet import TITLE_SIZE
 from stylesplat.figures.pictures import render_pictures
@@ -22,6 +27,7 @@ from stylesplat.scene.compose import require_painted
 from stylesplat.scene.resized import at_most
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import Box
 
 LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
 GAP = 8  # white pixels between the pictures
@@ -31,7 +37,10 @@ LINE = 40  # letters' heights that a picture is wide
 
 @torch.no_grad()
 def before_after(
-    scene: Scene, *, device: str = "auto"
+    scene: Scene,
+    *,
+    surveys: Mapping[str, Sequence[Box]] | None = None,
+    device: str = "auto",
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """The view that shows most of what was painted on a scene and of its detail, before and after.
 
@@ -39,6 +48,8 @@ def before_after(
 
     Args:
         scene: A styled scene.
+        surveys: Where each painted object shows, if that is known; of other painted objects
+            the view need not show anything.
         device: Where to render.
 
     Returns:
@@ -52,7 +63,10 @@ def before_after(
     picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
     for layer in scene.layers:
         picked[layer.rows.to(base.device)] = True
-    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
+    if surveys is None:
+        found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
+    else:
+        found = surveyed_views(surveys.values(), scene.cameras, count=SEARCHED_VIEWS)
     if not found:
         return None
     camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(LONGEST)

@@ -1,7 +1,8 @@
 """`evaluate`: held-out views against photos and label maps, and objects against their styles."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from jaxtyping import Bool
@@ -15,8 +16,8 @@ from stylesplat.evaluation.stains import largest_stain
 from stylesplat.evaluation.style_metrics import (
     measure_changes,
     measure_look,
+    measure_statistics,
     measure_style,
-    showing,
 )
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
@@ -27,11 +28,12 @@ from stylesplat.scene.frames import posed_as
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import Box, find_boxes
 from stylesplat.stylization.paint_objects import moved, open_studio
 from stylesplat.stylization.paint_task import load_network
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style import Style, digest
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_config import Precision, StyleConfig
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.verbs.stylize import flat_metrics
 
@@ -52,8 +54,8 @@ def evaluate(
 
     Returns:
         `schema`; with photos what `evaluate_views` measures in the held-out views, and of a styled
-        scene what `stylize` did, as far as its styles and networks are at hand, with label maps
-        the `largest_stain` too.
+        scene what painting did to it, as far as its styles and networks are at hand; with label
+        maps the `largest_stain` too.
 
     Raises:
         StyleSplatError: If there is nothing to measure, or the photos are of another scene.
@@ -103,25 +105,38 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     training, held_out = before.working_views()
     cameras = held_out or training
     picks = {each.object: mask_of(each, before).to(base.device) for each in scene.layers}
-    views = {n: showing(base, mask, cameras, fallback=training) for n, mask in picks.items()}
-    objects = {
-        layer.object: _closeness(layer, picks[layer.object], base, styled, views[layer.object])
-        | measure_look(base, styled, views[layer.object], picks[layer.object])
-        for layer in scene.layers
-    }
+    objects = {}
+    for layer in scene.layers:
+        picked = picks[layer.object]
+        boxes, views = find_boxes(base, cameras, picked), cameras
+        if not boxes and held_out:
+            boxes, views = find_boxes(base, training, picked), training
+        objects[layer.object] = {
+            **_closeness(layer, picked, base, styled, views, boxes),
+            **measure_look(base, styled, views, picked, boxes=boxes),
+        }
     every: Bool[Tensor, " N"] = torch.stack([*picks.values()]).any(dim=0)
     return flat_metrics(measure_changes(base, styled, cameras, every) | {"objects": objects})
 
 
 def _closeness(
-    layer: Layer, picked: Bool[Tensor, " N"], base: Splats, styled: Splats, views: Cameras
+    layer: Layer,
+    picked: Bool[Tensor, " N"],
+    base: Splats,
+    styled: Splats,
+    views: Cameras,
+    boxes: Sequence[Box],
 ) -> dict[str, float]:
     """How close an object is to its style; empty if that cannot be told here."""
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
         job = moved(StyleJob(layer.object, picked, style.read(), style.config), base)
-        return measure_style(open_studio(base, views, network), job, styled)
+        studio = open_studio(
+            base, views, network, precision=cast(Precision | None, layer.precision)
+        )
+        close = measure_style(studio, job, styled, boxes=boxes)
+        return close | measure_statistics(studio, job, styled, boxes=boxes)
     except StyleSplatError as error:
         say(f"{layer.object} is not compared with its style: {error}")
         return {}
