@@ -27,7 +27,7 @@ NEEDS_NONE = {"content_ssim", "short_range_rmse", "outside_psnr", "changed_gauss
 def quickly(quick_painting: None) -> Iterator[None]:
     """Objects are compared with their styles at a size that has room for a way."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 72.0)
+        patch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
         yield
 
 

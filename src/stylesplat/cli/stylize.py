@@ -96,7 +96,7 @@ class Stylize:
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
-        from stylesplat.evaluation.in_words import style_lines
+        from stylesplat.evaluation.summary import style_lines
 
         yield f"{self.output}: painted."
         yield from before_after_line(result)

@@ -11,7 +11,7 @@ from typing import Any
 from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.rehearsal import compiled_meanwhile
 from stylesplat.demo.report import write_report
-from stylesplat.evaluation.in_words import painted_gaussians, style_lines
+from stylesplat.evaluation.summary import painted_gaussians, style_lines
 from stylesplat.figures.object_sheet import object_sheet
 from stylesplat.figures.page_parts import Figure, Section
 from stylesplat.figures.pictures import label_colors

@@ -10,7 +10,7 @@ from typing import Any
 from jaxtyping import UInt8
 from torch import Tensor
 
-from stylesplat.evaluation.differences import flat
+from stylesplat.evaluation.summary import flat
 from stylesplat.figures.page_parts import figure_html, page_style, picture_url, table_html
 
 TEMPLATE = Path(__file__).with_name("comparison_page.html")

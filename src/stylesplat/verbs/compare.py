@@ -10,8 +10,9 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.differences import differences, picture_differences
+from stylesplat.evaluation.summary import differences
 from stylesplat.figures.pictures import render_pictures
+from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
@@ -22,6 +23,7 @@ from stylesplat.scene.shared_views import shared_views
 from stylesplat.verbs.evaluate import evaluate
 
 VIEWS = 4  # that are shown, unless somebody wants more
+VISIBLE = 8  # levels of 255 in a channel: what differs by less is hard to see
 LONGEST = 960  # pixels of a picture's side
 SCHEMA = "stylesplat-comparison-1"
 
@@ -140,3 +142,29 @@ def _pictures(
         for row in rows
         for picture in render_pictures(splats, scene.cameras[row].at_most(LONGEST))
     )
+
+
+def picture_differences(
+    pictures: list[UInt8[Tensor, "_ _ 3"]], first: list[UInt8[Tensor, "_ _ 3"]]
+) -> dict[str, float]:
+    """How far pictures are from others of the same views; of equal ones all numbers are 0.
+
+    Args:
+        pictures: One per view.
+        first: As many, each as large as its partner.
+
+    Returns:
+        `mean_difference` and `largest_difference` of a channel, in 0..1; `changed_share`, of the
+        pixels a channel of which differs by more than 8 of 255 levels; `ssim_lost`, 1 - SSIM. All
+        but the largest are means over the views.
+    """
+    pairs = [(a.float() / 255, b.float() / 255) for a, b in zip(pictures, first, strict=True)]
+    gaps = [(a - b).abs() for a, b in pairs]
+    count = len(pairs)
+    changed = [float((gap.amax(dim=-1) > VISIBLE / 255).float().mean()) for gap in gaps]
+    return {
+        "mean_difference": sum(float(gap.mean()) for gap in gaps) / count,
+        "largest_difference": max(float(gap.max()) for gap in gaps),
+        "changed_share": sum(changed) / count,
+        "ssim_lost": sum(max(0.0, 1 - float(ssim(a, b))) for a, b in pairs) / count,
+    }

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.half_fits import fits_of
-from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
-from stylesplat.evaluation.stains import largest_stain
-from stylesplat.evaluation.style_metrics import (
+from stylesplat.evaluation.changes import largest_stain
+from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
+from stylesplat.evaluation.style import (
     measure_changes,
     measure_look,
     measure_statistics,

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
+from stylesplat.evaluation.photos import evaluate_views, measured_rows
 from stylesplat.io.object_files import read_objects
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits

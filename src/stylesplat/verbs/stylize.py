@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.evaluation.style_metrics import measure_painted
+from stylesplat.evaluation.style import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.compose import (

@@ -1,7 +1,7 @@
-"""What a stylisation did, in words."""
+"""Measurements in words, and the differences between those of several scenes."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, TypeGuard
 
 VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
 MUCH = 0.1  # of an object in colours that are not the painting's: more than specks and blends
@@ -82,3 +82,38 @@ def _colors(metrics: Mapping[str, Any], name: str) -> str:
     if share <= MUCH:
         return ""
     return f", {round(100 * share)} % of it in colours that the painting does not have"
+
+
+def differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Numbers less those of the first, as deeply nested as both are; what one lacks is left out.
+
+    Example:
+        >>> differences({"psnr": 31.0, "iou": {"1": 0.5}}, {"psnr": 30.0, "iou": {"1": 0.75}})
+        {'psnr': 1.0, 'iou': {'1': -0.25}}
+    """
+    found: dict[Any, Any] = {}
+    for name, value in metrics.items():
+        other = first.get(name)
+        if isinstance(value, Mapping) and isinstance(other, Mapping):
+            found[name] = differences(value, other)
+        elif _is_number(value) and _is_number(other):
+            found[name] = value - other
+    return found
+
+
+def flat(metrics: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Numbers with one name each.
+
+    Example:
+        >>> [*flat({"psnr": 31.0, "iou": {"vase": 0.5}, "text": "left out"})]
+        [('psnr', 31.0), ('iou vase', 0.5)]
+    """
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name} ")
+        elif _is_number(value):
+            yield f"{prefix}{name}", value
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

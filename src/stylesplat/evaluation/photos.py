@@ -1,16 +1,24 @@
-"""Renders fitted to photos without being judged by what they were fitted on: half by half."""
+"""How close renders are to photos, also of photos with an exposure or a pose of their own."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.segmentation import label_metrics
+from stylesplat.metrics.psnr import psnr
+from stylesplat.metrics.ssim import ssim
+from stylesplat.progress import track
 from stylesplat.rendering.one_view import render
 from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import crop
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.color_maps import aim, fitted, mapped
@@ -18,6 +26,7 @@ from stylesplat.training.initialize import scene_extent
 from stylesplat.training.losses import photometric_loss
 from stylesplat.training.pose_shifts import moved
 
+MEASURED = 8  # views of an import
 STEPS = 40  # of fitting a camera
 FIRST_RATE, LAST_RATE = 2e-3, 1e-4  # radians, and shares of the cameras' distance, a step
 
@@ -37,6 +46,63 @@ class Fits:
     def names(self) -> list[str]:
         """What is fitted, as scenes note it."""
         return [name for name in ("colors", "pose") if getattr(self, name)]
+
+
+NO_FITS = Fits()
+
+
+def measured_rows(capture: Capture) -> list[int]:
+    """The views of an import that are compared with their photos: none of them is held out."""
+    return evenly(range(len(capture)), MEASURED)
+
+
+@torch.no_grad()
+def evaluate_views(
+    splats: Splats, capture: Capture, rows: Sequence[int], *, fits: Fits = NO_FITS
+) -> dict[str, Any]:
+    """Compare renders with photos, and rendered label maps with the given ones.
+
+    Where photos are transparent, black is compared with what is rendered.
+
+    Args:
+        splats: The Gaussians.
+        capture: Photos and their cameras.
+        rows: Which views to compare; the held-out ones, usually.
+        fits: What each photo has of its own, as in the training that made the splats: for its
+            left half that is fitted on the right one, and the other way round.
+
+    Returns:
+        `psnr` and `ssim`, averaged over the views; where something is fitted, also
+        `psnr_unfitted` and `ssim_unfitted`, without that. If the splats have identities and these
+        views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
+        objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know, as no
+        photo that was trained on shows them, are left out, and the ids listed in `unknown_ids`.
+
+    Raises:
+        StyleSplatError: If `rows` is empty.
+    """
+    if not rows:
+        raise StyleSplatError(
+            "There are no held-out views to evaluate. Train with `--test-every 8`."
+        )
+    scores = []
+    for row in track(rows, "comparing with photos"):
+        photo = capture.photos[row].to(splats.means) / 255
+        image = render(splats, capture.cameras[row])[0]
+        images = [image]
+        if fits.names:
+            images.append(fitted_render(splats, capture.cameras[row], photo, fits))
+        scores.append(torch.stack([_closeness(each.clamp(0, 1), photo) for each in images]))
+    means = torch.stack(scores).mean(dim=0)
+    metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1].tolist(), strict=True))
+    if fits.names:
+        names = ("psnr_unfitted", "ssim_unfitted")
+        metrics |= dict(zip(names, means[0].tolist(), strict=True))
+    return metrics | label_metrics(splats, capture, rows)
+
+
+def _closeness(image: Float[Tensor, "H W 3"], photo: Float[Tensor, "H W 3"]) -> Float[Tensor, "2"]:
+    return torch.stack([psnr(image, photo), ssim(image, photo)])
 
 
 def fits_of(names: Collection[str], cameras: Cameras) -> Fits:

@@ -1,4 +1,4 @@
-"""Paint beside an object is found where label maps tell where the object is."""
+"""What changed besides the painted objects: pixels outside of them, and stains by label maps."""
 
 from dataclasses import replace
 
@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from balls import CAMERAS, enlarged
+from balls import CAMERAS, SPLATS, enlarged
 from painted_balls import FAST, RED, TRAINED, write_pictures
-from stylesplat.evaluation.in_words import style_lines
+from stylesplat.evaluation.changes import measure_changes
+from stylesplat.evaluation.summary import style_lines
+from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.evaluate import evaluate
@@ -105,3 +108,36 @@ def test_beside_an_object_of_no_label_another_ones_stain_is_found(style: Style):
     found = evaluate(done, CAPTURE, device="cpu")
     assert found["stain_pixels"] > 200
     assert "beside the objects in view" in style_lines(found, ["red", "blue"])[-1]
+
+
+def test_nothing_changed():
+    none = torch.zeros(len(SPLATS), dtype=torch.bool)
+    found = measure_changes(SPLATS, SPLATS, CAMERAS[:2], none)
+    assert (found["changed_gaussians"], found["outside_psnr"], found["edge_psnr"]) == (0, 120, 120)
+
+
+def test_what_changed_outside_is_found():
+    picked = torch.arange(len(SPLATS)) >= 360  # the last ball
+    sh0 = SPLATS.sh0.clone()
+    sh0[200:280, :, 2] += 1  # the first ball
+    found = measure_changes(SPLATS, replace(SPLATS, sh0=sh0), CAMERAS[:2], picked)
+    assert found["changed_gaussians"] == 80
+    assert found["outside_max_difference"] == pytest.approx(SH_C0, rel=0.1)  # all but opaque
+    assert found["outside_psnr"] < 30
+
+
+def test_a_view_full_of_the_object():
+    everything = torch.ones(len(SPLATS), dtype=torch.bool)
+    near = crop(CAMERAS[0], [22, 15], [24, 17])
+    assert measure_changes(SPLATS, SPLATS, near, everything)["outside_psnr"] == 120
+
+
+def test_more_gaussians_count_as_changed_and_a_rim_is_seen():
+    picked = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
+    more = SPLATS[torch.cat([torch.arange(len(SPLATS)), torch.tensor([205, 206])])]
+    assert measure_changes(SPLATS, more, CAMERAS[:1], picked)["changed_gaussians"] == 2
+    repainted = replace(SPLATS, sh0=SPLATS.sh0 + 1.0 * picked[:, None, None])
+    found = measure_changes(SPLATS, repainted, CAMERAS[:1], picked)
+    assert found["changed_gaussians"] == 80
+    assert found["outside_max_difference"] == 0
+    assert 0 < found["rim_error"] < 0.2  # the object's soft contour, no more
