@@ -58,7 +58,7 @@ from torch import Tensor
 
 import stylesplat as ss
 from stylesplat.evaluation.changes import largest_stain
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import write_json
 from stylesplat.rendering.one_view import render

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stylesplat.figures.at_rest import AtRest
+from stylesplat.figures.browser import AtRest
 from stylesplat.scene.cameras import Cameras
 from stylesplat.work import Worker
 

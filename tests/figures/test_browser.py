@@ -12,8 +12,7 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.browser import serve
-from stylesplat.figures.client_camera import browser_camera
-from stylesplat.figures.live_splats import covariances, weightiest
+from stylesplat.figures.live_splats import browser_camera, covariances, weightiest
 from stylesplat.figures.private_server import private_server
 from stylesplat.signals import Terminated
 from stylesplat.studio_app.viewing import pose_of

@@ -16,7 +16,7 @@ from stylesplat.figures.capture_picture import (
     WEAK,
     capture_picture,
 )
-from stylesplat.figures.object_sheet import MARGIN
+from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.structure_from_motion.capture_report import CaptureReport

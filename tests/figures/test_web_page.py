@@ -13,7 +13,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from chromium import Page, as_url, launched, needs_chromium
 from splat_pages import element, read, scene
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.palettes import meant, nearest, palette_of
+from stylesplat.figures.packed import meant, nearest, palette_of
 from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.morton import morton_order
 from stylesplat.rendering.rasterize import rasterize

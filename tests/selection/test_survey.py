@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS
-from stylesplat.figures.object_sheet import object_sheet
+from stylesplat.figures.sheets import object_sheet
 from stylesplat.selection import survey as surveying
 from stylesplat.selection.own_shares import OwnShares, own_shares
 from stylesplat.selection.pick import each_object

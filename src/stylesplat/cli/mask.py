@@ -196,7 +196,7 @@ class Mask:
         return open(self.scene) if self.scene else None
 
     def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
-        from stylesplat.figures.preview import mask_preview
+        from stylesplat.figures.sheets import mask_preview
         from stylesplat.io.captures.label_folder import write_label_maps
         from stylesplat.io.files import is_file
         from stylesplat.io.images import write_image

@@ -31,7 +31,7 @@ class Objects:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
-        from stylesplat.figures.object_sheet import object_sheet
+        from stylesplat.figures.sheets import object_sheet
         from stylesplat.io.images import write_image
         from stylesplat.io.places import refuse_file
         from stylesplat.io.recovery import changing

@@ -27,7 +27,7 @@ def write_before_after(
     device: str = "auto",
 ) -> dict[str, Any]:
     """Draw what was painted on a scene; where, and in which view, see `before_after`."""
-    from stylesplat.figures.side_by_side import before_after
+    from stylesplat.figures.sheets import before_after
 
     views = list[str]()
 
@@ -67,7 +67,7 @@ def write_look(
 
     Without photos the view alone.
     """
-    from stylesplat.figures.side_by_side import beside_photo, one_view
+    from stylesplat.figures.sheets import beside_photo, one_view
 
     names = scene.held_out or scene.cameras.names
     name = names[len(names) // 2]

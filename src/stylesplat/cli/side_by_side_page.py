@@ -106,7 +106,7 @@ def comparison_lines(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _write(comparison: "Comparison", page: Path) -> None:
-    from stylesplat.figures.comparison_page import Column, comparison_page
+    from stylesplat.figures.html_page import Column, comparison_page
     from stylesplat.io.files import atomic_path
 
     columns = [

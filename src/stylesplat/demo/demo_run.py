@@ -12,10 +12,10 @@ from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.rehearsal import compiled_meanwhile
 from stylesplat.demo.report import write_report
 from stylesplat.evaluation.summary import painted_gaussians, style_lines
-from stylesplat.figures.object_sheet import object_sheet
-from stylesplat.figures.page_parts import Figure, Section
+from stylesplat.figures.best_views import quiet_cut
+from stylesplat.figures.html_page import Figure, Section
 from stylesplat.figures.pictures import label_colors
-from stylesplat.figures.quiet_cut import quiet_cut
+from stylesplat.figures.sheets import object_sheet
 from stylesplat.io.folders import refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map

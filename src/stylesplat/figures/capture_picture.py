@@ -9,8 +9,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from stylesplat.figures.grid import write_line
-from stylesplat.figures.object_sheet import COUNT_SIZE, INK, MARGIN, PAPER, TITLE_SIZE
+from stylesplat.figures.grid import COUNT_SIZE, INK, MARGIN, PAPER, TITLE_SIZE, write_line
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import seen_from
 from stylesplat.structure_from_motion.capture_report import CaptureReport

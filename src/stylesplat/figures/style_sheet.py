@@ -9,8 +9,8 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.compositing import to_uint8
 from stylesplat.figures.grid import Row
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.stylization.style import Picture, Style
 
 Variation = tuple[str, tuple[Any, ...]]

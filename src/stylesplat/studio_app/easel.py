@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
@@ -177,7 +177,7 @@ class Easel:
         what = f"{order.name}: {order.title}, step {step} of {steps}"
         self.session.progress = Progress(what, step / steps, left)
         scene = live.scene()
-        self.session.preview = Shown(scene.splats, hidden=self._hidden(scene))
+        self.session.preview = ViewerSplats(scene.splats, hidden=self._hidden(scene))
         self.session.tell_change()
 
     def _hidden(self, scene: Scene) -> Bool[Tensor, " N"] | None:

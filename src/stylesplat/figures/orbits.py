@@ -1,4 +1,4 @@
-"""A camera path for videos: around the scene, where the photos were taken."""
+"""Camera paths around a scene, and where a viewer starts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import Content
+from stylesplat.scene.content import Content, content_of
 from stylesplat.scene.framing import (
     Distances,
     Sight,
@@ -18,6 +18,7 @@ from stylesplat.scene.framing import (
     level_axes,
 )
 from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
+from stylesplat.scene.splats import Splats
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
 RADIUS_RANK = 0.75  # of the photos' distances: close-ups would cut off what the others show whole
@@ -153,3 +154,46 @@ def _azimuths(photos: Float[Tensor, " C"], phase: Float[Tensor, " M"]) -> Float[
     start, end = photos[(widest + 1) % len(photos)], photos[widest]
     arc = (end - start) % (2 * math.pi)
     return start + arc * (0.5 - 0.5 * phase.cos())
+
+
+UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where nobody knows it
+WINDOW = (1600, 1200)  # pixels, or wider: what all content fits into at the start
+FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
+MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
+
+
+@dataclass(frozen=True)
+class FirstView:
+    """A camera that looks at a place, upright."""
+
+    position: Float[Tensor, "3"]
+    """Where it stands."""
+    target: Float[Tensor, "3"]
+    """What it turns around."""
+    up: Float[Tensor, "3"]
+    """The direction that is up, of length 1."""
+    slopes: tuple[float, float]
+    """Width and height of what it shows at distance 1."""
+
+
+def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
+    """At the first photo's camera, or from where all content is in sight.
+
+    Args:
+        splats: At least one Gaussian.
+        cameras: Where the photos were taken; without them up is a guess.
+    """
+    content = content_of(splats)
+    middle = content.extent.centre
+    if cameras is not None:
+        position, forward = cameras.positions[0].double(), cameras.viewmats[0, 2, :3].double()
+        target = position + ((middle - position) @ forward).clamp(min=MIN_DISTANCE) * forward
+        width, height = cameras.sizes[0].tolist()
+        slopes = width / float(cameras.Ks[0, 0, 0]), height / float(cameras.Ks[0, 1, 1])
+        return FirstView(position, target, up_vector(cameras), slopes)
+    outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
+    sight = Sight(middle, outward, UP, WINDOW)
+    distance = distances(content, sight, FOCAL).best
+    focal = focal_at(content.outline, sight, distance)
+    slopes = WINDOW[0] / focal, WINDOW[1] / focal
+    return FirstView(middle + distance * outward, middle, UP, slopes)
