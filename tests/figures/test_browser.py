@@ -11,7 +11,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.browser import serve
+from stylesplat.figures.browser import serve_viewer
 from stylesplat.figures.live_splats import browser_camera, covariances, weightiest
 from stylesplat.figures.private_server import private_server
 from stylesplat.signals import Terminated
@@ -26,7 +26,7 @@ def free_port() -> int:
 
 
 def test_serves_on_loopback_until_stopped(free_port):
-    server = serve(SPLATS, cameras=CAMERAS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, cameras=CAMERAS, port=free_port, block=False)
     try:
         with urlopen(server.url, timeout=10) as page:
             assert b"<html" in page.read().lower()
@@ -45,7 +45,7 @@ def test_where_nothing_can_be_served_it_is_told_at_once(host: str, port: int):
 
 
 def test_starts_without_cameras(free_port):
-    server = serve(SPLATS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, port=free_port, block=False)
     try:
         camera = server.server.initial_camera
         ahead = camera.look_at - camera.position
@@ -66,7 +66,7 @@ def test_blocks_until_ctrl_c_and_then_stops(free_port, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stylesplat.figures.browser.time.sleep", interrupt)
-    serve(SPLATS, port=free_port)
+    serve_viewer(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -77,7 +77,7 @@ def test_sigterm_stops_it_too_and_is_no_normal_end(free_port, monkeypatch):
 
     monkeypatch.setattr("stylesplat.figures.browser.time.sleep", terminate)
     with pytest.raises(Terminated):
-        serve(SPLATS, port=free_port)
+        serve_viewer(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -107,7 +107,7 @@ def answer(port: int, path: str, **headers: str) -> tuple[int, Message]:
 
 
 def test_without_the_token_nobody_gets_a_page_or_a_scene(free_port, capsys):
-    server = serve(SPLATS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, port=free_port, block=False)
     try:
         assert capsys.readouterr() == ("", f"StyleSplat: {server.url}\n")
         origin, _, secret = server.url.partition("/?token=")
@@ -133,7 +133,7 @@ def test_without_the_token_nobody_gets_a_page_or_a_scene(free_port, capsys):
 
 
 def test_other_sites_are_refused_even_with_the_token(free_port):
-    server = serve(SPLATS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, port=free_port, block=False)
     path = server.url.removeprefix(f"http://127.0.0.1:{free_port}")
     try:
         for host in (f"127.0.0.1:{free_port}", "localhost:9000"):  # the near end of a tunnel
@@ -158,7 +158,7 @@ def test_a_viser_that_cannot_be_guarded_is_refused(free_port, monkeypatch):
     websockets.__dict__.update(infra.websockets.__dict__, asyncio=library)  # pyright: ignore
     monkeypatch.setattr(infra, "websockets", websockets)
     with pytest.raises(StyleSplatError, match=f"viser {viser.__version__} answers everybody"):
-        serve(SPLATS, port=free_port)
+        serve_viewer(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -174,12 +174,12 @@ def test_covariances_have_the_scales_as_deviations():
 def test_without_viser(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(StyleSplatError, match=r"pip install stylesplat\[view\]"):
-        serve(SPLATS)
+        serve_viewer(SPLATS)
 
 
 def test_empty_splats():
     with pytest.raises(StyleSplatError, match="nothing to view"):
-        serve(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
+        serve_viewer(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
 
 
 def test_of_too_many_gaussians_those_that_show_most_are_sent():

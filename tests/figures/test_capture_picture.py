@@ -9,7 +9,6 @@ from torch import Tensor
 from stylesplat.demo.still_life import dome_cameras
 from stylesplat.figures.capture_picture import (
     BLURRED,
-    HEAD,
     PANEL,
     SEEN,
     UNSEEN,
@@ -42,7 +41,7 @@ def block(count: int = 3000) -> Tensor:
 
 
 def panels(picture: Tensor) -> tuple[Tensor, Tensor]:
-    rows = picture[HEAD : HEAD + PANEL].float()
+    rows = picture[MARGIN : MARGIN + PANEL].float()
     second = 2 * MARGIN + PANEL
     return rows[:, MARGIN : MARGIN + PANEL], rows[:, second : second + PANEL]
 

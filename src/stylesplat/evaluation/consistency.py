@@ -23,7 +23,7 @@ OCCLUDED = 0.02  # relative difference of depth from which another surface is se
 
 
 @dataclass(frozen=True)
-class Look:
+class ObjectRender:
     """What one camera sees of an object, before and after it is styled."""
 
     camera: Cameras
@@ -64,7 +64,7 @@ def view_consistency(
     boxes = boxes or find_boxes(base, cameras, picked)
     pairs = {name: view_pairs(len(boxes), gap) for name, gap in RANGES.items()}
     rows = {row for chosen in pairs.values() for pair in chosen for row in pair}
-    looks = {row: _look(base, styled, boxes[row].camera, picked) for row in rows}
+    looks = {row: _render_object(base, styled, boxes[row].camera, picked) for row in rows}
     found = {}
     for name, chosen in pairs.items():
         differences = [warped_difference(looks[a], looks[b]) for a, b in chosen]
@@ -80,7 +80,7 @@ def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
     return evenly([(i, i + gap) for i in range(count - gap)], MAX_PAIRS) if gap > 0 else []
 
 
-def warped_difference(a: Look, b: Look) -> Float[Tensor, "P 6"]:
+def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
     """Colours of the object in `a`, seen from `b`, less those in `b`.
 
     Returns:
@@ -98,14 +98,16 @@ def warped_difference(a: Look, b: Look) -> Float[Tensor, "P 6"]:
     return (found - b.colors[mask])[inside & (coverage > COVERED) & same_surface]
 
 
-def _look(base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Look:
+def _render_object(
+    base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"]
+) -> ObjectRender:
     small = camera.at_most(LONGER_SIDE).to(base.device)
     mine = picked.to(base.means)
     features = torch.stack([mine, mine * depths_of(base.means, small)], dim=1)
     before, _ = render(base, small, features=features)
     after, _ = render(styled, small)
     colors = torch.cat([before[..., :3], after], dim=-1).clamp(0, 1)
-    return Look(small, colors, before[..., 3:])
+    return ObjectRender(small, colors, before[..., 3:])
 
 
 def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Float[Tensor, "P D"]:

@@ -158,7 +158,7 @@ if TYPE_CHECKING:
     import viser
 
 
-def serve(
+def serve_viewer(
     splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
 ) -> PrivateServer:
     """Show splats in a browser: in mean colours, and as they are as soon as the camera rests.

@@ -44,7 +44,7 @@ def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, f
     first = sample[: ENTRIES - 1]
     entries[1 : 1 + len(first)] = first
     for _ in range(ROUNDS if len(sample) > len(first) else 0):
-        entry = nearest(sample, entries)
+        entry = nearest_entries(sample, entries)
         counts = torch.bincount(entry, minlength=ENTRIES)
         sums = torch.zeros_like(entries).index_add(0, entry, sample)
         found = counts > 0
@@ -59,7 +59,9 @@ def meant(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
     return (palette.float() - MIDDLE) / STEPS * strongest
 
 
-def nearest(values: Float[Tensor, "M D"], entries: Float[Tensor, "E D"]) -> Int[Tensor, " M"]:
+def nearest_entries(
+    values: Float[Tensor, "M D"], entries: Float[Tensor, "E D"]
+) -> Int[Tensor, " M"]:
     """The entry that each row is most like."""
     squares = entries.square().sum(dim=1)
     parts = [(squares - 2 * part @ entries.T).argmin(dim=1) for part in values.split(AT_ONCE)]
@@ -156,7 +158,7 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
     for level in track(range(LEVELS), "packing colours", unit="palette"):
         palette, about["strongest"][level] = palette_of(rest)
         entries = meant(palette, about["strongest"][level])
-        index = nearest(rest, entries)
+        index = nearest_entries(rest, entries)
         rest = rest - entries[index]
         indices.append(index.byte())
         yield palette.unflatten(1, (bands, 3)).permute(1, 0, 2)  # [bands, 256, 3]

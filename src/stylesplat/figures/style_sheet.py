@@ -18,7 +18,7 @@ Variation = tuple[str, tuple[Any, ...]]
 Drawn = UInt8[Tensor, "_ _ 3"]
 
 
-class Place(NamedTuple):
+class SheetCell(NamedTuple):
     """Where a blend is drawn."""
 
     row: int
@@ -43,12 +43,12 @@ class SheetPlan:
     rows: tuple[PlannedRow, ...]
     """All of the same length."""
 
-    def runs(self) -> list[tuple[Style, list[Place]]]:
+    def runs(self) -> list[tuple[Style, list[SheetCell]]]:
         """What is to be painted, at full intensity, and the cells that each painting gives."""
-        runs: list[tuple[Style, list[Place]]] = []
+        runs: list[tuple[Style, list[SheetCell]]] = []
         for number, row in enumerate(self.rows):
             for column, (_, style) in enumerate(row.cells):
-                place = Place(number, column, style.config.intensity)
+                place = SheetCell(number, column, style.config.intensity)
                 config = replace(style.config, intensity=1.0)
                 full = Style(*style.pictures, config=config, preset=style.preset)
                 for known, places in runs:
