@@ -106,15 +106,11 @@ def comparison_lines(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _write(comparison: "Comparison", page: Path) -> None:
-    from stylesplat.figures.html_page import Column, comparison_page
+    from stylesplat.figures.html_page import comparison_page
     from stylesplat.io.files import atomic_path
 
-    columns = [
-        Column(each.name, each.metrics, each.differences, each.from_first, each.pictures)
-        for each in comparison.scenes
-    ]
     text = comparison_page(
-        columns, comparison.views, title="Scenes compared", notes=comparison.notes
+        comparison.scenes, comparison.views, title="Scenes compared", notes=comparison.notes
     )
     with atomic_path(page) as temporary:
         temporary.write_text(text, encoding="utf-8")

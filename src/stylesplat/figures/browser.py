@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 REST = 0.15  # seconds without motion
 DECODED = 0.5  # seconds in which a browser has unpacked a picture
-QUALITY = 92  # of the JPEGs that are sent
+QUALITY = 92  # of the JPEGs
 IN_FRONT = 0.02  # world units from the camera: the picture hides the splats; the near plane is 0.01
 
 Look = Callable[[Cameras], UInt8[np.ndarray, "H W 3"]]
 
 
 class AtRest:
-    """Pictures at rest for all browsers of a server."""
+    """Sends exact pictures to the browsers of a server whose cameras rest."""
 
     def __init__(self, server: "viser.ViserServer", worker: Worker, look: Look) -> None:
-        """Watch the cameras of all browsers from now on.
+        """Start to watch the cameras of all browsers.
 
         Args:
-            server: Whose browsers.
-            worker: Where pictures are made.
-            look: What a camera sees.
+            server: The server of the browsers.
+            worker: The worker that renders the pictures.
+            look: Renders the picture of a camera.
         """
         self._server, self._worker, self._look = server, worker, look
         self._loop = server.get_event_loop()
@@ -51,35 +51,35 @@ class AtRest:
         self._shown = set[int]()
         self._paper: UInt8[np.ndarray, "H W 3"] | None = None
         self.active = True
-        """Whether there are exact pictures at all; `changed` after it was set."""
+        """Whether exact pictures are sent; call `changed` after setting it."""
         self.behind = False
-        """Whether they lie behind what else is drawn in the scene; `changed` after it was set."""
+        """Whether pictures lie behind other nodes of the scene; call `changed` after setting it."""
         server.on_client_connect(self._joined)
         server.on_client_disconnect(self._left)
 
     def changed(self) -> None:
-        """What there is to see is another: no picture is right any more."""
+        """Say that the scene has changed, so that all pictures are out of date."""
         self._loop.call_soon_threadsafe(self._all_moved)
 
     def set_paper(self, color: tuple[float, float, float]) -> None:
-        """Show a colour behind the splats for as long as there is no exact picture."""
+        """Set the colour behind the splats while there is no exact picture."""
         self._paper = (255 * np.array(color)).round().astype(np.uint8)[None, None]
         self._server.scene.set_background_image(self._paper, format="png")
 
     def showing(self, client_id: int) -> bool:
-        """Whether a browser shows an exact picture now."""
+        """Whether a browser shows an exact picture."""
         return client_id in self._shown
 
     def motion(self, client_id: int) -> int:
-        """A number that is another one as soon as a browser's picture is out of date."""
+        """A number that changes whenever the picture of a browser goes out of date."""
         return self._motions.get(client_id, 0)
 
     def again(self, client_id: int | None = None, look: Look | None = None) -> None:
-        """In the worker's thread: make the pictures that are shown anew, without a gap.
+        """Replace exact pictures without showing splats between; call it in the worker's thread.
 
         Args:
-            client_id: Whose; those of all browsers by default.
-            look: What the camera sees for once, if it is not what it always sees.
+            client_id: The browser; by default all of them.
+            look: Renders this picture in place of the usual function.
         """
         for each in [*self._shown] if client_id is None else {client_id} & self._shown:
             self._picture(each, look)
@@ -106,7 +106,7 @@ class AtRest:
             self._moved(client_id)
 
     def _moved(self, client_id: int) -> None:
-        """In the server's event loop: a picture is out of date."""
+        """Take an outdated picture away; runs in the server's event loop."""
         self._motions[client_id] = self._motions.get(client_id, 0) + 1
         if client_id in self._shown:
             self._shown.discard(client_id)
@@ -125,7 +125,7 @@ class AtRest:
         self._worker.ask(picture, kind=f"at rest {client_id}", patient=True)
 
     def _picture(self, client_id: int, look: Look | None = None) -> None:
-        """In the worker's thread."""
+        """Render and send one picture; runs in the worker's thread."""
         client, motion = self._clients.get(client_id), self._motions.get(client_id)
         if client is None or not self.active:
             return
@@ -142,33 +142,29 @@ class AtRest:
         self._loop.call_soon_threadsafe(send)
 
     def _hide(self, client_id: int, motion: int | None) -> None:
-        """In the server's event loop: splats that nobody sees are not drawn again and again."""
+        """Stop drawing the splats behind a picture; runs in the server's event loop."""
         if client_id in self._shown and self._motions.get(client_id) == motion:
             self._splats[client_id].visible = False
 
 
 def camera_of(client: "viser.ClientHandle", **options: int) -> Cameras:
-    """What a browser's camera is now."""
+    """The current camera of a browser."""
     camera = client.camera
     size = camera.image_width, camera.image_height
     return browser_camera(camera.wxyz, camera.position, camera.fov, size, **options)
 
 
-if TYPE_CHECKING:
-    import viser
-
-
 def serve_viewer(
     splats: Splats, *, cameras: Cameras | None = None, port: int = 8080, block: bool = True
 ) -> PrivateServer:
-    """Show splats in a browser: in mean colours, and as they are as soon as the camera rests.
+    """Show splats in a browser: in mean colours, and exactly while the camera rests.
 
-    Only this machine is served, and only browsers that have the token of the printed address.
+    The server answers only this machine, and only browsers that have the token of its address.
 
     Args:
         splats: The Gaussians.
-        cameras: Where the photos were taken, to start at the first of them and to know what is
-            up; without them all content is in sight, and up is a guess.
+        cameras: Cameras of the photos: the viewer starts at the first one and takes the upward
+            direction from them. Without them it starts where all content is visible.
         port: Port on 127.0.0.1, or the next free one.
         block: Serve until Ctrl-C; otherwise return at once.
 
@@ -196,7 +192,7 @@ def serve_viewer(
 
 
 def until_interrupted(stop: Callable[[], object]) -> NoReturn:
-    """Wait until Ctrl-C or SIGTERM raises something, and stop what is served."""
+    """Wait for Ctrl-C or SIGTERM, then stop the server."""
     try:
         while True:
             time.sleep(1)
@@ -215,7 +211,7 @@ def _failed(error: Exception) -> None:
 
 
 def place_camera(server: "viser.ViserServer", splats: Splats, cameras: Cameras | None) -> None:
-    """Where browsers start, and what is up."""
+    """Set the initial camera of browsers and the upward direction."""
     view = first_view(splats, cameras)
     server.scene.set_up_direction(view.up.numpy())
     server.initial_camera.fov = 2 * math.atan(view.slopes[1] / 2)

