@@ -85,7 +85,7 @@ def measure_changes(
 
 
 def _changed(base: Splats, styled: Splats) -> Bool[Tensor, " N"]:
-    """Which Gaussians differ in any number."""
+    """Which Gaussians differ in any value."""
     pairs = [
         (old.view(len(old), -1), styled.tensors()[name][: len(old)].reshape(len(old), -1))
         for name, old in base.tensors().items()
@@ -102,7 +102,7 @@ def _rim(covered: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
 
 
 def _psnr(difference: Float[Tensor, " P"]) -> float:
-    """Of no pixels at all it is that of equal ones."""
+    """PSNR of differences; that of equal images if there are no pixels."""
     return float(decibels(difference.square().sum() / max(1, len(difference))))
 
 
@@ -110,18 +110,11 @@ def _psnr(difference: Float[Tensor, " P"]) -> float:
 def largest_stain(
     before: Scene, after: Scene, names: Sequence[str], capture: Capture, device: torch.device
 ) -> dict[str, int | str]:
-    """Find the largest changed place beside painted objects in any of some views.
+    """Find the largest changed area beside the painted objects in up to 16 views.
 
     Label maps err: by a few pixels at the borders of objects, in some views by whole parts. So a
     pixel counts if it changed, lies farther from the objects in its view's label map than borders
     err, and shows a place that most label maps leave out. Thin rims and specks do not count.
-
-    Args:
-        before: The scene before the objects were painted.
-        after: The painted scene.
-        names: The painted objects.
-        capture: The photos, with label maps if there are any.
-        device: Where to render.
 
     Returns:
         `stain_pixels`, at the size that the scene was made at, 0 if there is no stain; and the
@@ -156,9 +149,9 @@ def _beside(
     ids: Mapping[str, Sequence[int]],
     picks: Mapping[str, Bool[Tensor, " N"]],
 ) -> Iterator[tuple[int, Mask]]:
-    """Rows of some cameras, far from each other, and the pixels beside all objects in each.
+    """Yield rows of cameras far from each other, and the pixels beside all objects in each.
 
-    Objects that a label map does not know are where they are rendered.
+    Where a label map lacks an object, its rendered mask is used.
     """
     photos = {name: row for row, name in enumerate(capture.cameras.names)}
     for row in far_apart(cameras, len(cameras)):
@@ -177,13 +170,13 @@ def _beside(
 
 
 def _share_left_out(votes: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N 1"]:
-    """Of the pixels that a Gaussian makes up, those beside the objects; 0 if it shows in none."""
+    """The share of the pixels of a Gaussian that lie beside the objects; 0 if it is not visible."""
     beside = votes[:, 1:].sum(axis=1, keepdims=True)
     return beside / np.maximum(votes.sum(axis=1, keepdims=True), np.finfo(votes.dtype).tiny)
 
 
 def _largest_area(stained: Mask) -> int:
-    """Pixels of the largest connected place that is neither a thin rim nor a speck; 0 without."""
+    """Pixels of the largest connected area that is neither a thin rim nor a speck, or 0."""
     side = _error(stained) + SOFT
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     opened = cv2.morphologyEx(stained.numpy().astype(np.uint8), cv2.MORPH_OPEN, disc)
@@ -193,5 +186,5 @@ def _largest_area(stained: Mask) -> int:
 
 
 def _error(mask: Mask) -> int:
-    """By how many pixels the borders of a label map of that size may err."""
+    """The error in pixels that borders of a label map of this size may have."""
     return max(LEAST_ERROR, round(ERROR * max(mask.shape)))

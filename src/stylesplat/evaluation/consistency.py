@@ -1,4 +1,4 @@
-"""Whether a styled object looks the same from everywhere: views warped onto each other."""
+"""View consistency of a painted object: views are warped onto each other."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ OCCLUDED = 0.02  # relative difference of depth from which another surface is se
 
 @dataclass(frozen=True)
 class ObjectRender:
-    """What one camera sees of an object, before and after it is styled."""
+    """The render of an object in one view, before and after it is painted."""
 
     camera: Cameras
     """One camera."""
@@ -43,19 +43,12 @@ def view_consistency(
     *,
     boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
-    """Compare the colours of the same places of an object between views.
+    """Compare the colours of the same surface points of an object between views.
 
     Papers on 3D style transfer warp one view to another and report the masked RMSE, between
     neighbours and between views farther apart (StyleGaussian, Liu et al. 2024). Here depth
     rendered from the Gaussians stands in for the optical flow. Errors of that depth, highlights
     and the resampling of fine texture count too, hence the same numbers of the base scene.
-
-    Args:
-        base: The scene before; its geometry counts.
-        styled: The scene after, which may have other Gaussians.
-        cameras: Views in the order in which they were photographed.
-        picked: The object's Gaussians in `base`.
-        boxes: Where it shows in these views, if that is known.
 
     Returns:
         `short_range_rmse` and `long_range_rmse` of the styled scene, and both with `_base` of
@@ -81,10 +74,10 @@ def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
 
 
 def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
-    """Colours of the object in `a`, seen from `b`, less those in `b`.
+    """Colours of the object in `a`, warped to `b`, minus those in `b`.
 
     Returns:
-        One row per pixel of `b` whose place on the object is seen in `a` too.
+        One row per pixel of `b` whose point on the object is visible in `a` too.
     """
     mask = b.surface[..., 0] > COVERED
     coverage, summed = b.surface[mask].unbind(-1)
@@ -111,7 +104,7 @@ def _render_object(
 
 
 def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Float[Tensor, "P D"]:
-    """Bilinear between the pixels' centres at +0.5; the border continues outwards."""
+    """Sample bilinearly; pixel centres are at +0.5, and the border continues outwards."""
     height, width = image.shape[:2]
     grid = 2 * places / places.new_tensor([width, height]) - 1
     planes = image.permute(2, 0, 1)[None]
@@ -120,7 +113,7 @@ def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Floa
 
 
 def _rmse(differences: Sequence[Float[Tensor, "_ 6"]]) -> tuple[float, float]:
-    """Of the base and of the styled scene, over the pixels of all pairs."""
+    """RMSE of the base and of the painted scene over the pixels of all pairs."""
     squares = torch.cat(list(differences)).square().mean(dim=0)
     before, after = squares.view(2, 3).mean(dim=1).sqrt().tolist()
     return before, after

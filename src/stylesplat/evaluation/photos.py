@@ -33,18 +33,18 @@ FIRST_RATE, LAST_RATE = 2e-3, 1e-4  # radians, and shares of the cameras' distan
 
 @dataclass(frozen=True)
 class Fits:
-    """What a photo has of its own, as in the training that made the splat."""
+    """What is fitted to each photo, as in the training of the splat."""
 
     colors: bool = False
     """Exposure and white balance."""
     pose: bool = False
-    """A camera beside the given one."""
+    """A shift of the camera."""
     unit: float = 1.0
-    """Of length, for shifts of cameras."""
+    """The unit of length for shifts of cameras."""
 
     @property
     def names(self) -> list[str]:
-        """What is fitted, as scenes note it."""
+        """The names of the fits, as scenes record them."""
         return [name for name in ("colors", "pose") if getattr(self, name)]
 
 
@@ -52,7 +52,7 @@ NO_FITS = Fits()
 
 
 def measured_rows(capture: Capture) -> list[int]:
-    """The views of an import that are compared with their photos: none of them is held out."""
+    """Rows of the views of an imported scene that are compared; none of them is held out."""
     return evenly(range(len(capture)), MEASURED)
 
 
@@ -67,9 +67,9 @@ def evaluate_views(
     Args:
         splats: The Gaussians.
         capture: Photos and their cameras.
-        rows: Which views to compare; the held-out ones, usually.
-        fits: What each photo has of its own, as in the training that made the splats: for its
-            left half that is fitted on the right one, and the other way round.
+        rows: The views to compare, usually the held-out ones.
+        fits: What is fitted to each photo. The left half is fitted on the right one, and the other
+            way round.
 
     Returns:
         `psnr` and `ssim`, averaged over the views; where something is fitted, also
@@ -106,7 +106,7 @@ def _closeness(image: Float[Tensor, "H W 3"], photo: Float[Tensor, "H W 3"]) -> 
 
 
 def fits_of(names: Collection[str], cameras: Cameras) -> Fits:
-    """What `Fits.names` says, for photos of a scene with these cameras."""
+    """The fits with these names, for the photos of these cameras."""
     return Fits("colors" in names, "pose" in names, scene_extent(cameras))
 
 
@@ -114,14 +114,7 @@ def fits_of(names: Collection[str], cameras: Cameras) -> Fits:
 def fitted_render(
     splats: Splats, camera: Cameras, photo: Float[Tensor, "H W 3"], fits: Fits
 ) -> Float[Tensor, "H W 3"]:
-    """The render for a photo, each half of it fitted on the other half of the photo.
-
-    Args:
-        splats: The Gaussians.
-        camera: Of the photo.
-        photo: In 0..1, over black.
-        fits: What to fit.
-    """
+    """Render the view of a photo over black, each half fitted on the other half of the photo."""
     middle = camera.size[0] // 2
     left, right = slice(None, middle), slice(middle, None)
     halves = [_fitted_on(splats, camera, photo, seen, fits) for seen in (right, left)]
@@ -131,7 +124,7 @@ def fitted_render(
 def _fitted_on(
     splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fits
 ) -> Float[Tensor, "H W 3"]:
-    """The whole render, fitted on some columns of the photo."""
+    """Render the whole view, fitted on some columns of the photo."""
     if fits.pose:
         camera = _found(splats, camera, photo, seen, fits)
     image, alpha = render(splats, camera)
@@ -142,7 +135,7 @@ def _fitted_on(
 
 
 def _found(splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fits) -> Cameras:
-    """The camera moved to where some columns of its photo look as rendered."""
+    """Shift a camera so that the render of some columns matches its photo."""
     target = photo[:, seen]
     near = crop(camera, (seen.start or 0, 0), (target.shape[1], target.shape[0]))
     params = {"pose_shifts": photo.new_zeros(1, 6).requires_grad_()}

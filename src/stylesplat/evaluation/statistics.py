@@ -47,10 +47,6 @@ def style_statistics_distance(
     match of both is how AdaIN and WCT define a style (Huang & Belongie 2017, Li et al. 2017);
     unlike NNFM it also notices which parts of the style are missing.
 
-    Args:
-        feats: Of the render, one row per pixel.
-        style_feats: Of the style image.
-
     Returns:
         0 if they agree; the same if both sets are scaled or copied.
     """
@@ -65,15 +61,7 @@ def object_statistics_distance(
     network: FeatureNetwork,
     blocks: Sequence[int],
 ) -> float:
-    """`style_statistics_distance` of an object's features in all views, averaged over blocks.
-
-    Args:
-        splats: The scene.
-        views: Of the object; at least one.
-        targets: The style's features of each block.
-        network: Whose features are compared.
-        blocks: Which blocks of it.
-    """
+    """`style_statistics_distance` of an object's features in all views, averaged over blocks."""
 
     def one_view(view: ObjectView) -> list[Moments]:
         feats = network(render(splats, view.camera)[0].clamp(0, 1), blocks)
@@ -110,13 +98,7 @@ def content_ssim(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
 ) -> float | None:
-    """How much of an object's shading and texture is left: SSIM before to after, of luminance.
-
-    Args:
-        base: The scene before.
-        styled: The scene after, which may have other Gaussians.
-        cameras: The views to compare in, at their size.
-        picked: The object's Gaussians in `base`.
+    """SSIM of an object's luminance before and after: how much of its content is left.
 
     Returns:
         1 if nothing changed. The mean over the object's pixels, then over the views that show
@@ -164,11 +146,6 @@ def palette_distance(
     colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"], *, seed: int = 0
 ) -> float:
     """The sliced Wasserstein distance of two sets of colours, in Lab.
-
-    Args:
-        colors: In 0..1.
-        style: In 0..1.
-        seed: Of the directions that both are projected on.
 
     Returns:
         The root mean square over directions and quantiles; 0 if all colours have their shares.

@@ -145,12 +145,6 @@ def measure_statistics(
 ) -> dict[str, float]:
     """Compare the statistics of an object with those of its style.
 
-    Args:
-        studio: The scene before.
-        job: The object and its style.
-        styled: The scene after; it may have more Gaussians.
-        boxes: The boxes of the object.
-
     Returns:
         `statistics_before` and `statistics_after` (see `style_statistics_distance`); if the object
         is to have the colours of the style, `palette_distance`.
@@ -224,15 +218,7 @@ def object_nnfm(
     network: FeatureNetwork,
     blocks: Sequence[int],
 ) -> float:
-    """Compute NNFM over the features of an object, averaged over blocks and views.
-
-    Args:
-        images: The renders of the views.
-        views: Views of the object.
-        targets: The features of the style in each block.
-        network: The feature network.
-        blocks: Which blocks of it to compare.
-    """
+    """Compute NNFM over the features of an object, averaged over blocks and views."""
     losses = [
         nnfm_loss(block[cells][:: 1 + int(cells.sum()) // MAX_FEATURES], target)
         for image, view in zip(images, views, strict=True)
@@ -254,12 +240,6 @@ def own_nnfm(
     Each feature is compared with those whose receptive fields do not overlap its own. Another
     picture by the same artist would hardly come closer, so an object can reach this, not 0.
 
-    Args:
-        pictures: Colours of the style in 0..1.
-        network: The feature network.
-        blocks: Its blocks, whose distances are averaged.
-        length: Longer side of the pictures in pixels.
-
     Returns:
         The mean cosine distance; None if the pictures are too small for two such features.
 
@@ -274,11 +254,6 @@ def own_nnfm(
 
 def share_of_way(before: float, after: float, own: float) -> float | None:
     """The part of the way to the style that NNFM has gone, from 0 to 1.
-
-    Args:
-        before: NNFM of the object before it was painted.
-        after: NNFM of the painted object.
-        own: NNFM of the style with itself, the end of the way.
 
     Returns:
         None if the object was that close before.

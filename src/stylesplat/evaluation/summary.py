@@ -9,12 +9,7 @@ WHOLE = "as close to the painting as the painting's parts are to each other"
 
 
 def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
-    """One line per object, and what became of all else.
-
-    Args:
-        metrics: As `stylize` and `evaluate` report them.
-        names: What was painted.
-    """
+    """Say how close each painted object is to its style, and what else changed."""
     lines = [f"{each}: {_way(metrics, each)}{_colors(metrics, each)}" for each in names]
     rest = around(metrics, count=len(lines))
     if len(lines) == 1:
@@ -23,7 +18,7 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
 
 
 def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """How close renders are to photos, and rendered labels to label maps.
+    """Say how close renders are to photos, and rendered labels to label maps.
 
     Args:
         metrics: As `evaluate_views` reports them; of nothing compared, no lines.
@@ -39,7 +34,7 @@ def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def around(metrics: Mapping[str, Any], *, count: int = 1) -> str:
-    """What changed that was not painted."""
+    """Say what changed besides the `count` painted objects."""
     changed, largest = metrics["changed_outside"], metrics["outside_max_difference"]
     if changed:
         return f"{changed:,} Gaussians outside changed as well"
@@ -54,12 +49,7 @@ def around(metrics: Mapping[str, Any], *, count: int = 1) -> str:
 
 
 def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:
-    """How many Gaussians were painted, and how many a canvas added.
-
-    Args:
-        metrics: As `stylize` reports them.
-        total: How many Gaussians the scene had.
-    """
+    """Say how many of the `total` Gaussians before were painted, and how many a canvas added."""
     painted = metrics["painted_gaussians"]
     after = metrics["changed_gaussians"] - metrics["changed_outside"]
     canvas = f", and a canvas of {after - painted:,}" if after > painted else ""
@@ -77,7 +67,7 @@ def _way(metrics: Mapping[str, Any], name: str) -> str:
 
 
 def _colors(metrics: Mapping[str, Any], name: str) -> str:
-    """What is to be said of an object's colours, if anything is."""
+    """Say how much of an object has colours that the painting does not have, if it is much."""
     share = metrics.get("off_palette", {}).get(name, 0.0)
     if share <= MUCH:
         return ""
@@ -85,7 +75,7 @@ def _colors(metrics: Mapping[str, Any], name: str) -> str:
 
 
 def differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Numbers less those of the first, as deeply nested as both are; what one lacks is left out.
+    """Subtract nested numbers; names that one of both lacks are left out.
 
     Example:
         >>> differences({"psnr": 31.0, "iou": {"1": 0.5}}, {"psnr": 30.0, "iou": {"1": 0.75}})
@@ -102,7 +92,7 @@ def differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[An
 
 
 def flat(metrics: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Numbers with one name each.
+    """Nested numbers with one name each.
 
     Example:
         >>> [*flat({"psnr": 31.0, "iou": {"vase": 0.5}, "text": "left out"})]

@@ -1,4 +1,4 @@
-"""Which views show an object best, and from sides that differ."""
+"""Choose the views that show an object best, and from different sides."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -55,14 +55,7 @@ def find_views(
     *,
     count: int = VIEWS,
 ) -> list[ObjectMask]:
-    """The views that show most of an object from sides that differ, the best one first.
-
-    Args:
-        splats: The scene.
-        cameras: Views to choose from.
-        picked: The object's Gaussians.
-        count: How many to find; fewer if it shows in fewer.
-    """
+    """The views that show most of an object from sides that differ, the best one first."""
     surface = splats.means[solid(splats, picked)]
 
     def mask(row: int) -> Tensor:
@@ -78,13 +71,7 @@ def find_views(
 def surveyed_views(
     surveys: Iterable[Sequence[Box]], cameras: Cameras, *, count: int
 ) -> list[ObjectMask]:
-    """The views that show most of some objects, the best one first, without rendering any.
-
-    Args:
-        surveys: Where each object shows.
-        cameras: Views to choose from, by name.
-        count: How many to find; fewer if the objects show in fewer.
-    """
+    """The views that show most of some objects, the best one first, without rendering any."""
     masks = dict[int, Tensor]()
     for box in chain.from_iterable(surveys):
         (name,) = box.camera.names
@@ -101,13 +88,7 @@ def surveyed_views(
 
 @torch.no_grad()
 def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask]) -> ObjectMask:
-    """The view that shows most of an object and of its own detail: a face rather than a back.
-
-    Args:
-        splats: The scene.
-        cameras: Those that the views are rows of.
-        found: At least one view of the object.
-    """
+    """The view that shows most of an object and of its own detail: a face rather than a back."""
     return max(found, key=lambda each: _detail(splats, small(cameras[each.row]), each.mask))
 
 
@@ -122,14 +103,7 @@ def _detail(splats: Splats, camera: Cameras, mask: Bool[Tensor, "h w"]) -> float
 def best_rows(
     cameras: Cameras, surface: Float[Tensor, "M 3"], scores: Mapping[int, float], count: int = VIEWS
 ) -> list[int]:
-    """The cameras that see an object best and from sides that differ, the best one first.
-
-    Args:
-        cameras: All there are.
-        surface: Points of the object.
-        scores: The `visibility` of the object in some of them.
-        count: How many to choose; fewer if it shows in fewer.
-    """
+    """The cameras that see an object best and from sides that differ, the best one first."""
     rows = [row for row, score in scores.items() if score > 0]
     if not rows:
         return []
@@ -160,12 +134,6 @@ def close_up(
     splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
 ) -> Cameras:
     """A square view of an object and a margin, from the camera that shows most of it.
-
-    Args:
-        splats: The scene.
-        cameras: Views to choose from.
-        picked: The object's Gaussians.
-        side: Pixels along the view.
 
     Returns:
         One camera, named as the one it was made from.

@@ -35,13 +35,7 @@ class AtRest:
     """Sends exact pictures to the browsers of a server whose cameras rest."""
 
     def __init__(self, server: "viser.ViserServer", worker: Worker, look: Look) -> None:
-        """Start to watch the cameras of all browsers.
-
-        Args:
-            server: The server of the browsers.
-            worker: The worker that renders the pictures.
-            look: Renders the picture of a camera.
-        """
+        """Start to watch the cameras of all browsers."""
         self._server, self._worker, self._look = server, worker, look
         self._loop = server.get_event_loop()
         self._clients = dict[int, "viser.ClientHandle"]()
@@ -75,12 +69,7 @@ class AtRest:
         return self._motions.get(client_id, 0)
 
     def again(self, client_id: int | None = None, look: Look | None = None) -> None:
-        """Replace exact pictures without showing splats between; call it in the worker's thread.
-
-        Args:
-            client_id: The browser; by default all of them.
-            look: Renders this picture in place of the usual function.
-        """
+        """Replace exact pictures without showing splats between; call it in the worker's thread."""
         for each in [*self._shown] if client_id is None else {client_id} & self._shown:
             self._picture(each, look)
 

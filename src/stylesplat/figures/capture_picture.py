@@ -33,10 +33,6 @@ RIM = 1.08  # radius of the arc around the cameras, relative to their distance
 def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H W 3"]:
     """Draw cameras and points from above and from the side, up being up.
 
-    Args:
-        capture: Posed photos.
-        report: The report of `check` on it.
-
     Returns:
         The picture. Cameras are coloured by their order, those of blurred photos red and those
         that few points connect with others orange. A circle around the cameras shows the sides

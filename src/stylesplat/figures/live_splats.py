@@ -40,15 +40,7 @@ def browser_camera(
     *,
     pixels: int = PIXELS,
 ) -> Cameras:
-    """Returns the camera of a browser.
-
-    Args:
-        wxyz: The rotation from the camera (OpenCV axes) to the world.
-        position: Position in the world.
-        fov: Vertical field of view in radians.
-        size: Width and height of the view in the browser.
-        pixels: Maximum number of pixels of the returned camera.
-    """
+    """Returns the camera of a browser."""
     rotation = rotation_matrices(torch.as_tensor(wxyz).double()[None])[0]
     viewmat = torch.eye(4).double()
     viewmat[:3, :3] = rotation.T

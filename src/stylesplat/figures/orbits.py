@@ -84,12 +84,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
 
 
 def filled(path: Cameras, content: Content) -> Cameras:
-    """The same path with the lens with which content fills the pictures, all of it in every frame.
-
-    Args:
-        path: Cameras of one size that look at the content's centre.
-        content: What to show.
-    """
+    """The path with the focal length at which all content just fits into every frame."""
     centre, tops = content.extent.centre, -path.viewmats[:, 1, :3].double()
     outward = path.positions.double() - centre
     far = outward.norm(dim=1, keepdim=True)

@@ -38,10 +38,6 @@ Column = UInt8[Tensor, "..."]
 def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, float]:
     """Entries that rows are like (k-means, Lloyd 1982), rounded to bytes.
 
-    Args:
-        values: The rows.
-        seed: Of the choice of rows that it is made from.
-
     Returns:
         The entries, and what the largest byte means.
     """

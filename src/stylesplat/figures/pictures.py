@@ -65,13 +65,7 @@ def parse_background(text: str) -> Background:
 def over(
     image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], background: Background
 ) -> ColorPicture:
-    """A picture on a background; without one, its own colours and how opaque it is.
-
-    Args:
-        image: Colours as they are rendered on black.
-        alpha: The share of each pixel that is covered.
-        background: What is behind.
-    """
+    """A picture on a background; without one, its own colours and how opaque it is."""
     if background is not None:
         return to_uint8(image + (1 - alpha) * image.new_tensor(background))
     shown = to_uint8(alpha)

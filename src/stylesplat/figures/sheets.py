@@ -93,11 +93,6 @@ def object_sheet(
     Each object is cut out of the whole scene, from the view that shows most of it and small from
     two other sides. What hides it in these views hides it here.
 
-    Args:
-        splats: Gaussians with identities.
-        cameras: Views to choose from.
-        names: The user's names of objects, by label id.
-
     Returns:
         The sheet, objects in the order of their ids.
 
@@ -136,11 +131,6 @@ def selection_picture(
     Selected Gaussians are drawn in colour, all others in grey. Those that `stylize` does not
     paint, as they lie beside the object or on the surface below it, are blue.
 
-    Args:
-        splats: The scene.
-        cameras: Views to choose from.
-        picked: The selected Gaussians.
-
     Returns:
         The views side by side; None if the selection shows in none.
     """
@@ -153,12 +143,7 @@ def selection_picture(
 
 
 def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
-    """Draw label maps over photos from the first to the last, with a legend of the objects.
-
-    Args:
-        capture: Photos with label maps.
-        names: By id; other objects are called by their id.
-    """
+    """Draw label maps over photos from the first to the last, with a legend of the objects."""
     maps = capture.label_maps or []
     rows = [row for row in range(len(capture)) if maps[row] is not None]
     cells, ids = [], set[int]()
@@ -221,12 +206,6 @@ def beside_photo(
 
     They are drawn at the photo's own size, though the capture may be loaded at a smaller one, up
     to 2048 pixels a side and no narrower than 450. The PSNR is measured at the size of the capture.
-
-    Args:
-        scene: A scene of these photos.
-        capture: The photos, at the size that the scene was made from.
-        name: Name of the photo.
-        device: Where to render.
 
     Raises:
         StyleSplatError: If the photos cannot be read again at their own size.

@@ -74,11 +74,6 @@ def plan_sheet(
 ) -> SheetPlan:
     """Lay out a sheet: the first variation makes columns, the second or several styles rows.
 
-    Args:
-        styles: The pictures of each; several are alternatives.
-        variations: What to try.
-        settings: Those that all cells start from, and their `preset`.
-
     Raises:
         StyleSplatError: If there is more than rows and columns can show, or a value is out of
             range.
@@ -101,13 +96,7 @@ def plan_sheet(
 def captioned(
     plan: SheetPlan, pictures: Mapping[tuple[int, int], Drawn], before: Drawn
 ) -> list[Row]:
-    """The grid's rows, led by the object as it is; style pictures are shown where they change.
-
-    Args:
-        plan: The sheet.
-        pictures: Of each cell, by row and column.
-        before: Of the object as it is.
-    """
+    """The grid's rows, led by the object as it is; style pictures are shown where they change."""
     rows, last = [], None
     for number, row in enumerate(plan.rows):
         first = (before, "before") if number == 0 else None
