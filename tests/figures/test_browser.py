@@ -1,8 +1,15 @@
+"""Splats in a browser: the server, its token, and exact pictures at rest."""
+
+import asyncio
 import http.client
 import socket
 import sys
+import threading
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
 from email.message import Message
+from types import SimpleNamespace
+from typing import Any
 from urllib.request import urlopen
 
 import numpy as np
@@ -10,12 +17,15 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from chromium import launched, needs_chromium
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.browser import serve_viewer
+from stylesplat.figures.browser import AtRest, serve_viewer
 from stylesplat.figures.live_splats import browser_camera, covariances, weightiest
 from stylesplat.figures.private_server import private_server
+from stylesplat.scene.cameras import Cameras
 from stylesplat.signals import Terminated
 from stylesplat.studio_app.viewing import pose_of
+from stylesplat.work import Worker
 
 
 @pytest.fixture
@@ -197,3 +207,91 @@ def test_a_browsers_camera_sees_what_ours_does():
     assert torch.allclose(found.Ks, camera.Ks, atol=1e-3) and found.size == camera.size
     large = browser_camera(wxyz, position, fov, (3840, 2160))
     assert large.size == (960, 540)
+
+
+Told = Callable[[Any], Coroutine[Any, Any, None]]
+
+
+class Server:
+    """What `AtRest` needs of viser's, with one browser."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+        self._joined, self._left = list[Told](), list[Told]()
+        self.on_client_connect, self.on_client_disconnect = self._joined.append, self._left.append
+        self.scene = SimpleNamespace(add_frame=lambda *_, **__: SimpleNamespace(visible=True))
+        self.scene.set_background_image = lambda *_, **__: None
+        camera = SimpleNamespace(
+            **{"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 0.0), "fov": 1.0},
+            **{"image_width": 8, "image_height": 6, "on_update": lambda moved: None},
+        )
+        self.client = SimpleNamespace(client_id=0, scene=self.scene, camera=camera)
+
+    def get_event_loop(self) -> asyncio.AbstractEventLoop:
+        return self._loop
+
+    def join(self) -> None:
+        self._tell(self._joined)
+
+    def leave(self) -> None:
+        self._tell(self._left)
+
+    def settle(self) -> None:
+        """Wait until the loop has done what it was asked for."""
+        self._tell([])
+
+    def _tell(self, told: list[Told]) -> None:
+        async def tell() -> None:
+            for each in told:
+                await each(self.client)
+
+        asyncio.run_coroutine_threadsafe(tell(), self._loop).result(30)
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(30)
+        self._loop.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    found = Server()
+    yield found
+    found.close()
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+def test_a_browser_that_leaves_while_its_picture_renders_is_forgotten(server: Server, leaves: bool):
+    rendered, failures = threading.Event(), list[Exception]()
+    worker = Worker(failures.append)
+
+    def look(camera: Cameras) -> np.ndarray:
+        if leaves:
+            server.leave()
+        rendered.set()
+        return np.zeros((6, 8, 3), np.uint8)
+
+    rest = AtRest(server, worker, look)  # pyright: ignore[reportArgumentType]
+    server.join()
+    assert rendered.wait(30) and worker.settle()
+    server.settle()
+    assert rest.showing(0) != leaves and not failures
+    worker.close()
+
+
+SAID = "(document.body && document.body.innerText) || ''"
+
+
+@needs_chromium
+def test_a_browser_without_webgl_is_told_what_helps():
+    """By viser's own page."""
+    server = serve_viewer(SPLATS, cameras=CAMERAS, port=0, block=False)
+    try:
+        with launched(600, 400, "--disable-3d-apis") as page:
+            page.open(server.url)
+            page.until(f"({SAID}).includes('WebGL is unavailable')")
+            assert "hardware acceleration" in page.evaluate(SAID)
+    finally:
+        server.stop()

@@ -52,9 +52,10 @@ def evaluate(
         device: Where to render.
 
     Returns:
-        `schema`; with photos what `evaluate_views` measures in the held-out views, and of a styled
-        scene what painting did to it, as far as its styles and networks are at hand; with label
-        maps the `largest_stain` too.
+        `schema`; with photos the result of `evaluate_views` for the held-out views; of a painted
+        scene those of `measure_style`, `measure_statistics`, `measure_look` by object, as far as
+        its styles and networks are at hand, and of `measure_changes`; with label maps also that
+        of `largest_stain`.
 
     Raises:
         StyleSplatError: If there is nothing to measure, or the photos are of another scene.
@@ -77,7 +78,7 @@ def evaluate(
 
 
 def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, Any]:
-    """The held-out views compared with their photos; of an import, some of all."""
+    """Compare the held-out views with their photos; of an import, some of all views."""
     known = {*scene.cameras.names}
     rows = [row for row, name in enumerate(capture.cameras.names) if name in known]
     if rows and len(rows) < len(capture):  # some were left out when it was trained
@@ -98,7 +99,7 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
 
 
 def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
-    """The numbers of `stylize`, its seconds and steps aside."""
+    """Measure the painted objects, and what changed around them."""
     before = without_layers(scene)
     base = before.splats.to(styled.device)
     training, held_out = before.working_views()
@@ -126,7 +127,7 @@ def _closeness(
     views: Cameras,
     boxes: Sequence[Box],
 ) -> dict[str, float]:
-    """How close an object is to its style; empty if that cannot be told here."""
+    """Measure how close an object is to its style; empty if the style or its network is missing."""
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
@@ -142,10 +143,10 @@ def _closeness(
 
 
 def _style_of(layer: Layer) -> Style:
-    """The style that an object was painted in.
+    """Read the style of a layer.
 
     Raises:
-        StyleSplatError: If its pictures are gone or others now.
+        StyleSplatError: If its pictures are missing or have changed.
     """
     pictures = [_present(source) for source in layer.styles]
     return Style(*pictures, config=with_settings(StyleConfig(), layer.settings))
