@@ -22,7 +22,7 @@ from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.object_views import Box
+from stylesplat.stylization.object_views import Box, find_boxes
 from stylesplat.stylization.plain_settings import plain
 from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Precision, StyleConfig
@@ -163,15 +163,18 @@ def paint_layer(
         family: The row of the base that each of the Gaussians beneath belongs to.
 
     Returns:
-        The layer; of a large scene the part that it was painted in; and where the object shows.
+        The layer; of a large scene the part that it was painted in; and the boxes of the object in
+        all views, held-out ones included.
     """
     cut = cut_scene(studio, job.picked)
     part, own = _within(cut, studio, job)
     sight = look_at(part, own)
     state = _last_state(part, own, sight)
     layer = layer_of(state, own, family if cut is None else family[cut.rows])
+    held_out = part.every_camera[len(part.cameras) :]
+    survey = [*sight.survey, *find_boxes(part.splats, held_out, sight.ground.job.picked)]
     tidy_heap()  # copies of the whole scene follow
-    return layer, cut, sight.survey
+    return layer, cut, survey
 
 
 def layer_of(state: Repainted, job: StyleJob, family: Int[Tensor, " M"]) -> Layer:

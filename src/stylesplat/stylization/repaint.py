@@ -22,7 +22,7 @@ from stylesplat.stylization.levelled import levelled
 from stylesplat.stylization.looking import check_visible, object_views, see_object, stage_views
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.near_palette import NearPalette, near_palette, settle
-from stylesplat.stylization.object_views import Box, ObjectView, boxes_in, typical_length
+from stylesplat.stylization.object_views import Box, ObjectView, typical_length
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.paint_ground import Ground, canvas_ground, confined_ground, own_ground
@@ -80,7 +80,7 @@ class Sight:
     ground: Ground
     """What it is painted on at first."""
     survey: Sequence[Box]
-    """Where it shows, in all views, held-out ones included."""
+    """Its boxes in all views to optimise on."""
     boxes: Sequence[Box]
     """Those of the views that are used."""
     stages: Sequence[Stage]
@@ -171,9 +171,8 @@ def look_at(studio: Studio, job: StyleJob, *, closely: bool = False) -> Sight:
         StyleSplatError: As `repaint` does, as far as it can be told so.
     """
     ground = own_ground(studio, job)
-    survey = see_object(studio, ground.job, studio.every_camera)
-    boxes = boxes_in(survey, studio.cameras) or see_object(studio, ground.job, studio.cameras)
-    boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
+    survey = see_object(studio, ground.job, studio.cameras)
+    boxes = evenly(survey, math.ceil(job.config.view_share * len(survey)))
     stages = _stages(studio, job, typical_length(boxes))
     if closely:
         generator = torch.Generator().manual_seed(job.config.seed)
