@@ -12,6 +12,7 @@ from stylesplat.figures.best_views import (
     SEARCHED_VIEWS,
     best_rows,
     find_views,
+    masks_of,
     most_detailed,
     quiet_cut,
     visibility,
@@ -19,6 +20,7 @@ from stylesplat.figures.best_views import (
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
+from stylesplat.stylization.object_views import find_boxes
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 HIDDEN = torch.zeros_like(RED)
@@ -119,3 +121,11 @@ def test_beside_a_single_one():
 
 def test_nothing_in_the_picture_is_cut_in_the_middle():
     assert quiet_cut(SPLATS, CAMERAS[0], [torch.zeros_like(RED)]) == 0.5
+
+
+def test_a_survey_of_the_painting_finds_the_same_views():
+    masks = masks_of([find_boxes(SPLATS, CAMERAS, RED)], CAMERAS)
+    found, expected = (find_views(SPLATS, CAMERAS, RED, masks=each) for each in (masks, None))
+    assert [each.row for each in found] == [each.row for each in expected]
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one.mask, other.mask.cpu())

@@ -54,36 +54,43 @@ def find_views(
     picked: Bool[Tensor, " N"],
     *,
     count: int = VIEWS,
+    masks: Mapping[int, Bool[Tensor, "h w"]] | None = None,
 ) -> list[ObjectMask]:
-    """The views that show most of an object from sides that differ, the best one first."""
+    """The views that show most of an object from sides that differ, the best one first.
+
+    Args:
+        splats: The scene.
+        cameras: Views to choose from.
+        picked: The Gaussians of the object.
+        count: How many to find; fewer if it is visible in fewer.
+        masks: The mask in every view that shows it, if they are known (`masks_of`).
+    """
     surface = splats.means[solid(splats, picked)]
+    rows = _likely_rows(cameras, surface)
 
     def mask(row: int) -> Tensor:
         return coverage(splats, small(cameras[row]), picked) > MIN_COVERAGE
 
-    rows = _likely_rows(cameras, surface)
-    found = track(at_once(mask, rows, splats.device), "looking for the object", total=len(rows))
-    masks = dict(zip(rows, found, strict=True))
-    scores = {row: visibility(mask) for row, mask in masks.items()}
+    if masks is None:
+        found = at_once(mask, rows, splats.device)
+        found = track(found, "looking for the object", total=len(rows))
+        masks = dict(zip(rows, found, strict=True))
+    scores = {row: visibility(masks[row]) for row in rows if row in masks}
     return [ObjectMask(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
 
 
-def surveyed_views(
-    surveys: Iterable[Sequence[Box]], cameras: Cameras, *, count: int
-) -> list[ObjectMask]:
-    """The views that show most of some objects, the best one first, without rendering any."""
+def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bool[Tensor, "h w"]]:
+    """The masks of some objects together, by row of the camera, from the boxes of each object."""
     masks = dict[int, Tensor]()
     for box in chain.from_iterable(surveys):
         (name,) = box.camera.names
-        if name in cameras.names:
-            row = cameras.index(name)
-            width, height = small(cameras[row]).size
-            mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
-            scale = box.places.new_tensor([width, height]) / box.camera.sizes[0]
-            x, y = (box.places * scale).long().unbind(1)
-            mask[y.clamp(max=height - 1), x.clamp(max=width - 1)] = True
-    rows = sorted(masks, key=lambda row: visibility(masks[row]), reverse=True)[:count]
-    return [ObjectMask(row, masks[row]) for row in rows]
+        row = cameras.index(name)
+        width, height = small(cameras[row]).size
+        mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
+        scale = box.places.new_tensor([width, height]) / box.camera.sizes[0]
+        x, y = (box.places * scale).long().unbind(1)
+        mask[y.clamp(max=height - 1), x.clamp(max=width - 1)] = True
+    return masks
 
 
 @torch.no_grad()

@@ -19,9 +19,9 @@ from stylesplat.figures.best_views import (
     aim_at,
     best_rows,
     find_views,
+    masks_of,
     most_detailed,
     small,
-    surveyed_views,
     visibility,
 )
 from stylesplat.figures.grid import (
@@ -172,8 +172,7 @@ def before_after(
 
     Args:
         scene: A painted scene.
-        surveys: The boxes of each object that was just painted; by default views are searched for
-            all that is painted.
+        surveys: The boxes of the painted objects, if they are known.
         device: Where to render.
 
     Returns:
@@ -184,13 +183,12 @@ def before_after(
     """
     require_painted(scene)
     base = scene.unpainted.to(pick_device(device))
-    if surveys is None:
-        picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
-        for layer in scene.layers:
-            picked[layer.rows.to(base.device)] = True
-        found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
-    else:
-        found = surveyed_views(surveys.values(), scene.cameras, count=SEARCHED_VIEWS)
+    surveyed = surveys is not None and surveys.keys() == {*scene.painted_objects}
+    masks = masks_of(surveys.values(), scene.cameras) if surveys and surveyed else None
+    picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
+    for layer in scene.layers:
+        picked[layer.rows.to(base.device)] = True
+    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS, masks=masks)
     if not found:
         return None
     camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(LONGEST)
