@@ -141,7 +141,7 @@ def frame_rate() -> float:
 def train_fox(path: Path) -> None:
     """Print time and quality of 7000 joint steps."""
     import stylesplat as ss
-    from stylesplat.evaluation.photo_metrics import evaluate_views
+    from stylesplat.evaluation.photos import evaluate_views
     from stylesplat.training.loop import fit
     from stylesplat.training.train_config import TrainConfig
     from stylesplat.training.training_views import split_views

@@ -19,8 +19,8 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 import stylesplat as ss
-from stylesplat.evaluation.measure import changes
-from stylesplat.rendering.render import rasterize
+from stylesplat.evaluation.changes import measure_changes
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
@@ -99,7 +99,7 @@ def compare(name: str, steps: int) -> list[list[object]]:
     ours, _ = paint_objects(studio, [job])
     theirs = masked_in_2d(scene.splats, (training, maps), style, network, steps)
     return [
-        _row(f"{name}, {how}", changes(scene.splats, styled, held_out, picked))
+        _row(f"{name}, {how}", measure_changes(scene.splats, styled, held_out, picked))
         for how, styled in (("ours", ours.splats), ("masked in 2D", theirs))
     ]
 

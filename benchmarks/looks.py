@@ -57,8 +57,8 @@ from test_objects import OBJECTS, Name, Outlines, find_outlines, find_scene, pho
 from torch import Tensor
 
 import stylesplat as ss
-from stylesplat.evaluation.stains import largest_stain
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.evaluation.changes import largest_stain
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import write_json
 from stylesplat.rendering.render import render

@@ -36,7 +36,7 @@ from tyro.conf import Positional
 
 import stylesplat as ss
 from chromium import Page, launched
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.render import rasterize

@@ -19,8 +19,7 @@ from bench import capture, machine, table
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.evaluation.half_fits import Fits
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import Fits, evaluate_views
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import project, shown
 from stylesplat.training.initialize import scene_extent

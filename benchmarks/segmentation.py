@@ -15,7 +15,7 @@ from bench import OUT, machine, table
 
 import stylesplat as ss
 from stylesplat.demo.demo_capture import demo_capture
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.json_files import read_json
 from stylesplat.metrics.iou import LabelPairs, object_iou
 from stylesplat.scene.capture import Capture

@@ -35,8 +35,7 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 import stylesplat as ss
-from stylesplat.evaluation.measure import object_nnfm
-from stylesplat.evaluation.style_metrics import LENGTH, measure_painted
+from stylesplat.evaluation.style import LENGTH, measure_painted, object_nnfm, renders
 from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import activated, views_of
 from stylesplat.rendering.kernels import blend, blend_backward, vecs
@@ -93,7 +92,8 @@ class Bench:
         zoom = length / typical_length(boxes)
         views = cut_views(self.splats, boxes, picked, [self.network.cells(3)], zoom=zoom)
         targets = style_features(self.style, self.network, (3,), length=2 * length)
-        return object_nnfm(splats, evenly(views, 4), targets, self.network, (3,))
+        few = evenly(views, 4)
+        return object_nnfm(renders(splats, few), few, targets, self.network, (3,))
 
 
 def storage(bench: Bench) -> str:

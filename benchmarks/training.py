@@ -14,7 +14,7 @@ from time import perf_counter
 import tyro
 from bench import calibration_ms, capture, machine, table
 
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.training.lifting import lift

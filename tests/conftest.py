@@ -34,7 +34,7 @@ def said() -> Iterator[list[str]]:
 def quick_painting() -> Iterator[None]:
     """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style_metrics.LENGTH", 30.0)
+        patch.setattr("stylesplat.evaluation.style.LENGTH", 30.0)
         patch.setattr("stylesplat.stylization.fit_canvas.STEPS", 4)
         yield
 

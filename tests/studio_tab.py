@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from chromium import Page, launched
-from stylesplat.figures.at_rest import camera_of
+from stylesplat.figures.browser import camera_of
 from stylesplat.rendering.shares import coverage
 from stylesplat.studio_app.opening import Studio
 

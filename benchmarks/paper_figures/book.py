@@ -12,7 +12,7 @@ from bench import machine, processor_seconds
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import read_json, write_json
 

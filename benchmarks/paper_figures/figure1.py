@@ -10,7 +10,7 @@ from paper_figures.painting import default_config, painted, paper_config
 from paper_figures.story import Block, Figure, Row, Table, digits, percent
 from paper_figures.subject import Subject, cut, shot
 from stylesplat.evaluation.statistics import content_ssim
-from stylesplat.evaluation.style_metrics import measure_style
+from stylesplat.evaluation.style import measure_style
 from stylesplat.stylization.paint_objects import open_studio
 from stylesplat.stylization.style_job import StyleJob
 

@@ -17,7 +17,7 @@ from paper_figures.painting import few_style_features, painted, paper_config
 from paper_figures.story import Block, Figure, Grid, Table, Text, digits
 from paper_figures.subject import Subject, shot
 from stylesplat.evaluation.statistics import content_ssim
-from stylesplat.figures.object_sheet import close_up
+from stylesplat.figures.best_views import close_up
 from stylesplat.stylization.object_views import find_boxes, typical_length
 
 NAME = "figure6"

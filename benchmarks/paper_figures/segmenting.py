@@ -20,7 +20,7 @@ from paper_figures.book import Cell, Outcome, Results
 from paper_figures.figure3 import by_selection
 from paper_figures.story import Block, Figure, Row, Table, Text, digits
 from paper_figures.subject import Subject, cut, each
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.figures.pictures import label_colors
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.splats import Splats

@@ -12,7 +12,7 @@ from PIL import Image
 from paper_figures.book import Cell, Results
 from paper_figures.pictures import grid, picture, strip
 from paper_figures.subject import Subject
-from stylesplat.figures.page_parts import figure_html, page_style, picture_url, table_html
+from stylesplat.figures.html_page import figure_html, page_style, picture_url, table_html
 
 QUALITY = 72  # of JPEG in docs
 OURS = "demo"  # the scene that is made here

@@ -3,6 +3,7 @@
 They are taken before anything is loaded that takes long.
 """
 
+import gc
 import sys
 
 from stylesplat.signals import ignore_signals, take_signals, told
@@ -18,6 +19,7 @@ def main() -> int:
             return run()
         finally:
             ignore_signals()
+            gc.freeze()  # else Python looks for garbage in all modules once more: half a second
     except KeyboardInterrupt as error:
         return told(error)
 

@@ -20,7 +20,7 @@ from paper_figures.story import (
 )
 from paper_figures.subject import cut, scales
 
-from stylesplat.figures.object_sheet import CELL
+from stylesplat.figures.grid import CELL
 from stylesplat.io.images import write_image
 
 PICTURE = torch.rand(30, 40, 3, generator=torch.Generator().manual_seed(0))

@@ -18,8 +18,12 @@ def test_a_line_for_each_finding(posed: Path, capsys: pytest.CaptureFixture[str]
     before = sorted(posed.parent.rglob("*"))
     assert run("check", posed) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert "photos: poor. 8 photos. They are too few for most scenes: take 40 to 100." in lines
-    assert "sides: good. seen from all sides, every 45 degrees or closer." in lines
+    rows = {tuple(line.split(maxsplit=2)) for line in lines}
+    few = "8 photos. They are too few for most scenes: take 40 to 100."
+    assert ("photos", "poor", few) in rows
+    assert ("sides", "good", "seen from all sides, every 45 degrees or closer.") in rows
+    (one,), (other,) = ([s for s in lines if s.startswith(w)] for w in ("photos", "heights"))
+    assert one.index("poor") == other.index("fair"), "columns are aligned"
     assert sorted(posed.parent.rglob("*")) == before, "nothing is written"
 
 

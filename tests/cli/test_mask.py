@@ -146,7 +146,7 @@ def test_label_maps_whose_picture_cannot_be_drawn(
     assert run(*mask) == 0
     said = capsys.readouterr().err
     assert "preview.jpg" in said and "--not-stroke" in said, "the picture, and what mends masks"
-    monkeypatch.setattr("stylesplat.figures.preview.mask_preview", fail)
+    monkeypatch.setattr("stylesplat.figures.sheets.mask_preview", fail)
     assert run(*mask, "--json") == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["preview"] is None and json.loads(out)["photos"] == 8

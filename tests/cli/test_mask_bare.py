@@ -48,7 +48,7 @@ def fail(*_: object, **__: object) -> None:
 
 def test_a_picture_that_there_is_no_memory_for(tmp_path: Path, monkeypatch, capsys):
     scene_folder.save(BARE, tmp_path / "scene")
-    monkeypatch.setattr("stylesplat.figures.preview.mask_preview", fail)
+    monkeypatch.setattr("stylesplat.figures.sheets.mask_preview", fail)
     assert run("mask", tmp_path / "scene", "--box", BOX, "--device", "cpu") == 0
     said = capsys.readouterr().err
     assert "There is no picture: Out of memory." in said and "it has red now." in said

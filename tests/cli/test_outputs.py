@@ -30,7 +30,7 @@ WORK = (
     "stylesplat.verbs.export.export",
     "stylesplat.verbs.evaluate.evaluate",
     "stylesplat.verbs.sfm.prepare",
-    "stylesplat.figures.object_sheet.object_sheet",
+    "stylesplat.figures.sheets.object_sheet",
     "stylesplat.demo.demo_run.demo_capture",
 )
 CALLS = {

@@ -66,7 +66,7 @@ def test_a_picture_that_there_is_no_memory_for(scene: Path, monkeypatch, capsys)
     def fail(*_: object) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate")
 
-    monkeypatch.setattr("stylesplat.figures.selection_picture.selection_picture", fail)
+    monkeypatch.setattr("stylesplat.figures.sheets.selection_picture", fail)
     assert run("select", scene, "--name", "red", "--id", 3) == 0
     assert "There is no picture of red: Out of memory." in capsys.readouterr().err
     assert scene_folder.open(scene).objects.keys() == {"red"}

@@ -10,8 +10,7 @@ from PIL import Image
 from balls import CAMERAS
 from command_line import QUICK, complaint, run
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.grid import CAPTION, HEAD
-from stylesplat.figures.object_sheet import CELL, MARGIN
+from stylesplat.figures.grid import CAPTION, CELL, HEAD, MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
 from stylesplat.io.images import read_image
 from stylesplat.stylization.recipe import parse_variation

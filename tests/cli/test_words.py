@@ -10,6 +10,7 @@ from PIL import Image
 
 from ball_photos import write_ball_capture
 from command_line import run
+from stylesplat.figures.grid import CAPTION, MARGIN
 from stylesplat.io.captures.capture_folder import EXACT
 
 
@@ -31,7 +32,7 @@ EXPORT = "stylesplat export"
 
 def test_a_painted_scene_and_its_picture(styled: Path, said):
     with Image.open(styled / "before_after.png") as picture:
-        assert picture.size == (2 * 48 + 8, 36)
+        assert picture.size == (2 * 48 + 3 * MARGIN, 36 + CAPTION + 2 * MARGIN)
     before = (styled / "before_after.png").read_bytes()
     lines = said("adjust", styled, "--intensity", 1)
     assert f"{styled}: 3 at 100 %, 7 at 100 % of the style." in lines
@@ -112,7 +113,7 @@ def test_a_scene_is_there_without_its_picture(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("stylesplat.figures.side_by_side.one_view", fail)
+    monkeypatch.setattr("stylesplat.figures.sheets.one_view", fail)
     lines = said("import", scene / "splats.ply", "-o", tmp_path / "alone", "--device", "cpu")
     assert any(f"There is no picture: {said_of_it}" in line for line in lines)
     assert not any(line.startswith("Picture:") for line in lines)

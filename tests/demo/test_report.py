@@ -5,7 +5,7 @@ from PIL import Image
 from balls import CAMERAS, SPLATS
 from chromium import as_url, launched, needs_chromium
 from stylesplat.demo.report import write_report
-from stylesplat.figures.page_parts import Figure, Section
+from stylesplat.figures.html_page import Figure, Section
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.export import export
 

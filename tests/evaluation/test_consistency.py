@@ -8,7 +8,7 @@ from balls import _viewmat
 from stylesplat.evaluation.consistency import (
     MAX_PAIRS,
     OCCLUDED,
-    Look,
+    ObjectRender,
     view_consistency,
     view_pairs,
     warped_difference,
@@ -26,10 +26,10 @@ def camera(viewmat: torch.Tensor) -> Cameras:
     return Cameras(viewmat[None], K[None], torch.tensor([[SIDE, SIDE]]), ("a",))
 
 
-def wall(viewmat: torch.Tensor, colors: torch.Tensor) -> Look:
+def wall(viewmat: torch.Tensor, colors: torch.Tensor) -> ObjectRender:
     """A plane that fills the image, at one depth."""
     surface = torch.tensor([1.0, DEPTH]).expand(SIDE, SIDE, 2).clone()
-    return Look(camera(viewmat), colors, surface)
+    return ObjectRender(camera(viewmat), colors, surface)
 
 
 def noise() -> torch.Tensor:

@@ -1,3 +1,5 @@
+"""Statistics of features, palettes, and the content that an object keeps."""
+
 from dataclasses import replace
 
 import pytest
@@ -5,12 +7,16 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.evaluation.statistics import (
+    TOLERANCE,
     content_ssim,
     moments,
     object_statistics_distance,
+    off_palette,
+    palette_distance,
     pool,
     style_statistics_distance,
 )
+from stylesplat.metrics.lab import PIXELS
 from stylesplat.metrics.ssim import ssim, ssim_map
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
@@ -173,3 +179,40 @@ def test_content_where_the_styled_scene_has_more_gaussians():
 def test_content_of_an_object_that_is_not_seen():
     nothing = torch.zeros(len(SPLATS), dtype=torch.bool)
     assert content_ssim(SPLATS, SPLATS, CAMERAS[:2], nothing) is None
+
+
+def colors(count: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed))
+
+
+def test_a_picture_is_on_its_own_palette():
+    picture = colors(3 * PIXELS)
+    assert off_palette(picture, picture) == 0
+    assert palette_distance(picture, picture) == 0
+
+
+@pytest.mark.parametrize(("away", "expected"), [(TOLERANCE - 0.5, 0.0), (TOLERANCE + 0.5, 0.25)])
+def test_what_is_farther_than_10_is_off(away: float, expected: float):
+    """L of grey is a third power of what sRGB makes of it."""
+    light = torch.tensor([40.0, 40.0 + away])
+    grey = ((light + 16) / 116) ** 3
+    grey = 1.055 * grey ** (1 / 2.4) - 0.055
+    assert (
+        off_palette(grey[[0, 0, 0, 1], None].expand(4, 3), grey[:1, None].expand(1, 3)) == expected
+    )
+
+
+def test_one_color_far_from_a_picture_is_off():
+    grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
+    assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
+
+
+def test_the_distance_of_palettes_is_of_shares_too():
+    black, white = torch.zeros(60, 3), torch.ones(60, 3)
+    one, other = torch.cat([black, white[:20]]), torch.cat([black[:20], white])
+    assert off_palette(one, other) == 0
+    # half of all goes from black to white; 100 apart in L alone, seen from directions at random
+    expected = 100 * (0.5 / 3) ** 0.5
+    assert palette_distance(one, other) == pytest.approx(expected, rel=0.15)
+    assert palette_distance(one, other) == pytest.approx(palette_distance(other, one))
+    assert palette_distance(one, other, seed=1) != palette_distance(one, other)

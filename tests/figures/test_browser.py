@@ -1,8 +1,15 @@
+"""Splats in a browser: the server, its token, and exact pictures at rest."""
+
+import asyncio
 import http.client
 import socket
 import sys
+import threading
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
 from email.message import Message
+from types import SimpleNamespace
+from typing import Any
 from urllib.request import urlopen
 
 import numpy as np
@@ -10,13 +17,15 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from chromium import launched, needs_chromium
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.browser import serve
-from stylesplat.figures.client_camera import browser_camera
-from stylesplat.figures.live_splats import covariances, weightiest
+from stylesplat.figures.browser import AtRest, serve_viewer
+from stylesplat.figures.live_splats import browser_camera, covariances, weightiest
 from stylesplat.figures.private_server import private_server
+from stylesplat.scene.cameras import Cameras
 from stylesplat.signals import Terminated
 from stylesplat.studio_app.viewing import pose_of
+from stylesplat.work import Worker
 
 
 @pytest.fixture
@@ -27,7 +36,7 @@ def free_port() -> int:
 
 
 def test_serves_on_loopback_until_stopped(free_port):
-    server = serve(SPLATS, cameras=CAMERAS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, cameras=CAMERAS, port=free_port, block=False)
     try:
         with urlopen(server.url, timeout=10) as page:
             assert b"<html" in page.read().lower()
@@ -46,7 +55,7 @@ def test_where_nothing_can_be_served_it_is_told_at_once(host: str, port: int):
 
 
 def test_starts_without_cameras(free_port):
-    server = serve(SPLATS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, port=free_port, block=False)
     try:
         camera = server.server.initial_camera
         ahead = camera.look_at - camera.position
@@ -67,7 +76,7 @@ def test_blocks_until_ctrl_c_and_then_stops(free_port, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stylesplat.figures.browser.time.sleep", interrupt)
-    serve(SPLATS, port=free_port)
+    serve_viewer(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -78,7 +87,7 @@ def test_sigterm_stops_it_too_and_is_no_normal_end(free_port, monkeypatch):
 
     monkeypatch.setattr("stylesplat.figures.browser.time.sleep", terminate)
     with pytest.raises(Terminated):
-        serve(SPLATS, port=free_port)
+        serve_viewer(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -108,7 +117,7 @@ def answer(port: int, path: str, **headers: str) -> tuple[int, Message]:
 
 
 def test_without_the_token_nobody_gets_a_page_or_a_scene(free_port, capsys):
-    server = serve(SPLATS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, port=free_port, block=False)
     try:
         assert capsys.readouterr() == ("", f"StyleSplat: {server.url}\n")
         origin, _, secret = server.url.partition("/?token=")
@@ -134,7 +143,7 @@ def test_without_the_token_nobody_gets_a_page_or_a_scene(free_port, capsys):
 
 
 def test_other_sites_are_refused_even_with_the_token(free_port):
-    server = serve(SPLATS, port=free_port, block=False)
+    server = serve_viewer(SPLATS, port=free_port, block=False)
     path = server.url.removeprefix(f"http://127.0.0.1:{free_port}")
     try:
         for host in (f"127.0.0.1:{free_port}", "localhost:9000"):  # the near end of a tunnel
@@ -159,7 +168,7 @@ def test_a_viser_that_cannot_be_guarded_is_refused(free_port, monkeypatch):
     websockets.__dict__.update(infra.websockets.__dict__, asyncio=library)  # pyright: ignore
     monkeypatch.setattr(infra, "websockets", websockets)
     with pytest.raises(StyleSplatError, match=f"viser {viser.__version__} answers everybody"):
-        serve(SPLATS, port=free_port)
+        serve_viewer(SPLATS, port=free_port)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", free_port)) != 0
 
@@ -175,12 +184,12 @@ def test_covariances_have_the_scales_as_deviations():
 def test_without_viser(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(StyleSplatError, match=r"pip install stylesplat\[view\]"):
-        serve(SPLATS)
+        serve_viewer(SPLATS)
 
 
 def test_empty_splats():
     with pytest.raises(StyleSplatError, match="nothing to view"):
-        serve(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
+        serve_viewer(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
 
 
 def test_of_too_many_gaussians_those_that_show_most_are_sent():
@@ -198,3 +207,91 @@ def test_a_browsers_camera_sees_what_ours_does():
     assert torch.allclose(found.Ks, camera.Ks, atol=1e-3) and found.size == camera.size
     large = browser_camera(wxyz, position, fov, (3840, 2160))
     assert large.size == (960, 540)
+
+
+Told = Callable[[Any], Coroutine[Any, Any, None]]
+
+
+class Server:
+    """What `AtRest` needs of viser's, with one browser."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+        self._joined, self._left = list[Told](), list[Told]()
+        self.on_client_connect, self.on_client_disconnect = self._joined.append, self._left.append
+        self.scene = SimpleNamespace(add_frame=lambda *_, **__: SimpleNamespace(visible=True))
+        self.scene.set_background_image = lambda *_, **__: None
+        camera = SimpleNamespace(
+            **{"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 0.0), "fov": 1.0},
+            **{"image_width": 8, "image_height": 6, "on_update": lambda moved: None},
+        )
+        self.client = SimpleNamespace(client_id=0, scene=self.scene, camera=camera)
+
+    def get_event_loop(self) -> asyncio.AbstractEventLoop:
+        return self._loop
+
+    def join(self) -> None:
+        self._tell(self._joined)
+
+    def leave(self) -> None:
+        self._tell(self._left)
+
+    def settle(self) -> None:
+        """Wait until the loop has done what it was asked for."""
+        self._tell([])
+
+    def _tell(self, told: list[Told]) -> None:
+        async def tell() -> None:
+            for each in told:
+                await each(self.client)
+
+        asyncio.run_coroutine_threadsafe(tell(), self._loop).result(30)
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(30)
+        self._loop.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    found = Server()
+    yield found
+    found.close()
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+def test_a_browser_that_leaves_while_its_picture_renders_is_forgotten(server: Server, leaves: bool):
+    rendered, failures = threading.Event(), list[Exception]()
+    worker = Worker(failures.append)
+
+    def look(camera: Cameras) -> np.ndarray:
+        if leaves:
+            server.leave()
+        rendered.set()
+        return np.zeros((6, 8, 3), np.uint8)
+
+    rest = AtRest(server, worker, look)  # pyright: ignore[reportArgumentType]
+    server.join()
+    assert rendered.wait(30) and worker.settle()
+    server.settle()
+    assert rest.showing(0) != leaves and not failures
+    worker.close()
+
+
+SAID = "(document.body && document.body.innerText) || ''"
+
+
+@needs_chromium
+def test_a_browser_without_webgl_is_told_what_helps():
+    """By viser's own page."""
+    server = serve_viewer(SPLATS, cameras=CAMERAS, port=0, block=False)
+    try:
+        with launched(600, 400, "--disable-3d-apis") as page:
+            page.open(server.url)
+            page.until(f"({SAID}).includes('WebGL is unavailable')")
+            assert "hardware acceleration" in page.evaluate(SAID)
+    finally:
+        server.stop()

@@ -6,15 +6,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.batch_jobs.run_batch import HEAD
 from stylesplat.demo.still_life import dome_cameras
-from stylesplat.figures.capture_picture import PANEL, SEEN, WEAK, capture_picture
-from stylesplat.figures.object_sheet import MARGIN
+from stylesplat.figures.capture_picture import (
+    BLURRED,
+    PANEL,
+    SEEN,
+    UNSEEN,
+    WEAK,
+    capture_picture,
+)
+from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.compose import UNSEEN
-from stylesplat.structure_from_motion.diagnostics import CaptureReport
-from stylesplat.structure_from_motion.image_measures import BLURRED
+from stylesplat.structure_from_motion.capture_report import CaptureReport
 from stylesplat.verbs.check import check
 
 DOME = dome_cameras(48, 48, 36)
@@ -37,7 +41,7 @@ def block(count: int = 3000) -> Tensor:
 
 
 def panels(picture: Tensor) -> tuple[Tensor, Tensor]:
-    rows = picture[HEAD : HEAD + PANEL].float()
+    rows = picture[MARGIN : MARGIN + PANEL].float()
     second = 2 * MARGIN + PANEL
     return rows[:, MARGIN : MARGIN + PANEL], rows[:, second : second + PANEL]
 

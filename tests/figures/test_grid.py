@@ -1,7 +1,6 @@
 import torch
 
-from stylesplat.figures.grid import CAPTION, HEAD, LABEL, Row, draw_grid
-from stylesplat.figures.object_sheet import CELL, MARGIN, PAPER
+from stylesplat.figures.grid import CAPTION, CELL, HEAD, LABEL, MARGIN, PAPER, Row, draw_grid
 
 EDGE = HEAD + MARGIN  # where the first column's margin begins if rows are labelled
 
@@ -17,7 +16,7 @@ def drawn(sheet: torch.Tensor) -> torch.Tensor:
 
 def test_pictures_stand_in_their_row_and_column():
     red, green, blue = plain(255, 0, 0), plain(0, 255, 0), plain(0, 0, 255)
-    sheet = draw_grid([Row([(red, ""), (green, "")], "one"), Row([None, (blue, "")], "two")])
+    sheet = draw_grid([Row([(red, "a"), (green, "")], "one"), Row([None, (blue, "b")], "two")])
     height, width = CELL + CAPTION + MARGIN, CELL + MARGIN
     assert sheet.shape == (MARGIN + 2 * height, EDGE + MARGIN + 2 * width, 3)
     for picture, row, column in ((red, 0, 0), (green, 0, 1), (blue, 1, 1)):
@@ -27,15 +26,31 @@ def test_pictures_stand_in_their_row_and_column():
     assert not drawn(gap).any()
 
 
+def test_rows_are_as_high_and_columns_as_wide_as_their_largest_picture():
+    wide, high = plain(9, 0, 0, width=60, height=20), plain(0, 9, 0, width=30, height=50)
+    sheet = draw_grid([Row([(wide, ""), (high, "")]), Row([(high, "")])])
+    assert sheet.shape == (2 * 50 + 3 * MARGIN, 60 + 30 + 3 * MARGIN, 3)
+    second = sheet[2 * MARGIN + 50 :, MARGIN:]
+    assert torch.equal(second[:50, :30], high)
+
+
+def test_the_second_line_of_a_caption_is_below_the_first():
+    black = plain(0, 0, 0)
+    one, two = (draw_grid([Row([(black, text)])]) for text in ("title", "title\nnote"))
+    assert two.shape[0] > one.shape[0]
+    assert torch.equal(one[:-MARGIN], two[: one.shape[0] - MARGIN])
+    assert drawn(two[one.shape[0] - MARGIN :]).any()
+
+
 def test_without_labels_there_is_no_edge():
-    sheet = draw_grid([Row([(plain(0, 0, 0), "")])])
+    sheet = draw_grid([Row([(plain(0, 0, 0), "a")])])
     assert sheet.shape == (2 * MARGIN + CELL + CAPTION, 2 * MARGIN + CELL, 3)
 
 
 def test_captions_lie_below_their_pictures_and_labels_at_the_left():
-    def sheet(caption: str = "", label: str = "x") -> torch.Tensor:
+    def sheet(caption: str = "a", label: str = "x") -> torch.Tensor:
         black = plain(0, 0, 0)
-        return draw_grid([Row([(black, ""), (black, caption)], label)])
+        return draw_grid([Row([(black, "a"), (black, caption)], label)])
 
     changed = (sheet() != sheet(caption="scale 2")).any(dim=-1).nonzero()
     assert len(changed) and changed[:, 0].min() >= MARGIN + CELL

@@ -5,7 +5,9 @@ import torch
 
 from balls import CAMERAS, CLASSIFIER, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.object_sheet import CARD, CELL, GAP, MARGIN, SMALL, close_up, object_sheet
+from stylesplat.figures.best_views import close_up
+from stylesplat.figures.grid import CARD, CELL, MARGIN
+from stylesplat.figures.sheets import GAP, SMALL, object_sheet
 from stylesplat.scene.splats import Classifier
 
 WIDTH = CELL + GAP + SMALL  # of a cell

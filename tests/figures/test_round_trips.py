@@ -7,7 +7,7 @@ import torch
 from balls import CAMERAS
 from bare_splats import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.round_trips import filled, orbit_around, orbit_cameras
+from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, object_content
 from stylesplat.scene.framing import FILLED, ring_cameras

@@ -4,12 +4,10 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS
-from stylesplat.figures.grid import CAPTION
-from stylesplat.figures.object_sheet import MARGIN
-from stylesplat.figures.selection_picture import OUTLINE, PANEL, selection_picture
+from stylesplat.figures.grid import CAPTION, MARGIN
+from stylesplat.figures.sheets import OUTLINE, PANEL, THICKNESS, selection_picture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
-from stylesplat.structure_from_motion.world_frame import THICKNESS
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 BLUE = pick(SPLATS, object_id=300, remove_outliers=False)
@@ -35,7 +33,7 @@ def colored(panel: torch.Tensor, color: tuple[int, ...]) -> torch.Tensor:
 @pytest.mark.parametrize(("picked", "channel"), [(RED, 0), (BLUE, 2)])
 def test_what_is_picked_in_colour_and_all_else_grey(picked: torch.Tensor, channel: int):
     picture = drawn(picked)
-    assert picture.shape == (MARGIN + HEIGHT + CAPTION, MARGIN + 3 * (PANEL + MARGIN), 3)
+    assert picture.shape == (2 * MARGIN + HEIGHT + CAPTION, MARGIN + 3 * (PANEL + MARGIN), 3)
     for number in range(3):
         view = panel(picture, number)
         outline = colored(view, OUTLINE)
@@ -92,7 +90,7 @@ def test_fewer_views():
 def test_views_of_different_shapes_and_names():
     tall = replace(CAMERAS[:1], sizes=torch.tensor([[36, 48]]), names=("tall.jpg",))
     both = drawn(RED, tall + CAMERAS[2:3])
-    assert both.shape == (MARGIN + PANEL + CAPTION, 2 * MARGIN + PANEL + HEIGHT + MARGIN, 3)
+    assert both.shape == (2 * MARGIN + PANEL + CAPTION, 2 * MARGIN + PANEL + HEIGHT + MARGIN, 3)
     renamed = replace(CAMERAS, names=tuple("x" * 99 + name for name in CAMERAS.names))
     changed = (drawn(RED, renamed) != drawn(RED)).any(dim=-1).nonzero()
     assert changed[:, 0].min() >= MARGIN + HEIGHT, "names are below the pictures"

@@ -13,7 +13,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from chromium import Page, as_url, launched, needs_chromium
 from splat_pages import element, read, scene
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.palettes import meant, nearest, palette_of
+from stylesplat.figures.packed import meant, nearest_entries, palette_of
 from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.rendering.reference import rasterize, rotation_matrices
@@ -116,14 +116,16 @@ def test_palettes():
     values[::3] = 0
     palette, strongest = palette_of(values)
     entries = meant(palette, strongest)
-    found = entries[nearest(values, entries)]
+    found = entries[nearest_entries(values, entries)]
     assert (found - values).abs().max() <= 0.51 * strongest / 127, "each has its own entry"
-    assert found[::3].eq(0).all() and nearest(values[:0], entries).shape == (0,)
+    assert found[::3].eq(0).all() and nearest_entries(values[:0], entries).shape == (0,)
     nothing, _ = palette_of(0 * values)
     assert nothing.eq(128).all()
     many = torch.randn(600, 2, generator=torch.Generator().manual_seed(1))
     entries = meant(*palette_of(many))
-    assert (entries[nearest(many, entries)] - many).norm(dim=1).mean() < 0.075  # 0.082 at random
+    assert (entries[nearest_entries(many, entries)] - many).norm(
+        dim=1
+    ).mean() < 0.075  # 0.082 at random
 
 
 @pytest.fixture(scope="module")

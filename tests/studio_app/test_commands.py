@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from studio_balls import QUICK, session_in, stripes
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import open
 from stylesplat.studio_app.commands import commands, held_by
 from stylesplat.studio_app.comparing import taken_back

@@ -8,7 +8,7 @@ import torch
 from balls import CAMERAS, SPLATS
 from studio_balls import QUICK, quick_style, session_in, stripes
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.client_camera import browser_camera
+from stylesplat.figures.live_splats import browser_camera
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
 from stylesplat.rendering.sh import rgb_from_sh0

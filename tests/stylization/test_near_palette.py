@@ -7,7 +7,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from striped_balls import FAST, SCENE, ball
-from stylesplat.evaluation.palette import TOLERANCE, off_palette
+from stylesplat.evaluation.statistics import TOLERANCE, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.stylization.color import object_colors

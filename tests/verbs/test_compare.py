@@ -9,7 +9,7 @@ import torch
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.differences import flat
+from stylesplat.evaluation.summary import flat
 from stylesplat.scene.frames import Frame, seen_from
 from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.compare import compare

@@ -44,9 +44,13 @@ def without_held_out(scene: Scene) -> Scene:
     return replace(scene, held_out=())
 
 
-def as_said(styled: Scene, found: Mapping[str, Any]) -> dict[str, Any]:
-    """What `stylize` said of the same."""
-    return {"schema": SCHEMA} | {n: styled.metrics[n] for n in found if n != "schema"}
+def assert_as_said(styled: Scene, found: Mapping[str, Any]) -> None:
+    """What `stylize` measured is the same within the few pixels that views are cut larger."""
+    assert found["schema"] == SCHEMA
+    shared = found.keys() & styled.metrics.keys()
+    assert {"nnfm_after", "outside_psnr"} <= shared
+    for name in shared:
+        assert found[name] == pytest.approx(styled.metrics[name], rel=0.01), name
 
 
 def test_a_trained_scene(capture: Capture):
@@ -64,7 +68,7 @@ def test_a_trained_scene_without_photos_or_held_out_views(capture: Capture):
 def test_a_styled_scene(styled: Scene, capture: Capture):
     alone = evaluate(styled, device="cpu")
     assert alone.keys() >= CHANGES | STYLE | {"content_ssim"} and not alone.keys() & PHOTOS
-    assert alone == as_said(styled, alone)
+    assert_as_said(styled, alone)
     both = evaluate(styled, capture, device="cpu")
     assert both.keys() == alone.keys() | PHOTOS
     manual = (Path(__file__).parents[2] / "docs" / "manual.md").read_text(encoding="utf-8")
@@ -74,7 +78,7 @@ def test_a_styled_scene(styled: Scene, capture: Capture):
 def test_a_styled_scene_without_held_out_views(picture: Path, capture: Capture):
     styled = painted(without_held_out(TRAINED), "red", picture)
     alone = evaluate(styled, device="cpu")
-    assert alone == as_said(styled, alone)
+    assert_as_said(styled, alone)
     assert alone.keys() >= CHANGES | STYLE | {"content_ssim"}
     assert evaluate(styled, capture, device="cpu") == alone
 

@@ -57,9 +57,10 @@ class Check:
         """What was made, and how to go on."""
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
 
+        width = max(map(len, result["findings"]))
         for what, found in result["findings"].items():
             advice = f" {found['advice']}" if found["advice"] else ""
-            yield f"{what}: {found['verdict']}. {found['says']}.{advice}"
+            yield f"{what:{width}}  {found['verdict']}  {found['says']}.{advice}"
         if "picture" in result:
             yield f"Picture: {result['picture']}, the cameras and points from above and the side."
         masked = (self.capture / OBJECT_MASK).is_dir()

@@ -78,7 +78,7 @@ class Evaluate:
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
         from stylesplat.cli.side_by_side_page import comparison_lines
-        from stylesplat.evaluation.in_words import photo_lines, style_lines
+        from stylesplat.evaluation.summary import photo_lines, style_lines
 
         if self.compare:
             yield from comparison_lines(result)

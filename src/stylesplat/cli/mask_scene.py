@@ -128,7 +128,7 @@ def _draw(scene: "Scene", names: dict[int, str], target: Path, device: "Device")
     """Draw what the Gaussians' labels look like in the views; how many of these show any."""
     from dataclasses import replace
 
-    from stylesplat.figures.preview import mask_preview
+    from stylesplat.figures.sheets import mask_preview
     from stylesplat.io.images import write_image
     from stylesplat.masks.quick_splat import rendered_capture
     from stylesplat.rendering.device import pick_device

@@ -1,6 +1,6 @@
 """Pictures that commands leave in the scenes that they make."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,20 +12,27 @@ if TYPE_CHECKING:
 
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
+    from stylesplat.stylization.object_views import Box
 
 BEFORE_AFTER = "before_after.png"
 PHOTO_AND_RENDER = "photo_and_render.png"
 VIEW = "view.png"
 
 
-def write_before_after(scene: "Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:
+def write_before_after(
+    scene: "Scene",
+    folder: Path,
+    *,
+    surveys: "Mapping[str, Sequence[Box]] | None" = None,
+    device: str = "auto",
+) -> dict[str, Any]:
     """Draw what was painted on a scene; where, and in which view, see `before_after`."""
-    from stylesplat.figures.side_by_side import before_after
+    from stylesplat.figures.sheets import before_after
 
     views = list[str]()
 
     def draw() -> "UInt8[Tensor, 'H W 3'] | None":
-        found = before_after(scene, device=device)
+        found = before_after(scene, surveys=surveys, device=device)
         if found is None:
             return None
         views.append(found[0])
@@ -60,7 +67,7 @@ def write_look(
 
     Without photos the view alone.
     """
-    from stylesplat.figures.side_by_side import beside_photo, one_view
+    from stylesplat.figures.sheets import beside_photo, one_view
 
     names = scene.held_out or scene.cameras.names
     name = names[len(names) // 2]

@@ -63,10 +63,10 @@ def write_comparison(
         StyleSplatError: If a scene cannot be read, they share no view, or the page cannot be
             written.
     """
-    from stylesplat.io.atomic import changing
+    from stylesplat.io.recovery import changing
     from stylesplat.io.scene_folder import open
     from stylesplat.progress import say
-    from stylesplat.scene.scene import shared_views
+    from stylesplat.scene.shared_views import shared_views
     from stylesplat.verbs.compare import compare
 
     names = _names(paths)
@@ -106,15 +106,11 @@ def comparison_lines(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _write(comparison: "Comparison", page: Path) -> None:
-    from stylesplat.figures.comparison_page import Column, comparison_page
-    from stylesplat.io.atomic import atomic_path
+    from stylesplat.figures.html_page import comparison_page
+    from stylesplat.io.files import atomic_path
 
-    columns = [
-        Column(each.name, each.metrics, each.differences, each.from_first, each.pictures)
-        for each in comparison.scenes
-    ]
     text = comparison_page(
-        columns, comparison.views, title="Scenes compared", notes=comparison.notes
+        comparison.scenes, comparison.views, title="Scenes compared", notes=comparison.notes
     )
     with atomic_path(page) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -16,8 +16,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.style_config import Network
 
 if TYPE_CHECKING:
-    from stylesplat.scene.capture import Capture
-    from stylesplat.scene.scene import Scene
     from stylesplat.stylization.style import Recipe, StyledObject
 
 SETTINGS = (
@@ -98,7 +96,7 @@ class Stylize:
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         """What was made, and how to go on."""
-        from stylesplat.evaluation.in_words import style_lines
+        from stylesplat.evaluation.summary import style_lines
 
         yield f"{self.output}: painted."
         yield from before_after_line(result)
@@ -125,9 +123,11 @@ class Stylize:
         save_or_rescue(painted.scene, self.output, overwrite=self.overwrite)
         say(f"The painted scene is in {self.output}. What is left is to measure and to draw it.")
         tidy_heap()
-        picture = write_before_after(painted.scene, self.output, device=self.device)
+        picture = write_before_after(
+            painted.scene, self.output, surveys=painted.surveys, device=self.device
+        )
         tidy_heap()
-        styled = painted.measured(_capture(painted.scene))
+        styled = painted.measured()
         revise(painted.scene, styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
         return {"scene": self.output, **picture, **numbers}
@@ -157,22 +157,6 @@ class Stylize:
             )
         recipe = read_recipe(self.recipe, preset=self.preset)
         return Recipe(tuple(_overridden(each, settings) for each in recipe.objects))
-
-
-def _capture(scene: "Scene") -> "Capture | None":
-    """The photos of a scene, if they are there; their label maps say where its objects are."""
-    from stylesplat.io.captures.capture_folder import exact_masks
-    from stylesplat.progress import say
-    from stylesplat.verbs.load import load
-
-    if scene.capture is None or not scene.capture.is_dir():
-        return None
-    try:
-        masks = exact_masks(scene.capture)
-        return load(scene.capture, downscale=scene.downscale, masks=masks)
-    except StyleSplatError as error:  # the painting is done all the same
-        say(f"Stains beside the objects are not looked for: {error}")
-        return None
 
 
 def _overridden(each: "StyledObject", settings: dict[str, Any]) -> "StyledObject":

@@ -11,17 +11,15 @@ from typing import Any
 from stylesplat.demo.demo_capture import demo_capture
 from stylesplat.demo.rehearsal import compiled_meanwhile
 from stylesplat.demo.report import write_report
-from stylesplat.evaluation.in_words import painted_gaussians, style_lines
-from stylesplat.figures.object_sheet import object_sheet
-from stylesplat.figures.page_parts import Figure, Section
+from stylesplat.evaluation.summary import painted_gaussians, style_lines
+from stylesplat.figures.best_views import quiet_cut
+from stylesplat.figures.html_page import Figure, Section
 from stylesplat.figures.pictures import label_colors
-from stylesplat.figures.quiet_cut import quiet_cut
-from stylesplat.io.atomic import refuse_occupied
-from stylesplat.io.captures.capture_folder import exact_masks
+from stylesplat.figures.sheets import object_sheet
+from stylesplat.io.folders import refuse_occupied
 from stylesplat.io.images import write_image
-from stylesplat.io.kinds import SCENE
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.io.scene_folder import open, save
+from stylesplat.io.scene_folder import SCENE, open, save
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
@@ -69,7 +67,6 @@ def run_demo(output: Path, *, overwrite: bool = False) -> dict[str, Any]:
             name: Style(capture / "styles" / f"{style}.png", config=STYLING)
             for name, style in STYLES.items()
         },
-        capture=load(capture, masks=exact_masks(capture)),
     )
     save(styled, output / "styled", overwrite=True)
     _render(scene, styled, output)

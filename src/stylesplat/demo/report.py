@@ -4,8 +4,8 @@ from html import escape
 from pathlib import Path
 from string import Template
 
-from stylesplat.figures.page_parts import Section, file_url, page_style, section_html
-from stylesplat.io.atomic import atomic_path
+from stylesplat.figures.html_page import Section, file_url, page_style, section_html
+from stylesplat.io.files import atomic_path
 
 TEMPLATE = Path(__file__).with_name("report.html")
 

@@ -1,4 +1,4 @@
-"""Whether a styled object looks the same from everywhere: views warped onto each other."""
+"""View consistency of a painted object: views are warped onto each other."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, project, unproject
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import find_boxes
+from stylesplat.stylization.object_views import Box, find_boxes
 
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it
 MAX_PAIRS = 4  # per range
@@ -23,8 +23,8 @@ OCCLUDED = 0.02  # relative difference of depth from which another surface is se
 
 
 @dataclass(frozen=True)
-class Look:
-    """What one camera sees of an object, before and after it is styled."""
+class ObjectRender:
+    """The render of an object in one view, before and after it is painted."""
 
     camera: Cameras
     """One camera."""
@@ -40,28 +40,24 @@ def view_consistency(
     styled: Splats,
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
+    *,
+    boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
-    """Compare the colours of the same places of an object between views.
+    """Compare the colours of the same surface points of an object between views.
 
     Papers on 3D style transfer warp one view to another and report the masked RMSE, between
     neighbours and between views farther apart (StyleGaussian, Liu et al. 2024). Here depth
     rendered from the Gaussians stands in for the optical flow. Errors of that depth, highlights
     and the resampling of fine texture count too, hence the same numbers of the base scene.
 
-    Args:
-        base: The scene before; its geometry counts.
-        styled: The scene after, which may have other Gaussians.
-        cameras: Views in the order in which they were photographed.
-        picked: The object's Gaussians in `base`.
-
     Returns:
         `short_range_rmse` and `long_range_rmse` of the styled scene, and both with `_base` of
         the other; a range whose views share no visible surface is left out.
     """
-    boxes = find_boxes(base, cameras, picked)
+    boxes = boxes or find_boxes(base, cameras, picked)
     pairs = {name: view_pairs(len(boxes), gap) for name, gap in RANGES.items()}
     rows = {row for chosen in pairs.values() for pair in chosen for row in pair}
-    looks = {row: _look(base, styled, boxes[row].camera, picked) for row in rows}
+    looks = {row: _render_object(base, styled, boxes[row].camera, picked) for row in rows}
     found = {}
     for name, chosen in pairs.items():
         differences = [warped_difference(looks[a], looks[b]) for a, b in chosen]
@@ -77,11 +73,11 @@ def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
     return evenly([(i, i + gap) for i in range(count - gap)], MAX_PAIRS) if gap > 0 else []
 
 
-def warped_difference(a: Look, b: Look) -> Float[Tensor, "P 6"]:
-    """Colours of the object in `a`, seen from `b`, less those in `b`.
+def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
+    """Colours of the object in `a`, warped to `b`, minus those in `b`.
 
     Returns:
-        One row per pixel of `b` whose place on the object is seen in `a` too.
+        One row per pixel of `b` whose point on the object is visible in `a` too.
     """
     mask = b.surface[..., 0] > COVERED
     coverage, summed = b.surface[mask].unbind(-1)
@@ -95,18 +91,20 @@ def warped_difference(a: Look, b: Look) -> Float[Tensor, "P 6"]:
     return (found - b.colors[mask])[inside & (coverage > COVERED) & same_surface]
 
 
-def _look(base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Look:
+def _render_object(
+    base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"]
+) -> ObjectRender:
     small = camera.at_most(LONGER_SIDE).to(base.device)
     mine = picked.to(base.means)
     features = torch.stack([mine, mine * depths_of(base.means, small)], dim=1)
     before, _ = render(base, small, features=features)
     after, _ = render(styled, small)
     colors = torch.cat([before[..., :3], after], dim=-1).clamp(0, 1)
-    return Look(small, colors, before[..., 3:])
+    return ObjectRender(small, colors, before[..., 3:])
 
 
 def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Float[Tensor, "P D"]:
-    """Bilinear between the pixels' centres at +0.5; the border continues outwards."""
+    """Sample bilinearly; pixel centres are at +0.5, and the border continues outwards."""
     height, width = image.shape[:2]
     grid = 2 * places / places.new_tensor([width, height]) - 1
     planes = image.permute(2, 0, 1)[None]
@@ -115,7 +113,7 @@ def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Floa
 
 
 def _rmse(differences: Sequence[Float[Tensor, "_ 6"]]) -> tuple[float, float]:
-    """Of the base and of the styled scene, over the pixels of all pairs."""
+    """RMSE of the base and of the painted scene over the pixels of all pairs."""
     squares = torch.cat(list(differences)).square().mean(dim=0)
     before, after = squares.view(2, 3).mean(dim=1).sqrt().tolist()
     return before, after

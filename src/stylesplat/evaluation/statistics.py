@@ -1,4 +1,4 @@
-"""What NNFM leaves open: whether all of the style arrives, and what is left of the object."""
+"""What NNFM does not measure: statistics of features, colours, and the object's own content."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,17 +7,23 @@ from functools import reduce
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
-from stylesplat.metrics.lab import LUMA
+from stylesplat.metrics.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.metrics.ssim import ssim_map
-from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED
+from stylesplat.rendering.one_view import render
+from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.object_views import ObjectView
 
 TINY = 1e-12  # keeps 0 / 0 at 0: a style without any feature or any contrast
+TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
+SAME = 1.0  # of Lab, the size of the cubes whose colours count as one
+SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart than 8.7
+DIRECTIONS = 64  # that palettes are projected on
+QUANTILES = 256  # by which two projections are compared
 
 
 @dataclass(frozen=True)
@@ -41,10 +47,6 @@ def style_statistics_distance(
     match of both is how AdaIN and WCT define a style (Huang & Belongie 2017, Li et al. 2017);
     unlike NNFM it also notices which parts of the style are missing.
 
-    Args:
-        feats: Of the render, one row per pixel.
-        style_feats: Of the style image.
-
     Returns:
         0 if they agree; the same if both sets are scaled or copied.
     """
@@ -59,19 +61,10 @@ def object_statistics_distance(
     network: FeatureNetwork,
     blocks: Sequence[int],
 ) -> float:
-    """`style_statistics_distance` of an object's features in all views, averaged over blocks.
-
-    Args:
-        splats: The scene.
-        views: Of the object; at least one.
-        targets: The style's features of each block.
-        network: Whose features are compared.
-        blocks: Which blocks of it.
-    """
+    """`style_statistics_distance` of an object's features in all views, averaged over blocks."""
 
     def one_view(view: ObjectView) -> list[Moments]:
-        image, _ = render(splats, view.camera)
-        feats = network(image.clamp(0, 1), blocks)
+        feats = network(render(splats, view.camera)[0].clamp(0, 1), blocks)
         return [moments(f[cells]) for f, cells in zip(feats, view.cells, strict=True)]
 
     def merge(one: list[Moments], other: list[Moments]) -> list[Moments]:
@@ -105,13 +98,7 @@ def content_ssim(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
 ) -> float | None:
-    """How much of an object's shading and texture is left: SSIM before to after, of luminance.
-
-    Args:
-        base: The scene before.
-        styled: The scene after, which may have other Gaussians.
-        cameras: The views to compare in, at their size.
-        picked: The object's Gaussians in `base`.
+    """SSIM of an object's luminance before and after: how much of its content is left.
 
     Returns:
         1 if nothing changed. The mean over the object's pixels, then over the views that show
@@ -119,12 +106,11 @@ def content_ssim(
     """
     scores = []
     for index in range(len(cameras)):
-        features = picked.to(base.means)[:, None]
-        before = render(base, cameras[index], features=features)[0]
-        covered = before[..., 3] > COVERED
+        before, coverage = colors_and_coverage(base, cameras[index], picked)
+        covered = coverage[..., 0] > COVERED
         if covered.any():
             after = render(styled, cameras[index])[0]
-            similarity = ssim_map(_luminance(before[..., :3]), _luminance(after))[0]
+            similarity = ssim_map(_luminance(before), _luminance(after))[0]
             scores.append(similarity[covered].mean())
     return float(torch.stack(scores).mean()) if scores else None
 
@@ -137,3 +123,39 @@ def _distance(found: Moments, style: Moments) -> Float[Tensor, ""]:
     pairs = ((found.mean, style.mean), (found.covariance, style.covariance))
     relative = [(x - y).norm() / y.norm().clamp(min=TINY) for x, y in pairs]
     return torch.stack(relative).mean()
+
+
+def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> float:
+    """The share of colours that are farther than 10 in Lab (CIE 1976) from all of the style.
+
+    Args:
+        colors: In 0..1; of very many some, evenly chosen, stand for all.
+        style: Those of the pictures, in 0..1. Such as differ by less than about 1 count as one.
+    """
+    lab = lab_from_rgb(thinned(colors))
+    palette = lab_from_rgb(distinct(style, SAME))
+    far = ~torch.isin(cells(lab, SURELY_NEAR), cells(palette, SURELY_NEAR))
+    if not far.any():
+        return 0.0
+    others = lab[far]
+    distances = (others - palette[nearest_colors(others, palette)]).norm(dim=1)
+    return int((distances > TOLERANCE).sum()) / len(lab)
+
+
+def palette_distance(
+    colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"], *, seed: int = 0
+) -> float:
+    """The sliced Wasserstein distance of two sets of colours, in Lab.
+
+    Returns:
+        The root mean square over directions and quantiles; 0 if all colours have their shares.
+        It is 1 / sqrt(3) of the distance if all colours are moved by the same.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    directions = F.normalize(torch.randn(3, DIRECTIONS, generator=generator), dim=0).to(colors)
+    levels = ((torch.arange(QUANTILES) + 0.5) / QUANTILES).to(colors)
+    one, other = (
+        (lab_from_rgb(thinned(each)) @ directions).quantile(levels, dim=0)
+        for each in (colors, style)
+    )
+    return float((one - other).square().mean().sqrt())

@@ -1,34 +1,44 @@
-"""Which views show an object best, and from sides that differ."""
+"""Choose the views that show an object best, and from different sides."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.grid import CELL
 from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.one_view import render
+from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
-from stylesplat.scene.projection import share_in_images
+from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.stylization.object_views import SURVEY_SIZE
+from stylesplat.selection.in_images import in_images
+from stylesplat.stylization.object_views import SURVEY_SIZE, Box
 
 VIEWS = 3  # of an object
+OVERSCAN = 0.5  # of the view on each side, to show what the border of the photo cuts off
+PART_SHARE = 0.2  # of the pixels of the largest part, below which a part is taken for a stray
+PADDING = 0.06  # of a cut-out on each side
+SURROUNDINGS = 0.15  # of an object, on each side of a close-up
 SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
 MOST = 0.5  # of what the fullest image has of an object, from which others are searched too
 
 
 @dataclass(frozen=True)
-class Shown:
+class ObjectMask:
     """An object in one view."""
 
     row: int
@@ -44,36 +54,48 @@ def find_views(
     picked: Bool[Tensor, " N"],
     *,
     count: int = VIEWS,
-) -> list[Shown]:
+    masks: Mapping[int, Bool[Tensor, "h w"]] | None = None,
+) -> list[ObjectMask]:
     """The views that show most of an object from sides that differ, the best one first.
 
     Args:
         splats: The scene.
         cameras: Views to choose from.
-        picked: The object's Gaussians.
-        count: How many to find; fewer if it shows in fewer.
+        picked: The Gaussians of the object.
+        count: How many to find; fewer if it is visible in fewer.
+        masks: The mask in every view that shows it, if they are known (`masks_of`).
     """
     surface = splats.means[solid(splats, picked)]
+    rows = _likely_rows(cameras, surface)
 
     def mask(row: int) -> Tensor:
         return coverage(splats, small(cameras[row]), picked) > MIN_COVERAGE
 
-    rows = _likely_rows(cameras, surface)
-    found = track(at_once(mask, rows, splats.device), "looking for the object", total=len(rows))
-    masks = dict(zip(rows, found, strict=True))
-    scores = {row: visibility(mask) for row, mask in masks.items()}
-    return [Shown(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
+    if masks is None:
+        found = at_once(mask, rows, splats.device)
+        found = track(found, "looking for the object", total=len(rows))
+        masks = dict(zip(rows, found, strict=True))
+    scores = {row: visibility(masks[row]) for row in rows if row in masks}
+    return [ObjectMask(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
+
+
+def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bool[Tensor, "h w"]]:
+    """The masks of some objects together, by row of the camera, from the boxes of each object."""
+    masks = dict[int, Tensor]()
+    for box in chain.from_iterable(surveys):
+        (name,) = box.camera.names
+        row = cameras.index(name)
+        width, height = small(cameras[row]).size
+        mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
+        scale = box.places.new_tensor([width, height]) / box.camera.sizes[0]
+        x, y = (box.places * scale).long().unbind(1)
+        mask[y.clamp(max=height - 1), x.clamp(max=width - 1)] = True
+    return masks
 
 
 @torch.no_grad()
-def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[Shown]) -> Shown:
-    """The view that shows most of an object and of its own detail: a face rather than a back.
-
-    Args:
-        splats: The scene.
-        cameras: Those that the views are rows of.
-        found: At least one view of the object.
-    """
+def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask]) -> ObjectMask:
+    """The view that shows most of an object and of its own detail: a face rather than a back."""
     return max(found, key=lambda each: _detail(splats, small(cameras[each.row]), each.mask))
 
 
@@ -88,14 +110,7 @@ def _detail(splats: Splats, camera: Cameras, mask: Bool[Tensor, "h w"]) -> float
 def best_rows(
     cameras: Cameras, surface: Float[Tensor, "M 3"], scores: Mapping[int, float], count: int = VIEWS
 ) -> list[int]:
-    """The cameras that see an object best and from sides that differ, the best one first.
-
-    Args:
-        cameras: All there are.
-        surface: Points of the object.
-        scores: The `visibility` of the object in some of them.
-        count: How many to choose; fewer if it shows in fewer.
-    """
+    """The cameras that see an object best and from sides that differ, the best one first."""
     rows = [row for row, score in scores.items() if score > 0]
     if not rows:
         return []
@@ -121,8 +136,90 @@ def small(camera: Cameras) -> Cameras:
     return camera.at_most(SURVEY_SIZE)
 
 
+@torch.no_grad()
+def close_up(
+    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
+) -> Cameras:
+    """A square view of an object and a margin, from the camera that shows most of it.
+
+    Returns:
+        One camera, named as the one it was made from.
+
+    Raises:
+        StyleSplatError: If the object shows in none of the views.
+    """
+    found = find_views(splats, cameras, picked, count=1)
+    if not found:
+        where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"
+        raise StyleSplatError(f"The object does not show in {where}. Choose a view of it.")
+    best = cameras[found[0].row]
+    return aim_at(splats, picked, best, side, padding=SURROUNDINGS)
+
+
+def aim_at(
+    splats: Splats,
+    picked: Bool[Tensor, " N"],
+    camera: Cameras,
+    side: int,
+    *,
+    padding: float = PADDING,
+) -> Cameras:
+    """The same camera, shifted and zoomed to the square around an object, for a picture of it."""
+    width, height = camera.size
+    step = max(width, height) / SURVEY_SIZE
+    left, top = -OVERSCAN * width, -OVERSCAN * height
+    wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
+    survey = crop(camera, (left, top), tuple(wide), zoom=1 / step)
+    _, share = colors_and_coverage(splats, survey, picked)
+    box = _main_box(share[..., 0].cpu().numpy() > MIN_COVERAGE)
+    if box is None:
+        return crop(camera, (0.0, 0.0), (side, side), zoom=side / max(width, height))
+    x0, y0, x1, y1 = box
+    length = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
+    corner = (left + (x0 + x1) / 2 * step - length / 2, top + (y0 + y1) / 2 * step - length / 2)
+    return crop(camera, corner, (side, side), zoom=side / length)
+
+
+def _main_box(shown: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
+    """Left, top, right and bottom of the large connected parts; None if nothing shows."""
+    _, _, stats, _ = cv2.connectedComponentsWithStats(shown.astype(np.uint8))
+    parts = stats[1:]  # the first is what does not show
+    if not len(parts):
+        return None
+    areas = parts[:, cv2.CC_STAT_AREA]
+    left, top, width, height, _ = parts[areas >= PART_SHARE * areas.max()].T
+    right, bottom = left + width, top + height
+    return int(left.min()), int(top.min()), int(right.max()), int(bottom.max())
+
+
+@torch.no_grad()
+def quiet_cut(splats: Splats, camera: Cameras, objects: Sequence[Bool[Tensor, " N"]]) -> float:
+    """The upright line that cuts least of some objects, with at least one on each side.
+
+    Args:
+        splats: The scene.
+        camera: One camera.
+        objects: The Gaussians of each; those that the camera does not see count for nothing.
+
+    Returns:
+        Its place, 0 to 1 from the left; that of a single object is beside it.
+    """
+    shown = [coverage(splats, camera, picked) > MIN_COVERAGE for picked in objects]
+    columns = torch.stack([mask.sum(dim=0).float().cpu() for mask in shown])  # [objects, W]
+    columns = columns[columns.sum(dim=1) > 0]
+    if not len(columns):
+        return 0.5
+    places = torch.arange(columns.shape[1])
+    middles = (columns * places).sum(dim=1) / columns.sum(dim=1)
+    crossed = columns.sum(dim=0)
+    if len(columns) > 1:
+        between = (places >= middles.min()) & (places <= middles.max())
+        crossed = crossed.where(between, math.inf)
+    return (int(crossed.argmin()) + 0.5) / len(places)
+
+
 def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:
     """Some of the cameras that have an object in their image, though something may hide it."""
-    shares = share_in_images(surface, cameras)
+    shares = in_images(surface, cameras)
     good = (shares > 0) & (shares >= MOST * shares.max())
     return evenly(good.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)

@@ -1,7 +1,7 @@
-"""Splats before and after, as few bytes as look the same: what a page that shows them holds.
+"""Splats before and after painting, packed into few bytes for a web page.
 
-The numbers are rounded so that pictures of two scenes (a still life and a fox, 100,000 Gaussians)
-differ by 58 dB or more for any one of them; only the higher bands of colour are coarser, 37 dB.
+Numbers are rounded so that pictures of two scenes (a still life and a fox, 100,000 Gaussians)
+differ by 58 dB or more for any one of them; the higher bands of colour are coarser, 37 dB.
 """
 
 import zlib
@@ -10,23 +10,67 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.figures.palettes import meant, nearest, palette_of
-from stylesplat.io.splats.packing import LARGEST, morton_order, smallest_three
+from stylesplat.io.splats.morton import morton_order
+from stylesplat.io.splats.rotations import LARGEST, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.constants import MIN_ALPHA
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.splats import Splats
 
+ENTRIES = 256  # as many as a byte can name; the first is all zeros
+SAMPLE = 20_000  # rows that a palette is made from
+ROUNDS = 6  # of k-means; more change little
+AT_ONCE = 16_384  # rows whose distances from all entries are in memory
+MIDDLE, STEPS = 128, 127  # the byte of 0, and how many there are on each side
+
+Bytes = UInt8[Tensor, "E D"]
 SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
 COLORS = (-1.0, 2.0)  # mean colours beyond are drawn as these
 TINY = 1e-12  # length, of splats that are all in one place
 LEVELS = 2  # palettes: the entry of the second is added to that of the first
-
 Column = UInt8[Tensor, "..."]
+
+
+def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, float]:
+    """Entries that rows are like (k-means, Lloyd 1982), rounded to bytes.
+
+    Returns:
+        The entries, and what the largest byte means.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    rows = values.ne(0).any(dim=1).nonzero()[:, 0]
+    rows = rows[torch.randperm(len(rows), generator=generator)[:SAMPLE]]
+    sample = values[rows]
+    entries = values.new_zeros(ENTRIES, values.shape[1])
+    first = sample[: ENTRIES - 1]
+    entries[1 : 1 + len(first)] = first
+    for _ in range(ROUNDS if len(sample) > len(first) else 0):
+        entry = nearest_entries(sample, entries)
+        counts = torch.bincount(entry, minlength=ENTRIES)
+        sums = torch.zeros_like(entries).index_add(0, entry, sample)
+        found = counts > 0
+        found[0] = False  # stays zero: rows without anything are so exactly
+        entries[found] = sums[found] / counts[found, None]
+    strongest = float(entries.abs().max()) or 1.0
+    return (entries / strongest * STEPS + MIDDLE).round().byte(), strongest
+
+
+def meant(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
+    """The values of a palette's bytes."""
+    return (palette.float() - MIDDLE) / STEPS * strongest
+
+
+def nearest_entries(
+    values: Float[Tensor, "M D"], entries: Float[Tensor, "E D"]
+) -> Int[Tensor, " M"]:
+    """The entry that each row is most like."""
+    squares = entries.square().sum(dim=1)
+    parts = [(squares - 2 * part @ entries.T).argmin(dim=1) for part in values.split(AT_ONCE)]
+    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.int64)
 
 
 @dataclass(frozen=True)
@@ -111,7 +155,7 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
     for level in track(range(LEVELS), "packing colours", unit="palette"):
         palette, about["strongest"][level] = palette_of(rest)
         entries = meant(palette, about["strongest"][level])
-        index = nearest(rest, entries)
+        index = nearest_entries(rest, entries)
         rest = rest - entries[index]
         indices.append(index.byte())
         yield palette.unflatten(1, (bands, 3)).permute(1, 0, 2)  # [bands, 256, 3]

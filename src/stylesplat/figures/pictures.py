@@ -1,5 +1,6 @@
 """Pictures of splats: colour, labels, identities, depth, or one object alone."""
 
+import re
 from collections.abc import Callable, Iterator
 
 import cv2
@@ -7,19 +8,23 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.figures.compositing import Background, over, parse_background, to_uint8
-from stylesplat.io.captures.photos import BLACK
-from stylesplat.io.images import WHITE, ColorPicture, ViewPicture
+from stylesplat.errors import StyleSplatError, brief
+from stylesplat.io.images import ColorPicture, ViewPicture
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.render import render
+from stylesplat.rendering.one_view import render
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, render_labels, require_identities
 
-Painter = Callable[[Cameras], ViewPicture]
+Background = tuple[float, float, float] | None
+"""A colour in 0..1, or None where the picture is to be transparent."""
 
+BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+TRANSPARENT = "transparent"
+NAMED: dict[str, Background] = {TRANSPARENT: None, "black": BLACK, "white": WHITE}
+HEX = re.compile("#?([0-9a-f]{6})")
+Painter = Callable[[Cameras], ViewPicture]
 # What is behind pictures unless somebody chooses; ids and distances have nothing behind them
 BEHIND: dict[str, Background] = {
     "color": BLACK,
@@ -33,6 +38,45 @@ TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
 FARTHEST = 0.999  # of the Gaussians' depths that 16 bits reach to: floaters may be beyond
 STEPS = 2**16 - 1
 HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
+
+
+def parse_background(text: str) -> Background:
+    """The colour that a name or `#rrggbb` stands for.
+
+    Raises:
+        StyleSplatError: If it stands for none.
+
+    Example:
+        >>> parse_background("#ff0033")
+        (1.0, 0.0, 0.2)
+    """
+    if text.lower() in NAMED:
+        return NAMED[text.lower()]
+    match = HEX.fullmatch(text.lower())
+    if not match:
+        raise StyleSplatError(
+            f"There is no background {brief(text)!r}. Use {', '.join(NAMED)}, or a colour as "
+            "#rrggbb."
+        )
+    red, green, blue = (byte / 255 for byte in bytes.fromhex(match[1]))
+    return red, green, blue
+
+
+def over(
+    image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], background: Background
+) -> ColorPicture:
+    """A picture on a background; without one, its own colours and how opaque it is."""
+    if background is not None:
+        return to_uint8(image + (1 - alpha) * image.new_tensor(background))
+    shown = to_uint8(alpha)
+    # By the alpha that is written: so that on black it is the render again
+    colors = torch.where(shown > 0, image / (shown / 255).clamp(min=1 / 255), 0)
+    return torch.cat([to_uint8(colors), shown], dim=-1)
+
+
+def to_uint8(image: Float[Tensor, "H W D"]) -> UInt8[Tensor, "H W D"]:
+    """An image in 0..1 as bytes; what is out of range is clamped."""
+    return (image.clamp(0, 1) * 255).round().to(torch.uint8)
 
 
 def render_pictures(

@@ -49,11 +49,6 @@ class PrivateServer:
 def private_server(port: int, label: str, *, host: str = ADDRESS) -> PrivateServer:
     """Serve to those who have a token, and print the address with it on stderr.
 
-    Args:
-        port: Port, or the next free one.
-        label: Title of the page.
-        host: The address to serve at.
-
     Raises:
         StyleSplatError: If viser is not installed, or does not let others be refused, or there is
             no such address or port, or none that may be taken.

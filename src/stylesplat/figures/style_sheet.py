@@ -9,17 +9,16 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.compositing import to_uint8
 from stylesplat.figures.grid import Row
-from stylesplat.rendering.kernels.blend import Picture
-from stylesplat.stylization.style import Style
+from stylesplat.figures.pictures import to_uint8
+from stylesplat.stylization.style import Picture, Style
 
 Variation = tuple[str, tuple[Any, ...]]
 """A setting, or `preset`, and the values that it takes in turn."""
 Drawn = UInt8[Tensor, "_ _ 3"]
 
 
-class Place(NamedTuple):
+class SheetCell(NamedTuple):
     """Where a blend is drawn."""
 
     row: int
@@ -44,12 +43,12 @@ class SheetPlan:
     rows: tuple[PlannedRow, ...]
     """All of the same length."""
 
-    def runs(self) -> list[tuple[Style, list[Place]]]:
+    def runs(self) -> list[tuple[Style, list[SheetCell]]]:
         """What is to be painted, at full intensity, and the cells that each painting gives."""
-        runs: list[tuple[Style, list[Place]]] = []
+        runs: list[tuple[Style, list[SheetCell]]] = []
         for number, row in enumerate(self.rows):
             for column, (_, style) in enumerate(row.cells):
-                place = Place(number, column, style.config.intensity)
+                place = SheetCell(number, column, style.config.intensity)
                 config = replace(style.config, intensity=1.0)
                 full = Style(*style.pictures, config=config, preset=style.preset)
                 for known, places in runs:
@@ -75,11 +74,6 @@ def plan_sheet(
 ) -> SheetPlan:
     """Lay out a sheet: the first variation makes columns, the second or several styles rows.
 
-    Args:
-        styles: The pictures of each; several are alternatives.
-        variations: What to try.
-        settings: Those that all cells start from, and their `preset`.
-
     Raises:
         StyleSplatError: If there is more than rows and columns can show, or a value is out of
             range.
@@ -102,13 +96,7 @@ def plan_sheet(
 def captioned(
     plan: SheetPlan, pictures: Mapping[tuple[int, int], Drawn], before: Drawn
 ) -> list[Row]:
-    """The grid's rows, led by the object as it is; style pictures are shown where they change.
-
-    Args:
-        plan: The sheet.
-        pictures: Of each cell, by row and column.
-        before: Of the object as it is.
-    """
+    """The grid's rows, led by the object as it is; style pictures are shown where they change."""
     rows, last = [], None
     for number, row in enumerate(plan.rows):
         first = (before, "before") if number == 0 else None

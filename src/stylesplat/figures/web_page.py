@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.figures.first_view import first_view
+from stylesplat.figures.orbits import first_view
 from stylesplat.figures.packed import pack
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.rendering.constants import MIN_ALPHA

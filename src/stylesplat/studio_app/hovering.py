@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from stylesplat.figures.at_rest import camera_of
+from stylesplat.figures.browser import camera_of
 from stylesplat.scene.cameras import Cameras
 from stylesplat.studio_app.picking import object_at, pixel_of
 from stylesplat.studio_app.viewing import Stage

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.at_rest import camera_of
+from stylesplat.figures.browser import camera_of
 from stylesplat.studio_app.commands import Held, commands, held_by
 from stylesplat.studio_app.keeping import FORMATS, FRAMES, Place, exported, still, turntable
 from stylesplat.studio_app.session import Session

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from stylesplat.figures.at_rest import camera_of
+from stylesplat.figures.browser import camera_of
 from stylesplat.scene.content import content_of
 from stylesplat.studio_app.box_handles import BoxHandles
 from stylesplat.studio_app.hovering import Hover

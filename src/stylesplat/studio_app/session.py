@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Observer, Silence, Task, observed
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.history import History
@@ -51,7 +51,7 @@ class Session:
         """Where Save writes."""
         self.saved = self.history.now
         """The state that was saved last, or opened."""
-        self.preview: Shown | None = None
+        self.preview: ViewerSplats | None = None
         """What is shown in place of the state while something is painted."""
         self.progress: Progress | None = None
         """What is under way."""
@@ -72,7 +72,7 @@ class Session:
         return self.history.now
 
     @property
-    def shown(self) -> Shown:
+    def shown(self) -> ViewerSplats:
         """What is to be seen now."""
         return self.preview or shown(self.state, self.masks)
 

@@ -8,11 +8,9 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
-from stylesplat.figures.at_rest import AtRest
-from stylesplat.figures.browser import place_camera
-from stylesplat.figures.first_view import first_view
-from stylesplat.figures.live_splats import MOST, LiveSplats
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.browser import AtRest, place_camera
+from stylesplat.figures.live_splats import MOST, LiveSplats, ViewerSplats
+from stylesplat.figures.orbits import first_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, extent_of
 from stylesplat.scene.scene import Scene
@@ -65,7 +63,7 @@ class Stage:
                 f"The browser moves {MOST:,} of {count:,} Gaussians; at rest the picture is of all."
             )
 
-    def shown(self) -> Shown:
+    def shown(self) -> ViewerSplats:
         """What is to be seen now."""
         seen = self.session.shown
         before = self.compared == "before" or self._holding
@@ -173,10 +171,10 @@ class Stage:
         return replace(now, position=position, target=centre)
 
 
-def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> Shown:
+def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> ViewerSplats:
     """A scene without its layers; of what is hidden the rows that are there."""
     base = scene.unpainted
-    return Shown(base, hidden=None if hidden is None else hidden[: len(base)])
+    return ViewerSplats(base, hidden=None if hidden is None else hidden[: len(base)])
 
 
 def close_to(

@@ -128,6 +128,12 @@ def find_boxes(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> 
     return [box for box in found if box is not None]
 
 
+def boxes_in(boxes: Sequence[Box], cameras: Cameras) -> list[Box]:
+    """The boxes that lie in some cameras, by their names."""
+    names = {*cameras.names}
+    return [box for box in boxes if box.camera.names[0] in names]
+
+
 def _extent(covered: Bool[Tensor, "H W"]) -> tuple[Tensor, Tensor]:
     """Left, top and right, bottom of nearly all that is covered; strays are left outside."""
     pixels = covered.nonzero().flip(1).cpu()  # x, y

@@ -22,8 +22,9 @@ from stylesplat.stylization.cut_scene import CutScene, cut_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.object_views import Box, find_boxes
 from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.repaint import Repainted, look_at, repaint
+from stylesplat.stylization.repaint import Repainted, Sight, look_at, repaint
 from stylesplat.stylization.style_config import DEFAULT_NETWORK, Precision, StyleConfig
 from stylesplat.stylization.style_images import Picture, read_style
 from stylesplat.stylization.style_job import Studio, StyleJob
@@ -136,7 +137,7 @@ def paint_objects(studio: Studio, jobs: Sequence[StyleJob]) -> tuple[Styled, dic
     for job in jobs:
         began, family = time.perf_counter(), family_of(base, layers)
         upon = replace(studio, splats=compose(base, layers))
-        layer, _ = paint_layer(upon, replace(job, picked=job.picked[family]), family)
+        layer, *_ = paint_layer(upon, replace(job, picked=job.picked[family]), family)
         layers.append(layer)
         seconds[job.name] = time.perf_counter() - began
     return Styled(base, tuple(layers)), seconds
@@ -153,7 +154,7 @@ def check_sight(studio: Studio, job: StyleJob) -> None:
 
 def paint_layer(
     studio: Studio, job: StyleJob, family: Int[Tensor, " M"]
-) -> tuple[Layer, CutScene | None]:
+) -> tuple[Layer, CutScene | None, Sequence[Box]]:
     """Paint an object on what lies beneath its layer.
 
     Args:
@@ -162,13 +163,18 @@ def paint_layer(
         family: The row of the base that each of the Gaussians beneath belongs to.
 
     Returns:
-        The layer, and of a large scene the part that it was painted in.
+        The layer; of a large scene the part that it was painted in; and the boxes of the object in
+        all views, held-out ones included.
     """
     cut = cut_scene(studio, job.picked)
     part, own = _within(cut, studio, job)
-    layer = layer_of(_last_state(part, own), own, family if cut is None else family[cut.rows])
+    sight = look_at(part, own)
+    state = _last_state(part, own, sight)
+    layer = layer_of(state, own, family if cut is None else family[cut.rows])
+    held_out = part.every_camera[len(part.cameras) :]
+    survey = [*sight.survey, *find_boxes(part.splats, held_out, sight.ground.job.picked)]
     tidy_heap()  # copies of the whole scene follow
-    return layer, cut
+    return layer, cut, survey
 
 
 def layer_of(state: Repainted, job: StyleJob, family: Int[Tensor, " M"]) -> Layer:
@@ -288,11 +294,11 @@ def moved(job: StyleJob, splats: Splats) -> StyleJob:
     return replace(job, picked=job.picked.to(splats.device), styles=styles)
 
 
-def _last_state(studio: Studio, job: StyleJob) -> Repainted:
+def _last_state(studio: Studio, job: StyleJob, sight: Sight | None = None) -> Repainted:
     """All steps of one object, with a progress bar."""
     state = None
     with task(job.name, job.config.all_steps) as bar:
-        for state in repaint(studio, job):
+        for state in repaint(studio, job, sight):
             bar.advance()
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")

@@ -79,8 +79,10 @@ class Sight:
 
     ground: Ground
     """What it is painted on at first."""
+    survey: Sequence[Box]
+    """Its boxes in all views to optimise on."""
     boxes: Sequence[Box]
-    """Where it shows, in the views that are used."""
+    """Those of the views that are used."""
     stages: Sequence[Stage]
     """How it is painted."""
 
@@ -169,13 +171,13 @@ def look_at(studio: Studio, job: StyleJob, *, closely: bool = False) -> Sight:
         StyleSplatError: As `repaint` does, as far as it can be told so.
     """
     ground = own_ground(studio, job)
-    boxes = see_object(studio, ground.job, studio.cameras)
-    boxes = evenly(boxes, math.ceil(job.config.view_share * len(boxes)))
+    survey = see_object(studio, ground.job, studio.cameras)
+    boxes = evenly(survey, math.ceil(job.config.view_share * len(survey)))
     stages = _stages(studio, job, typical_length(boxes))
     if closely:
         generator = torch.Generator().manual_seed(job.config.seed)
         check_visible(studio, ground.job, boxes, stages[0], generator)
-    return Sight(ground, boxes, stages)
+    return Sight(ground, survey, boxes, stages)
 
 
 def _begun(ground: Ground, views: Sequence[ObjectView]) -> tuple[Aim, Splats]:

@@ -10,8 +10,10 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.differences import differences, picture_differences
+from stylesplat.evaluation.summary import differences
+from stylesplat.figures.html_page import Column
 from stylesplat.figures.pictures import render_pictures
+from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture
@@ -21,26 +23,17 @@ from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.evaluate import evaluate
 
 VIEWS = 4  # that are shown, unless somebody wants more
+VISIBLE = 8  # levels of 255 in a channel: what differs by less is hard to see
 LONGEST = 960  # pixels of a picture's side
 SCHEMA = "stylesplat-comparison-1"
 
 
 @dataclass(frozen=True)
-class Compared:
-    """One scene among others."""
+class Compared(Column):
+    """A scene with its column of the comparison."""
 
-    name: str
-    """What it is called."""
     scene: Scene
-    """What was measured."""
-    metrics: Mapping[str, Any]
-    """As `evaluate` gives them; empty if nothing could be measured."""
-    differences: Mapping[str, Any]
-    """The same less those of the first scene; only what both have."""
-    from_first: Mapping[str, float]
-    """How far its pictures are from the first scene's (see `picture_differences`)."""
-    pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
-    """What each view shows."""
+    """The scene."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +106,7 @@ def compare(
         base = found[0] if found else None
         gap = differences(metrics, base.metrics if base else metrics)
         far = picture_differences([*pictures], [*(base.pictures if base else pictures)])
-        found.append(Compared(name, scene, metrics, gap, far, pictures))
+        found.append(Compared(name, metrics, gap, far, pictures, scene))
     for note in notes:
         say(note)
     return Comparison(shown, tuple(found), tuple(notes))
@@ -139,3 +132,29 @@ def _pictures(
         for row in rows
         for picture in render_pictures(splats, scene.cameras[row].at_most(LONGEST))
     )
+
+
+def picture_differences(
+    pictures: list[UInt8[Tensor, "_ _ 3"]], first: list[UInt8[Tensor, "_ _ 3"]]
+) -> dict[str, float]:
+    """How far pictures are from others of the same views; of equal ones all numbers are 0.
+
+    Args:
+        pictures: One per view.
+        first: As many, each as large as its partner.
+
+    Returns:
+        `mean_difference` and `largest_difference` of a channel, in 0..1; `changed_share`, of the
+        pixels a channel of which differs by more than 8 of 255 levels; `ssim_lost`, 1 - SSIM. All
+        but the largest are means over the views.
+    """
+    pairs = [(a.float() / 255, b.float() / 255) for a, b in zip(pictures, first, strict=True)]
+    gaps = [(a - b).abs() for a, b in pairs]
+    count = len(pairs)
+    changed = [float((gap.amax(dim=-1) > VISIBLE / 255).float().mean()) for gap in gaps]
+    return {
+        "mean_difference": sum(float(gap.mean()) for gap in gaps) / count,
+        "largest_difference": max(float(gap.max()) for gap in gaps),
+        "changed_share": sum(changed) / count,
+        "ssim_lost": sum(max(0.0, 1 - float(ssim(a, b))) for a, b in pairs) / count,
+    }

@@ -1,7 +1,8 @@
 """`evaluate`: held-out views against photos and label maps, and objects against their styles."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from jaxtyping import Bool
@@ -9,14 +10,13 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.half_fits import fits_of
-from stylesplat.evaluation.photo_metrics import evaluate_views, measured_rows
-from stylesplat.evaluation.stains import largest_stain
-from stylesplat.evaluation.style_metrics import (
+from stylesplat.evaluation.changes import largest_stain
+from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
+from stylesplat.evaluation.style import (
     measure_changes,
     measure_look,
+    measure_statistics,
     measure_style,
-    showing,
 )
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
@@ -27,11 +27,12 @@ from stylesplat.scene.frames import posed_as
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.object_views import Box, find_boxes
 from stylesplat.stylization.paint_objects import moved, open_studio
 from stylesplat.stylization.paint_task import load_network
 from stylesplat.stylization.plain_settings import with_settings
 from stylesplat.stylization.style import Style, digest
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_config import Precision, StyleConfig
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.verbs.stylize import flat_metrics
 
@@ -51,9 +52,10 @@ def evaluate(
         device: Where to render.
 
     Returns:
-        `schema`; with photos what `evaluate_views` measures in the held-out views, and of a styled
-        scene what `stylize` did, as far as its styles and networks are at hand, with label maps
-        the `largest_stain` too.
+        `schema`; with photos the result of `evaluate_views` for the held-out views; of a painted
+        scene those of `measure_style`, `measure_statistics`, `measure_look` by object, as far as
+        its styles and networks are at hand, and of `measure_changes`; with label maps also that
+        of `largest_stain`.
 
     Raises:
         StyleSplatError: If there is nothing to measure, or the photos are of another scene.
@@ -76,7 +78,7 @@ def evaluate(
 
 
 def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, Any]:
-    """The held-out views compared with their photos; of an import, some of all."""
+    """Compare the held-out views with their photos; of an import, some of all views."""
     known = {*scene.cameras.names}
     rows = [row for row, name in enumerate(capture.cameras.names) if name in known]
     if rows and len(rows) < len(capture):  # some were left out when it was trained
@@ -97,41 +99,54 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
 
 
 def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
-    """The numbers of `stylize`, its seconds and steps aside."""
+    """Measure the painted objects, and what changed around them."""
     before = without_layers(scene)
     base = before.splats.to(styled.device)
     training, held_out = before.working_views()
     cameras = held_out or training
     picks = {each.object: mask_of(each, before).to(base.device) for each in scene.layers}
-    views = {n: showing(base, mask, cameras, fallback=training) for n, mask in picks.items()}
-    objects = {
-        layer.object: _closeness(layer, picks[layer.object], base, styled, views[layer.object])
-        | measure_look(base, styled, views[layer.object], picks[layer.object])
-        for layer in scene.layers
-    }
+    objects = {}
+    for layer in scene.layers:
+        picked = picks[layer.object]
+        boxes, views = find_boxes(base, cameras, picked), cameras
+        if not boxes and held_out:
+            boxes, views = find_boxes(base, training, picked), training
+        objects[layer.object] = {
+            **_closeness(layer, picked, base, styled, views, boxes),
+            **measure_look(base, styled, views, picked, boxes=boxes),
+        }
     every: Bool[Tensor, " N"] = torch.stack([*picks.values()]).any(dim=0)
     return flat_metrics(measure_changes(base, styled, cameras, every) | {"objects": objects})
 
 
 def _closeness(
-    layer: Layer, picked: Bool[Tensor, " N"], base: Splats, styled: Splats, views: Cameras
+    layer: Layer,
+    picked: Bool[Tensor, " N"],
+    base: Splats,
+    styled: Splats,
+    views: Cameras,
+    boxes: Sequence[Box],
 ) -> dict[str, float]:
-    """How close an object is to its style; empty if that cannot be told here."""
+    """Measure how close an object is to its style; empty if the style or its network is missing."""
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
         job = moved(StyleJob(layer.object, picked, style.read(), style.config), base)
-        return measure_style(open_studio(base, views, network), job, styled)
+        studio = open_studio(
+            base, views, network, precision=cast(Precision | None, layer.precision)
+        )
+        close = measure_style(studio, job, styled, boxes=boxes)
+        return close | measure_statistics(studio, job, styled, boxes=boxes)
     except StyleSplatError as error:
         say(f"{layer.object} is not compared with its style: {error}")
         return {}
 
 
 def _style_of(layer: Layer) -> Style:
-    """The style that an object was painted in.
+    """Read the style of a layer.
 
     Raises:
-        StyleSplatError: If its pictures are gone or others now.
+        StyleSplatError: If its pictures are missing or have changed.
     """
     pictures = [_present(source) for source in layer.styles]
     return Style(*pictures, config=with_settings(StyleConfig(), layer.settings))

@@ -1,7 +1,7 @@
 """`orbit`: cameras of a round trip."""
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.figures.round_trips import filled, orbit_around, orbit_cameras
+from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, object_content
 from stylesplat.scene.framing import has_no_photos

@@ -10,9 +10,9 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import draw_grid
-from stylesplat.figures.object_sheet import close_up
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.style_sheet import SheetPlan, captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device

@@ -10,13 +10,9 @@ from typing import Any
 import torch
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.stains import largest_stain
-from stylesplat.evaluation.style_metrics import measure_painted
+from stylesplat.evaluation.style import measure_painted
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.kernels.blend import Picture
-from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import (
     beneath,
     family,
@@ -30,6 +26,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.cut_scene import CutScene
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.object_views import Box
 from stylesplat.stylization.paint_objects import (
     MAX_MEMORY,
     check_sight,
@@ -38,7 +35,7 @@ from stylesplat.stylization.paint_objects import (
     paint_layer,
 )
 from stylesplat.stylization.paint_task import PaintTask, load_network, paint_tasks
-from stylesplat.stylization.style import Recipe, Style, StyledObject, as_recipe
+from stylesplat.stylization.style import Picture, Recipe, Style, StyledObject, as_recipe
 from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.style_job import Studio
 
@@ -53,23 +50,16 @@ class Unmeasured:
     """As `stylize` returns it, but for the metrics that take measuring."""
     painted: tuple[str, ...]
     """The objects that were painted."""
+    surveys: Mapping[str, Sequence[Box]]
+    """Where each of them shows in the views of the scene."""
     measures: Sequence[Callable[[Scene], dict[str, Any]]]
     """What measures the objects of each network."""
-    device: torch.device
-    """Where to render."""
 
-    def measured(self, capture: Capture | None = None) -> Scene:
+    def measured(self) -> Scene:
         """The scene with all of its metrics; see `stylize`."""
         figures = {}
         for measure in self.measures:
             figures = _joined(figures, measure(self.scene))
-        if capture is not None:
-            try:
-                before = without_layers(self.scene, self.painted)
-                names = (before, self.scene, self.painted)
-                figures |= largest_stain(*names, capture, self.device)
-            except StyleSplatError as error:  # the painting is done all the same
-                say(f"Stains beside the objects are not looked for: {error}")
         return replace(self.scene, metrics={**self.scene.metrics, **figures})
 
 
@@ -114,7 +104,6 @@ def stylize(
     weights: Path | str | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
-    capture: Capture | None = None,
 ) -> Scene:
     """Repaint objects of a scene, each in the style of one or more pictures.
 
@@ -131,13 +120,11 @@ def stylize(
         weights: The network's file; VGG's are else downloaded, once.
         max_memory: GiB for prepared views; what does not fit takes longer.
         device: Where to compute.
-        capture: The photos of the scene. If they have label maps, the metrics say how large a
-            stain there is beside the objects.
 
     Returns:
         The scene with its layers. Its metrics are `seconds`, `steps`, `precision`, what
-        changed around the objects, and by object `nnfm_before`, `nnfm_after` and the like; those
-        of training are under `train`.
+        `measure_changes` returns and by object what `measure_style` does; those of training are
+        under `train`. `evaluate` measures more.
 
     Raises:
         StyleSplatError: If an object, picture or weights file is unfit.
@@ -147,7 +134,7 @@ def stylize(
         ... # doctest: +SKIP
     """
     rest = {"features": features, "weights": weights, "max_memory": max_memory, "device": device}
-    return stylize_unmeasured(scene, styles, **rest).measured(capture)
+    return stylize_unmeasured(scene, styles, **rest).measured()
 
 
 def stylize_unmeasured(
@@ -174,10 +161,11 @@ def stylize_unmeasured(
     anew = [task.name for task in tasks if task.name in shown]
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
-    seconds, cuts, precisions = dict[str, float](), dict[str, CutScene](), dict[str, str]()
+    seconds, precisions = dict[str, float](), dict[str, str]()
+    cuts, surveys = dict[str, CutScene](), dict[str, Sequence[Box]]()
     for task in tasks:
         began = time.perf_counter()
-        scene, cut = _painted(studios, scene, task)
+        scene, cut, surveys[task.name] = _painted(studios, scene, task)
         seconds[task.name] = time.perf_counter() - began
         precisions[task.name] = next(
             str(each.precision) for each in scene.layers if each.object == task.name
@@ -192,9 +180,9 @@ def stylize_unmeasured(
         "seconds_by_object": {each.name: seconds[each.name] for each in recipe.objects},
         "train": before.metrics.get("train", before.metrics),
     }
-    measures = [partial(_measured, studios, each, cuts) for each in _by_network(tasks)]
+    measures = [partial(_measured, studios, each, cuts, surveys) for each in _by_network(tasks)]
     names = tuple(task.name for task in tasks)
-    return Unmeasured(replace(scene, metrics=metrics), names, measures, studios.device)
+    return Unmeasured(replace(scene, metrics=metrics), names, surveys, measures)
 
 
 stylise = stylize
@@ -220,14 +208,17 @@ def _check_sight(studios: Studios, scene: Scene, task: PaintTask) -> None:
     check_sight(studio, moved(task.job(family(under)), studio.splats))
 
 
-def _painted(studios: Studios, scene: Scene, task: PaintTask) -> tuple[Scene, CutScene | None]:
-    """The scene with one more layer, or another one, and the part that was looked at, if any."""
+def _painted(
+    studios: Studios, scene: Scene, task: PaintTask
+) -> tuple[Scene, CutScene | None, Sequence[Box]]:
+    """The scene with a new layer, the part that was looked at, if any, and where the object is."""
     under, place = beneath(scene, task.name)
     studio, rows = studios.open(under.splats, task), family(under)
     job = moved(task.job(rows), studio.splats)
-    layer, cut = paint_layer(studio, job, rows.to(studio.splats.device))
+    layer, cut, survey = paint_layer(studio, job, rows.to(studio.splats.device))
     layer = task.recorded(layer, studio.precision_name)
-    return with_layer(scene, place, layer), cut and cut.of_base(rows.to(cut.rows.device))
+    of_base = cut and cut.of_base(rows.to(cut.rows.device))
+    return with_layer(scene, place, layer), of_base, survey
 
 
 def _finished(scene: Scene, objects: Sequence[StyledObject]) -> Scene:
@@ -246,7 +237,11 @@ def _by_network(tasks: Sequence[PaintTask]) -> list[list[PaintTask]]:
 
 
 def _measured(
-    studios: Studios, tasks: Sequence[PaintTask], cuts: Mapping[str, CutScene], scene: Scene
+    studios: Studios,
+    tasks: Sequence[PaintTask],
+    cuts: Mapping[str, CutScene],
+    surveys: Mapping[str, Sequence[Box]],
+    scene: Scene,
 ) -> dict[str, Any]:
     """What painting some objects did, with one entry per number.
 
@@ -264,6 +259,7 @@ def _measured(
             [task.job(rows) for task in tasks],
             splats.to(studio.splats.device),
             held_out=held_out,
+            surveys=surveys,
             cuts=cuts,
             families=(rows, after),
         )

@@ -9,8 +9,7 @@ from typing import Any, get_args
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.evaluation.half_fits import Fits
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import Fits, evaluate_views
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.capture import Capture

@@ -1,7 +1,7 @@
 """`view`: look at a scene in the browser."""
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.figures.browser import serve
+from stylesplat.figures.browser import serve_viewer
 from stylesplat.figures.private_server import PrivateServer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -23,5 +23,5 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> Priva
         StyleSplatError: If viser is not installed or there is nothing to show.
     """
     if isinstance(what, Splats):
-        return serve(what, port=port, block=block)
-    return serve(what.splats, cameras=what.cameras, port=port, block=block)
+        return serve_viewer(what, port=port, block=block)
+    return serve_viewer(what.splats, cameras=what.cameras, port=port, block=block)

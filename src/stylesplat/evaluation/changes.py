@@ -1,4 +1,4 @@
-"""Stains: what changed beside the painted objects, whose places in photos label maps tell."""
+"""What painting changed besides the painted objects: pixels outside of them, and stains."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
@@ -8,20 +8,30 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.metrics.masked_change import CHANGED, farther_than
-from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import coverage, label_votes, render_shares
+from stylesplat.metrics.psnr import decibels
+from stylesplat.rendering.one_view import render
+from stylesplat.rendering.shares import (
+    COVERED,
+    colors_and_coverage,
+    coverage,
+    label_votes,
+    render_shares,
+)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import mask_of
 from stylesplat.scene.labels import Mask, resize_labels
-from stylesplat.scene.sampling import far_apart
+from stylesplat.scene.sampling import evenly, far_apart
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import whole_ids
 
-VIEWS = 16  # that show a painted object in their label maps
+RIM = 5  # pixels
+MEASURED_VIEWS = 4
+STAIN_VIEWS = 16  # that show a painted object in their label maps
 ERROR = 0.01  # of a view's longer side: how far the border of an object in a label map may err
 LEAST_ERROR = 3  # pixels
 SOFT = 2  # pixels that a stain is thicker than that error at least: what splats cover ends softly
@@ -30,21 +40,81 @@ MOST = 0.5  # of the label maps that show a place
 
 
 @torch.no_grad()
+def measure_changes(
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+) -> dict[str, int | float]:
+    """Compare renders before and after where the painted Gaussians are not visible.
+
+    Args:
+        base: The scene before.
+        styled: The scene after, which may have more Gaussians at its end.
+        cameras: Views, of which at most 4 are compared.
+        picked: The Gaussians that were repainted.
+
+    Returns:
+        `changed_gaussians`, new ones included; `painted_gaussians` and `changed_outside`, those of
+        the picked and of all others that differ; `outside_psnr` (120 at most) and
+        `outside_max_difference` over pixels that none of them touches; `edge_psnr` over those that
+        they cover in part, but by less than half; `rim_error`, the mean absolute difference in a
+        band of 5 pixels around what they cover by half or more.
+    """
+    outside, edge, rim = [], [], []
+    for row in evenly(range(len(cameras)), MEASURED_VIEWS):
+        camera = cameras[row]
+        before, covered = colors_and_coverage(base, camera, picked)
+        difference = render(styled, camera)[0].clamp(0, 1) - before.clamp(0, 1)
+        covered = covered[..., 0]
+        outside.append(difference[covered == 0].flatten())
+        edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
+        rim.append(difference[_rim(covered >= COVERED)].flatten())
+    changed = _changed(base, styled)
+    largest = max((float(d.abs().max()) for d in outside if len(d)), default=0.0)
+    errors = torch.cat(rim).abs()
+    return {
+        "changed_gaussians": int(changed.sum()) + len(styled) - len(base),
+        "painted_gaussians": int((changed & picked).sum()),
+        "changed_outside": int((changed & ~picked).sum()),
+        "outside_psnr": _psnr(torch.cat(outside)),
+        "outside_max_difference": largest,
+        "edge_psnr": _psnr(torch.cat(edge)),
+        "rim_error": float(errors.sum()) / max(1, len(errors)),
+    }
+
+
+def _changed(base: Splats, styled: Splats) -> Bool[Tensor, " N"]:
+    """Which Gaussians differ in any value."""
+    pairs = [
+        (old.view(len(old), -1), styled.tensors()[name][: len(old)].reshape(len(old), -1))
+        for name, old in base.tensors().items()
+        if old.numel()
+    ]
+    differs = [(old != new).any(dim=1) for old, new in pairs]
+    return torch.stack(differs).any(dim=0)
+
+
+def _rim(covered: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    """The pixels at most `RIM` pixels outside a mask."""
+    grown = F.max_pool2d(covered[None].float(), 2 * RIM + 1, stride=1, padding=RIM)[0] > 0
+    return grown & ~covered
+
+
+def _psnr(difference: Float[Tensor, " P"]) -> float:
+    """PSNR of differences; that of equal images if there are no pixels."""
+    return float(decibels(difference.square().sum() / max(1, len(difference))))
+
+
+@torch.no_grad()
 def largest_stain(
     before: Scene, after: Scene, names: Sequence[str], capture: Capture, device: torch.device
 ) -> dict[str, int | str]:
-    """Find the largest changed place beside painted objects in any of some views.
+    """Find the largest changed area beside the painted objects in up to 16 views.
 
     Label maps err: by a few pixels at the borders of objects, in some views by whole parts. So a
     pixel counts if it changed, lies farther from the objects in its view's label map than borders
     err, and shows a place that most label maps leave out. Thin rims and specks do not count.
-
-    Args:
-        before: The scene before the objects were painted.
-        after: The painted scene.
-        names: The painted objects.
-        capture: The photos, with label maps if there are any.
-        device: Where to render.
 
     Returns:
         `stain_pixels`, at the size that the scene was made at, 0 if there is no stain; and the
@@ -55,7 +125,7 @@ def largest_stain(
     ids = {name: whole_ids(before, name) for name in names}
     layers = {layer.object: layer for layer in after.layers}
     picks = {name: mask_of(layers[name], before).to(device) for name in names}
-    beside = dict(islice(_beside(base, cameras, capture, ids, picks), VIEWS))
+    beside = dict(islice(_beside(base, cameras, capture, ids, picks), STAIN_VIEWS))
     if not beside:
         return {}
     _, votes = label_votes(base, cameras, ((row, mask.long()) for row, mask in beside.items()))
@@ -79,9 +149,9 @@ def _beside(
     ids: Mapping[str, Sequence[int]],
     picks: Mapping[str, Bool[Tensor, " N"]],
 ) -> Iterator[tuple[int, Mask]]:
-    """Rows of some cameras, far from each other, and the pixels beside all objects in each.
+    """Yield rows of cameras far from each other, and the pixels beside all objects in each.
 
-    Objects that a label map does not know are where they are rendered.
+    Where a label map lacks an object, its rendered mask is used.
     """
     photos = {name: row for row, name in enumerate(capture.cameras.names)}
     for row in far_apart(cameras, len(cameras)):
@@ -100,13 +170,13 @@ def _beside(
 
 
 def _share_left_out(votes: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N 1"]:
-    """Of the pixels that a Gaussian makes up, those beside the objects; 0 if it shows in none."""
+    """The share of the pixels of a Gaussian that lie beside the objects; 0 if it is not visible."""
     beside = votes[:, 1:].sum(axis=1, keepdims=True)
     return beside / np.maximum(votes.sum(axis=1, keepdims=True), np.finfo(votes.dtype).tiny)
 
 
 def _largest_area(stained: Mask) -> int:
-    """Pixels of the largest connected place that is neither a thin rim nor a speck; 0 without."""
+    """Pixels of the largest connected area that is neither a thin rim nor a speck, or 0."""
     side = _error(stained) + SOFT
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     opened = cv2.morphologyEx(stained.numpy().astype(np.uint8), cv2.MORPH_OPEN, disc)
@@ -116,5 +186,5 @@ def _largest_area(stained: Mask) -> int:
 
 
 def _error(mask: Mask) -> int:
-    """By how many pixels the borders of a label map of that size may err."""
+    """The error in pixels that borders of a label map of this size may have."""
     return max(LEAST_ERROR, round(ERROR * max(mask.shape)))

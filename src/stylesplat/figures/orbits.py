@@ -1,4 +1,4 @@
-"""A camera path for videos: around the scene, where the photos were taken."""
+"""Camera paths around a scene, and where a viewer starts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,9 +8,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import Content
-from stylesplat.scene.framing import Distances, Sight, centred_K, distances, focal_at, level_axes
+from stylesplat.scene.content import Content, content_of
+from stylesplat.scene.framing import (
+    Distances,
+    Sight,
+    centred_K,
+    distances,
+    focal_at,
+    level_axes,
+)
 from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
+from stylesplat.scene.splats import Splats
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
 RADIUS_RANK = 0.75  # of the photos' distances: close-ups would cut off what the others show whole
@@ -18,6 +26,10 @@ SWAY = 0.5  # height varies along the path by this share of the captures' own de
 LENS = 1.0  # focal length over a picture's longer side around content, where there is room enough
 TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
 EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
+UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
+WINDOW = (1600, 1200)  # pixels that all content fits into at the start
+FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
+MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
 @dataclass(frozen=True)
@@ -72,12 +84,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
 
 
 def filled(path: Cameras, content: Content) -> Cameras:
-    """The same path with the lens with which content fills the pictures, all of it in every frame.
-
-    Args:
-        path: Cameras of one size that look at the content's centre.
-        content: What to show.
-    """
+    """The path with the focal length at which all content just fits into every frame."""
     centre, tops = content.extent.centre, -path.viewmats[:, 1, :3].double()
     outward = path.positions.double() - centre
     far = outward.norm(dim=1, keepdim=True)
@@ -146,3 +153,40 @@ def _azimuths(photos: Float[Tensor, " C"], phase: Float[Tensor, " M"]) -> Float[
     start, end = photos[(widest + 1) % len(photos)], photos[widest]
     arc = (end - start) % (2 * math.pi)
     return start + arc * (0.5 - 0.5 * phase.cos())
+
+
+@dataclass(frozen=True)
+class FirstView:
+    """The upright camera that a viewer starts with."""
+
+    position: Float[Tensor, "3"]
+    """Its position."""
+    target: Float[Tensor, "3"]
+    """The point that it looks at and turns around."""
+    up: Float[Tensor, "3"]
+    """The upward direction, of length 1."""
+    slopes: tuple[float, float]
+    """Width and height of the view at distance 1."""
+
+
+def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
+    """Returns the camera of the first photo, or one from which all content is visible.
+
+    Args:
+        splats: At least one Gaussian.
+        cameras: Cameras of the photos; without them the upward direction is `UP`.
+    """
+    content = content_of(splats)
+    middle = content.extent.centre
+    if cameras is not None:
+        position, forward = cameras.positions[0].double(), cameras.viewmats[0, 2, :3].double()
+        target = position + ((middle - position) @ forward).clamp(min=MIN_DISTANCE) * forward
+        width, height = cameras.sizes[0].tolist()
+        slopes = width / float(cameras.Ks[0, 0, 0]), height / float(cameras.Ks[0, 1, 1])
+        return FirstView(position, target, up_vector(cameras), slopes)
+    outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
+    sight = Sight(middle, outward, UP, WINDOW)
+    distance = distances(content, sight, FOCAL).best
+    focal = focal_at(content.outline, sight, distance)
+    slopes = WINDOW[0] / focal, WINDOW[1] / focal
+    return FirstView(middle + distance * outward, middle, UP, slopes)

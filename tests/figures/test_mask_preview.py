@@ -4,13 +4,12 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from stylesplat.figures.object_sheet import MARGIN, PAPER
+from stylesplat.figures.grid import MARGIN, PAPER
 from stylesplat.figures.pictures import label_colors
-from stylesplat.figures.preview import COLUMNS, HEIGHT, TINT, mask_preview
+from stylesplat.figures.sheets import PHOTO_COLUMNS, PHOTO_HEIGHT, PHOTO_WIDTH, TINT, mask_preview
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.identities import render_labels
-from stylesplat.studio_app.keep_panel import WIDTH
 
 GREY = 100
 
@@ -26,7 +25,7 @@ def capture(cameras: Cameras = CAMERAS, *, without: tuple[int, ...] = ()) -> Cap
 
 def cell(page: torch.Tensor, number: int) -> torch.Tensor:
     width, height = CAMERAS.size
-    line, column = divmod(number, COLUMNS)
+    line, column = divmod(number, PHOTO_COLUMNS)
     top, left = MARGIN + line * (height + MARGIN), MARGIN + column * (width + MARGIN)
     return page[top : top + height, left : left + width]
 
@@ -87,6 +86,6 @@ def test_large_photos_are_made_smaller_and_keep_their_shape():
     photo = torch.full((height, width, 3), GREY, dtype=torch.uint8)
     labels = torch.full((height, width), 7)
     page = mask_preview(Capture(cameras=camera, photos=[photo], label_maps=[labels]), {})
-    assert width > WIDTH and height > HEIGHT
+    assert width > PHOTO_WIDTH and height > PHOTO_HEIGHT
     assert page.shape[1] == 400 + 2 * MARGIN
     assert (page[0, 0] == torch.tensor(PAPER)).all()

@@ -1,4 +1,4 @@
-"""What is measured of painted objects."""
+"""How close an object is to its style, by the numbers of `stylize` and `evaluate`."""
 
 import json
 from collections.abc import Sequence
@@ -10,14 +10,18 @@ import torch
 
 from balls import CAMERAS
 from striped_balls import FAST, GROWN, SCENE, ball, with_settings
-from stylesplat.evaluation import style_metrics as style
-from stylesplat.evaluation.style_metrics import measure_painted
-from stylesplat.rendering.render import rasterize
+from stylesplat.evaluation import style
+from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm, share_of_way
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.vgg import Vgg
+from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.object_views import ObjectView
 from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects
 from stylesplat.stylization.style_config import Precision
 from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.target import style_features
 
 
 def measured(
@@ -120,3 +124,54 @@ def test_a_style_too_small_to_compare_does_not_cost_the_result(
     assert any("ball is not compared with its style" in line for line in said)
     assert "nnfm_after" not in metrics["objects"]["ball"]
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
+
+
+def test_a_pattern_that_repeats_is_everywhere_as_near_by(network: Vgg):
+    tile = torch.rand(8, 8, 3, generator=torch.Generator().manual_seed(0))
+    repeated = tile.repeat(6, 6, 1)  # 48 pixels: features of block 2 span 10
+    assert own_nnfm([repeated], network, (2,), length=48.0) == pytest.approx(0, abs=1e-6)
+
+
+def test_noise_is_far_from_itself_though_every_feature_is_in_it(network: Vgg):
+    noise = torch.rand(48, 48, 3, generator=torch.Generator().manual_seed(0))
+    (features,) = style_features(noise, network, (2,), length=48.0)
+    assert float(nnfm_loss(features, features)) < 1e-6
+    own = own_nnfm([noise], network, (2,), length=48.0)
+    assert own is not None and own > 0.005
+
+
+def test_a_copy_among_the_pictures_is_elsewhere(network: Vgg):
+    noise = torch.rand(48, 48, 3, generator=torch.Generator().manual_seed(0))
+    assert own_nnfm([noise, noise], network, (2,), length=48.0) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_picture_that_no_two_places_fit_into(network: Vgg):
+    noise = torch.rand(14, 14, 3, generator=torch.Generator().manual_seed(0))
+    assert own_nnfm([noise], network, (2,), length=14.0) is None
+
+
+@pytest.mark.parametrize(
+    ("after", "share"), [(0.3, 0.0), (0.2, 0.5), (0.1, 1.0), (0.05, 1.0), (0.4, 0.0)]
+)
+def test_the_share_of_the_way(after: float, share: float):
+    assert share_of_way(0.3, after, 0.1) == pytest.approx(share)
+
+
+def test_no_way_to_go():
+    assert share_of_way(0.1, 0.05, 0.1) is None
+
+
+def test_the_background_has_no_say(network: FeatureNetwork):
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(40, 50, 3, generator=generator)
+    mask = torch.zeros(20, 25, dtype=torch.bool)
+    mask[6, 9] = True
+    view = ObjectView(CAMERAS[0], (mask,), torch.ones(40, 50, dtype=torch.bool))
+    cells = network.cells(2)
+    top, left = (i * cells.stride - cells.before for i in (6, 9))
+    inside = torch.zeros(40, 50, 1, dtype=torch.bool)
+    inside[top : top + cells.size, left : left + cells.size] = True
+    images = [image, image.where(inside, 0.5), image.where(~inside, 0.5)]
+    rest = ([view], [torch.rand(30, 12, generator=generator)], network, [2])
+    own, elsewhere, covered = (object_nnfm([each], *rest) for each in images)
+    assert own == pytest.approx(elsewhere, abs=1e-6) and covered != pytest.approx(own, abs=1e-6)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stylesplat.evaluation.in_words import (
+from stylesplat.evaluation.summary import (
     WHOLE,
     around,
     painted_gaussians,

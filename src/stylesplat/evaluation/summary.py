@@ -1,7 +1,7 @@
-"""What a stylisation did, in words."""
+"""Measurements in words, and the differences between those of several scenes."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, TypeGuard
 
 VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
 MUCH = 0.1  # of an object in colours that are not the painting's: more than specks and blends
@@ -9,21 +9,16 @@ WHOLE = "as close to the painting as the painting's parts are to each other"
 
 
 def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
-    """One line per object, and what became of all else.
-
-    Args:
-        metrics: As `stylize` and `evaluate` report them.
-        names: What was painted.
-    """
+    """Say how close each painted object is to its style, and what else changed."""
     lines = [f"{each}: {_way(metrics, each)}{_colors(metrics, each)}" for each in names]
-    rest = around(metrics)
+    rest = around(metrics, count=len(lines))
     if len(lines) == 1:
         return [f"{lines[0]}, {rest}."]
     return [*(f"{line}." for line in lines), f"{rest[:1].upper()}{rest[1:]}."]
 
 
 def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """How close renders are to photos, and rendered labels to label maps.
+    """Say how close renders are to photos, and rendered labels to label maps.
 
     Args:
         metrics: As `evaluate_views` reports them; of nothing compared, no lines.
@@ -38,13 +33,14 @@ def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def around(metrics: Mapping[str, Any]) -> str:
-    """What changed that was not painted."""
+def around(metrics: Mapping[str, Any], *, count: int = 1) -> str:
+    """Say what changed besides the `count` painted objects."""
     changed, largest = metrics["changed_outside"], metrics["outside_max_difference"]
     if changed:
         return f"{changed:,} Gaussians outside changed as well"
     if metrics.get("stain_pixels"):
-        stain = f"a stain of {metrics['stain_pixels']:,} pixels beside the object"
+        beside = "beside the object" if count == 1 else "beside the objects"
+        stain = f"a stain of {metrics['stain_pixels']:,} pixels {beside}"
         return f"{stain} in view {metrics['stain_view']}"
     if largest >= VISIBLE:
         levels = max(1, round(255 * largest))
@@ -53,12 +49,7 @@ def around(metrics: Mapping[str, Any]) -> str:
 
 
 def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:
-    """How many Gaussians were painted, and how many a canvas added.
-
-    Args:
-        metrics: As `stylize` reports them.
-        total: How many Gaussians the scene had.
-    """
+    """Say how many of the `total` Gaussians before were painted, and how many a canvas added."""
     painted = metrics["painted_gaussians"]
     after = metrics["changed_gaussians"] - metrics["changed_outside"]
     canvas = f", and a canvas of {after - painted:,}" if after > painted else ""
@@ -76,8 +67,43 @@ def _way(metrics: Mapping[str, Any], name: str) -> str:
 
 
 def _colors(metrics: Mapping[str, Any], name: str) -> str:
-    """What is to be said of an object's colours, if anything is."""
+    """Say how much of an object has colours that the painting does not have, if it is much."""
     share = metrics.get("off_palette", {}).get(name, 0.0)
     if share <= MUCH:
         return ""
     return f", {round(100 * share)} % of it in colours that the painting does not have"
+
+
+def differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Subtract nested numbers; names that one of both lacks are left out.
+
+    Example:
+        >>> differences({"psnr": 31.0, "iou": {"1": 0.5}}, {"psnr": 30.0, "iou": {"1": 0.75}})
+        {'psnr': 1.0, 'iou': {'1': -0.25}}
+    """
+    found: dict[Any, Any] = {}
+    for name, value in metrics.items():
+        other = first.get(name)
+        if isinstance(value, Mapping) and isinstance(other, Mapping):
+            found[name] = differences(value, other)
+        elif _is_number(value) and _is_number(other):
+            found[name] = value - other
+    return found
+
+
+def flat(metrics: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Nested numbers with one name each.
+
+    Example:
+        >>> [*flat({"psnr": 31.0, "iou": {"vase": 0.5}, "text": "left out"})]
+        [('psnr', 31.0), ('iou vase', 0.5)]
+    """
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name} ")
+        elif _is_number(value):
+            yield f"{prefix}{name}", value
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

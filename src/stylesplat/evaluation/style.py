@@ -1,0 +1,294 @@
+"""How close painted objects are to their styles: NNFM, statistics of features, colours."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.changes import measure_changes
+from stylesplat.evaluation.consistency import view_consistency
+from stylesplat.evaluation.statistics import (
+    content_ssim,
+    object_statistics_distance,
+    off_palette,
+    palette_distance,
+)
+from stylesplat.progress import say
+from stylesplat.rendering.one_view import render
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.color import object_colors
+from stylesplat.stylization.cut_scene import CutScene
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.looking import object_views, see_object
+from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.object_views import (
+    Box,
+    ObjectView,
+    boxes_in,
+    find_boxes,
+    typical_length,
+)
+from stylesplat.stylization.paint_objects import moved
+from stylesplat.stylization.repaint import target_features
+from stylesplat.stylization.style_job import Studio, StyleJob
+from stylesplat.stylization.target import resize, style_features
+
+MAX_FEATURES = 8192  # of an object in a view that are measured: block 1 has one per pixel
+PLACES = 2048  # of all pictures that are looked up
+AT_ONCE = 256  # of them, as block 1 has a feature per pixel
+NOWHERE = -2.0  # below any cosine
+LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever the pattern
+VIEWS = 4  # of the object, and of the scene
+STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
+
+
+def measure_painted(
+    studio: Studio,
+    jobs: Sequence[StyleJob],
+    styled: Splats,
+    *,
+    held_out: Cameras | None = None,
+    surveys: Mapping[str, Sequence[Box]] | None = None,
+    cuts: Mapping[str, CutScene] | None = None,
+    families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
+) -> dict[str, Any]:
+    """Measure what painting some objects did to them and to the scene, in little time.
+
+    Args:
+        studio: The scene before, and the views that were optimised on.
+        jobs: The objects and their styles.
+        styled: The scene after, which may have more Gaussians.
+        held_out: Views to measure on; those of the studio by default.
+        surveys: By name, the boxes of objects in the views, if they are known.
+        cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
+        families: The rows of the base that the Gaussians before and after belong to; needed with
+            `cuts`.
+
+    Returns:
+        The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
+        which are empty where the style is too small to be compared.
+    """
+    base, training = studio.splats, studio.cameras
+    measured = replace(studio, cameras=held_out or training)
+    jobs = [moved(job, base) for job in jobs]
+    objects = {}
+    for job in jobs:
+        if cuts and job.name in cuts:
+            assert families is not None
+            rows, after = (cuts[job.name].among(each.to(base.device)) for each in families)
+            cut = replace(cuts[job.name], rows=rows)
+            part, own, after = cut.studio(measured), cut.job(job), styled[after]
+        else:
+            part, own, after = measured, job, styled
+        if surveys is None:
+            survey = find_boxes(part.splats, part.every_camera, own.picked)
+        else:
+            survey = surveys[job.name]
+        boxes = boxes_in(survey, part.cameras) or survey
+        try:
+            objects[job.name] = measure_style(part, own, after, boxes=boxes)
+        except StyleSplatError as error:  # the object is painted all the same
+            say(f"{job.name} is not compared with its style: {error}")
+            objects[job.name] = {}
+    picked = torch.stack([job.picked for job in jobs]).any(dim=0)
+    return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
+
+
+@torch.no_grad()
+def measure_style(
+    studio: Studio, job: StyleJob, styled: Splats, *, boxes: Sequence[Box] | None = None
+) -> dict[str, float]:
+    """Measure how close an object is to its style by NNFM, in float32.
+
+    Args:
+        studio: The scene before, and the views to measure on.
+        job: The object and its style.
+        styled: The scene after; it may have more Gaussians.
+        boxes: The boxes of the object in these views, if they are known.
+
+    Returns:
+        `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see
+        `own_nnfm`), and `share_of_way` between these; if the object is to have the colours of the
+        style, the share of it that does not (`off_palette`).
+
+    Raises:
+        StyleSplatError: If the object is not visible, or a picture is too small to compare.
+    """
+    blocks = job.config.layers
+    boxes = boxes or see_object(studio, job, studio.cameras)
+    views, targets = _object_in_styles(studio, job, boxes, blocks)
+    rest = (views, targets, studio.network, blocks)
+    images = renders(styled, views)
+    before, after = (object_nnfm(r, *rest) for r in (renders(studio.splats, views), images))
+    numbers = {"nnfm_before": before, "nnfm_after": after}
+    own = own_nnfm(job.styles, studio.network, blocks, length=job.config.scale * LENGTH)
+    if own is not None:
+        numbers["nnfm_of_style"] = own
+        share = share_of_way(before, after, own)
+        numbers |= {} if share is None else {"share_of_way": share}
+    if job.config.color == "style":
+        colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
+        numbers["off_palette"] = off_palette(torch.cat(colors), _colors(job))
+    return numbers
+
+
+@torch.no_grad()
+def measure_statistics(
+    studio: Studio, job: StyleJob, styled: Splats, *, boxes: Sequence[Box]
+) -> dict[str, float]:
+    """Compare the statistics of an object with those of its style.
+
+    Returns:
+        `statistics_before` and `statistics_after` (see `style_statistics_distance`); if the object
+        is to have the colours of the style, `palette_distance`.
+
+    Raises:
+        StyleSplatError: As `measure_style` does.
+    """
+    blocks = STATISTICS[: studio.network.depth]
+    views, targets = _object_in_styles(studio, job, boxes, blocks)
+    rest = (views, targets, studio.network, blocks)
+    numbers = {
+        "statistics_before": object_statistics_distance(studio.splats, *rest),
+        "statistics_after": object_statistics_distance(styled, *rest),
+    }
+    if job.config.color == "style":
+        colors = object_colors(styled, views)
+        numbers["palette_distance"] = palette_distance(colors, _colors(job))
+    return numbers
+
+
+def _colors(job: StyleJob) -> Float[Tensor, "P 3"]:
+    return torch.cat([picture.reshape(-1, 3) for picture in job.styles])
+
+
+@torch.no_grad()
+def measure_look(
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+    *,
+    boxes: Sequence[Box] | None = None,
+) -> dict[str, float]:
+    """Measure what is left of an object and whether views agree, which needs no style.
+
+    Args:
+        base: The scene before.
+        styled: The scene after; it may have more Gaussians.
+        cameras: The views to measure on.
+        picked: The object's Gaussians in `base`.
+        boxes: Its boxes in these views, if they are known.
+
+    Returns:
+        `content_ssim`, if a view shows the object, and the result of `view_consistency`.
+    """
+    few = cameras[evenly(range(len(cameras)), VIEWS)]
+    similarity = content_ssim(base, styled, few, picked)
+    numbers = {} if similarity is None else {"content_ssim": similarity}
+    return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
+
+
+def _object_in_styles(
+    studio: Studio, job: StyleJob, boxes: Sequence[Box], layers: Sequence[int]
+) -> tuple[list[ObjectView], list[Tensor]]:
+    """Views of the object, and the features of the style image, for some layer groups."""
+    config = replace(job.config, layers=tuple(layers))
+    zoom = LENGTH / typical_length(boxes)
+    views = object_views(studio, replace(job, config=config), boxes, zoom)
+    return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)
+
+
+def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:
+    """Render some views, colours clamped to 0..1."""
+    return [render(splats, view.camera)[0].clamp(0, 1) for view in views]
+
+
+def object_nnfm(
+    images: Sequence[Float[Tensor, "_ _ 3"]],
+    views: Sequence[ObjectView],
+    targets: Sequence[Float[Tensor, "_ _"]],
+    network: FeatureNetwork,
+    blocks: Sequence[int],
+) -> float:
+    """Compute NNFM over the features of an object, averaged over blocks and views."""
+    losses = [
+        nnfm_loss(block[cells][:: 1 + int(cells.sum()) // MAX_FEATURES], target)
+        for image, view in zip(images, views, strict=True)
+        for block, cells, target in zip(network(image, blocks), view.cells, targets, strict=True)
+    ]
+    return float(torch.stack(losses).mean())
+
+
+@torch.no_grad()
+def own_nnfm(
+    pictures: Sequence[Float[Tensor, "_ _ 3"]],
+    network: FeatureNetwork,
+    blocks: Sequence[int],
+    *,
+    length: float,
+) -> float | None:
+    """Compute NNFM between parts of a style and the rest of it.
+
+    Each feature is compared with those whose receptive fields do not overlap its own. Another
+    picture by the same artist would hardly come closer, so an object can reach this, not 0.
+
+    Returns:
+        The mean cosine distance; None if the pictures are too small for two such features.
+
+    Raises:
+        StyleSplatError: If a picture has no whole feature.
+    """
+    distances = [_of_block(pictures, network, block, length) for block in blocks]
+    if any(len(each) == 0 for each in distances):
+        return None
+    return float(torch.stack([each.mean() for each in distances]).mean())
+
+
+def share_of_way(before: float, after: float, own: float) -> float | None:
+    """The part of the way to the style that NNFM has gone, from 0 to 1.
+
+    Returns:
+        None if the object was that close before.
+    """
+    if before <= own:
+        return None
+    return min(1.0, max(0.0, (before - after) / (before - own)))
+
+
+def _of_block(
+    pictures: Sequence[Tensor], network: FeatureNetwork, block: int, length: float
+) -> Float[Tensor, " P"]:
+    """The distances of some features to their nearest ones that do not overlap them."""
+    features, places = [], []
+    for number, picture in enumerate(pictures):
+        (rows,) = style_features(picture, network, [block], length=length)
+        features.append(F.normalize(rows.float(), dim=1))
+        places.append(_places(resize(picture, length), network, block, number))
+    found, at = torch.cat(features), torch.cat(places)
+    cells = network.cells(block)
+    closest = []
+    for some in torch.arange(0, len(found), 1 + len(found) // PLACES).split(AT_ONCE):
+        gaps = (at[some, None] - at[None]).abs().amax(dim=-1)
+        apart = gaps * cells.stride >= cells.size
+        closest.append((found[some] @ found.T).where(apart, NOWHERE).amax(dim=1))
+    cosines = torch.cat(closest)
+    return 1 - cosines[cosines > NOWHERE]
+
+
+def _places(
+    picture: Tensor, network: FeatureNetwork, block: int, number: int
+) -> Float[Tensor, "P 3"]:
+    """Picture, row and column of every feature, in cells; pictures are infinitely far apart."""
+    cells = network.cells(block)
+    inside = (cells.inside(side) for side in picture.shape[:2])
+    rows, columns = (torch.arange(each.stop - each.start) for each in inside)
+    grid = torch.cartesian_prod(rows, columns).float().to(picture.device)
+    return F.pad(grid, (1, 0), value=number * 1e6)

@@ -1,0 +1,183 @@
+"""HTML pages: pictures, videos, tables, sections, and the page that compares scenes."""
+
+from base64 import b64encode
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from jaxtyping import UInt8
+from PIL import Image
+from torch import Tensor
+
+from stylesplat.evaluation.summary import flat
+
+STYLE = Path(__file__).with_name("page_style.css")
+MIME = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
+QUALITY = 90  # of JPEG: pictures to look at, not to measure
+TEMPLATE = Path(__file__).with_name("comparison_page.html")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture, a video or a page with a splat, with a caption."""
+
+    path: Path
+    """The file."""
+    caption: str
+    """What it shows."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, a paragraph and figures side by side."""
+
+    title: str
+    """The heading."""
+    text: str
+    """What happens here."""
+    figures: tuple[Figure, ...] = ()
+    """Pictures, left to right."""
+
+
+def page_style() -> str:
+    """What all pages look like, as CSS."""
+    return STYLE.read_text(encoding="utf-8")
+
+
+def section_html(section: Section) -> str:
+    """A section; its figures' files are within."""
+    figures = "\n".join(map(_figure, section.figures))
+    return (
+        f"<section><h2>{escape(section.title)}</h2><p>{escape(section.text)}</p>"
+        f'<div class="row">{figures}</div></section>'
+    )
+
+
+def figure_html(url: str, caption: str) -> str:
+    """A picture with a caption."""
+    caption = escape(caption)
+    return f'<figure><img src="{url}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
+
+
+def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table whose first column says what the others are."""
+    top = "".join(f"<th>{escape(head)}</th>" for head in heads)
+    lines = [
+        f"<tr><th>{escape(first)}</th>" + "".join(f"<td>{escape(c)}</td>" for c in rest) + "</tr>"
+        for first, *rest in rows
+    ]
+    return "\n".join(("<table>", f"<tr>{top}</tr>", *lines, "</table>"))
+
+
+def file_url(path: Path) -> str:
+    """A picture's or video's file as a URL that holds it."""
+    return _url(path.read_bytes(), path.suffix)
+
+
+def picture_url(picture: UInt8[Tensor, "H W 3"]) -> str:
+    """A picture as a URL that holds it, as JPEG."""
+    content = BytesIO()
+    Image.fromarray(picture.cpu().numpy()).save(content, "JPEG", quality=QUALITY)
+    return _url(content.getvalue(), ".jpg")
+
+
+def _figure(figure: Figure) -> str:
+    caption = escape(figure.caption)
+    if figure.path.suffix == ".html":
+        page = escape(figure.path.read_text(encoding="utf-8"))
+        media = f'<iframe srcdoc="{page}" title="{caption}" loading="lazy"></iframe>'
+    elif figure.path.suffix == ".mp4":
+        source = file_url(figure.path)
+        media = f'<video src="{source}" autoplay loop muted playsinline controls></video>'
+    else:
+        return figure_html(file_url(figure.path), figure.caption)
+    return f"<figure>{media}<figcaption>{caption}</figcaption></figure>"
+
+
+def _url(content: bytes, suffix: str) -> str:
+    return f"data:{MIME[suffix]};base64,{b64encode(content).decode()}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """The pictures and numbers of one scene among others."""
+
+    name: str
+    """Its name."""
+    metrics: Mapping[str, Any]
+    """The result of `evaluate`; empty if nothing could be measured."""
+    differences: Mapping[str, Any]
+    """The same numbers minus those of the first scene, where both have them."""
+    from_first: Mapping[str, float]
+    """How much its pictures differ from those of the first scene (`picture_differences`)."""
+    pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
+    """One per view."""
+
+
+def comparison_page(
+    columns: Sequence[Column], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
+) -> str:
+    """The page as HTML that needs no other file.
+
+    Args:
+        columns: The scenes; the first is what others are compared with.
+        views: What the pictures are of.
+        title: Of the page.
+        notes: Sentences to read before the numbers.
+    """
+    first = escape(columns[0].name)
+    rows = [
+        '<div class="wide"><div class="row">'
+        + "".join(
+            figure_html(picture_url(column.pictures[row]), f"{column.name}, {view}")
+            for column in columns
+        )
+        + "</div></div>"
+        for row, view in enumerate(views)
+    ]
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+        style=page_style(),
+        title=escape(title),
+        first=first,
+        about=escape(", ".join(column.name for column in columns)) + " in the same views.",
+        notes="\n".join(f"<p>{escape(note)}</p>" for note in notes),
+        pictures="\n".join(rows),
+        numbers=table_html(["", *(column.name for column in columns)], number_rows(columns)),
+        gaps=table_html(["", *(column.name for column in columns)], _gap_rows(columns)),
+    )
+
+
+def number_rows(columns: Sequence[Column]) -> list[list[str]]:
+    """A row per number that any scene has: its name, and for each scene value and difference.
+
+    The first scene's differences are 0 and not shown.
+    """
+    values = [dict(flat(column.metrics)) for column in columns]
+    gaps = [dict(flat(column.differences)) for column in columns]
+    names = dict.fromkeys(name for each in values for name in each)
+    return [
+        [
+            name,
+            *(
+                _cell(value.get(name), None if row == 0 else gap.get(name))
+                for row, (value, gap) in enumerate(zip(values, gaps, strict=True))
+            ),
+        ]
+        for name in names
+    ]
+
+
+def _gap_rows(columns: Sequence[Column]) -> list[list[str]]:
+    names = dict.fromkeys(name for column in columns for name in column.from_first)
+    return [[name, *(_cell(c.from_first.get(name), None) for c in columns)] for name in names]
+
+
+def _cell(value: float | None, gap: float | None) -> str:
+    if value is None:
+        return ""
+    shown = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+    return shown if gap is None else f"{shown} ({gap:+.3g})"

@@ -1,0 +1,143 @@
+"""What changed besides the painted objects: pixels outside of them, and stains by label maps."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from balls import CAMERAS, SPLATS, enlarged
+from painted_balls import FAST, RED, TRAINED, write_pictures
+from stylesplat.evaluation.changes import measure_changes
+from stylesplat.evaluation.summary import style_lines
+from stylesplat.rendering.sh import SH_C0
+from stylesplat.rendering.shares import coverage
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.projection import crop
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.stylization.style import Style
+from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.stylize import stylize
+
+pytestmark = pytest.mark.usefixtures("quick_painting")
+
+VIEWS = enlarged(CAMERAS, 4)  # 192x144
+SCENE = replace(TRAINED, cameras=VIEWS, objects={"red": SceneObject(RED, {"ids": [3]})})
+MAPS = [3 * (coverage(SCENE.splats, VIEWS[row], RED) > 0.1).long() for row in range(len(VIEWS))]
+PHOTOS = [torch.zeros(144, 192, 3, dtype=torch.uint8)] * len(VIEWS)
+CAPTURE = Capture(VIEWS, PHOTOS, MAPS)
+BESIDE = (SCENE.splats.means - torch.tensor([-0.3, -0.7, 0.0])).norm(dim=1) < 0.35  # of the table
+SPILT = SCENE.with_object("red", SceneObject(RED | BESIDE, {"ids": [3]}))
+
+
+@pytest.fixture(scope="module")
+def style(tmp_path_factory: pytest.TempPathFactory) -> Style:
+    pictures = write_pictures(tmp_path_factory.mktemp("pictures"))
+    return Style(pictures[0], config=FAST, steps=8, intensity=1.0)
+
+
+@pytest.fixture(scope="module")
+def spilt(style: Style) -> Scene:
+    return stylize(SPILT, {"red": style}, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def clean(style: Style) -> Scene:
+    return stylize(SCENE, {"red": style}, device="cpu")
+
+
+def with_maps(change: dict[int, torch.Tensor]) -> Capture:
+    return replace(CAPTURE, label_maps=[change.get(row, each) for row, each in enumerate(MAPS)])
+
+
+def test_a_stain_on_the_table_is_said(spilt: Scene):
+    found = evaluate(spilt, CAPTURE, device="cpu")
+    area, view = found["stain_pixels"], found["stain_view"]
+    assert spilt.metrics["outside_psnr"] == found["outside_psnr"] == 120, "it is selected"
+    assert 200 < area < 2000 and view in VIEWS.names
+    (line,) = style_lines(found, ["red"])
+    assert line.endswith(f", a stain of {area:,} pixels beside the object in view {view}.")
+    assert "stain_pixels" not in evaluate(spilt, device="cpu")
+
+
+def test_without_one_nothing_else_changed(clean: Scene):
+    found = evaluate(clean, CAPTURE, device="cpu")
+    assert found["stain_pixels"] == 0 and "stain_view" not in found
+    assert style_lines(found, ["red"])[0].endswith(", nothing else changed.")
+
+
+def test_a_label_map_that_lost_half_the_object_makes_hardly_a_stain(clean: Scene):
+    for row in range(len(MAPS)):
+        half = MAPS[row].clone()
+        columns = (half == 3).any(dim=0).nonzero()[:, 0]
+        half[:, int(columns.float().mean()) :] = 0
+        lost = int((half != MAPS[row]).sum())
+        found = evaluate(clean, with_maps({row: half}), device="cpu")["stain_pixels"]
+        assert found < 0.2 * lost, "few maps show the places at the ball's very side"
+
+
+def test_borders_of_label_maps_may_err_by_a_few_pixels(clean: Scene, spilt: Scene):
+    maps = {}
+    for row, labels in enumerate(MAPS):
+        inner = cv2.erode(labels.to(torch.uint8).numpy(), np.ones((7, 7), np.uint8))
+        maps[row] = torch.from_numpy(inner).long()
+    capture = with_maps(maps)
+    assert evaluate(clean, capture, device="cpu")["stain_pixels"] == 0
+    assert evaluate(spilt, capture, device="cpu")["stain_pixels"] > 200
+
+
+def test_no_label_map_no_word_of_it(clean: Scene, spilt: Scene):
+    grown = {"red": SceneObject(spilt.objects["red"].picked, {"ids": [3], "grow": 0.2})}
+    for scene, capture in (
+        (clean, None),
+        (clean, replace(CAPTURE, label_maps=None)),
+        (clean, replace(CAPTURE, label_maps=[None] * len(VIEWS))),
+        (replace(spilt, objects=grown), CAPTURE),
+    ):
+        found = evaluate(scene, capture, device="cpu")
+        assert "stain_pixels" not in found
+        assert style_lines(found, ["red"])[0].endswith(", no other Gaussian changed.")
+
+
+def test_beside_an_object_of_no_label_another_ones_stain_is_found(style: Style):
+    """What is selected by its shape counts where it is rendered."""
+    blue = torch.arange(len(RED)) >= 360
+    scene = SPILT.with_object("blue", SceneObject(blue, {"ids": [], "sphere": ((0, 0.8, 0.3), 1)}))
+    done = stylize(scene, {"red": style, "blue": style}, device="cpu")
+    found = evaluate(done, CAPTURE, device="cpu")
+    assert found["stain_pixels"] > 200
+    assert "beside the objects in view" in style_lines(found, ["red", "blue"])[-1]
+
+
+def test_nothing_changed():
+    none = torch.zeros(len(SPLATS), dtype=torch.bool)
+    found = measure_changes(SPLATS, SPLATS, CAMERAS[:2], none)
+    assert (found["changed_gaussians"], found["outside_psnr"], found["edge_psnr"]) == (0, 120, 120)
+
+
+def test_what_changed_outside_is_found():
+    picked = torch.arange(len(SPLATS)) >= 360  # the last ball
+    sh0 = SPLATS.sh0.clone()
+    sh0[200:280, :, 2] += 1  # the first ball
+    found = measure_changes(SPLATS, replace(SPLATS, sh0=sh0), CAMERAS[:2], picked)
+    assert found["changed_gaussians"] == 80
+    assert found["outside_max_difference"] == pytest.approx(SH_C0, rel=0.1)  # all but opaque
+    assert found["outside_psnr"] < 30
+
+
+def test_a_view_full_of_the_object():
+    everything = torch.ones(len(SPLATS), dtype=torch.bool)
+    near = crop(CAMERAS[0], [22, 15], [24, 17])
+    assert measure_changes(SPLATS, SPLATS, near, everything)["outside_psnr"] == 120
+
+
+def test_more_gaussians_count_as_changed_and_a_rim_is_seen():
+    picked = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
+    more = SPLATS[torch.cat([torch.arange(len(SPLATS)), torch.tensor([205, 206])])]
+    assert measure_changes(SPLATS, more, CAMERAS[:1], picked)["changed_gaussians"] == 2
+    repainted = replace(SPLATS, sh0=SPLATS.sh0 + 1.0 * picked[:, None, None])
+    found = measure_changes(SPLATS, repainted, CAMERAS[:1], picked)
+    assert found["changed_gaussians"] == 80
+    assert found["outside_max_difference"] == 0
+    assert 0 < found["rim_error"] < 0.2  # the object's soft contour, no more
