@@ -33,7 +33,7 @@ from torch.nn import functional as F
 
 import stylesplat as ss
 from stylesplat.evaluation.style import measure_style
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork

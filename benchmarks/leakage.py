@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 import stylesplat as ss
 from stylesplat.evaluation.changes import measure_changes
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick

@@ -12,10 +12,10 @@ from stylesplat.demo.cloud import surface_points
 from stylesplat.demo.still_life import dome_cameras, photograph
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.figures.grid import MARGIN, PAPER, TITLE_SIZE, write_line
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.check import check
 
 CAMERAS = dome_cameras(48, 240, 180)

@@ -16,7 +16,7 @@ from stylesplat.metrics.ssim import ssim
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.identities import render_labels
-from stylesplat.training.pose_shifts import moved
+from stylesplat.stylization.paint_objects import moved
 
 
 def noise(seed: int = 0) -> torch.Tensor:

@@ -12,7 +12,7 @@ from balls import CAMERAS
 from striped_balls import FAST, GROWN, SCENE, ball, with_settings
 from stylesplat.evaluation import style
 from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm, share_of_way
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.vgg import Vgg

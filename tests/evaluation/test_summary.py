@@ -2,13 +2,7 @@
 
 import pytest
 
-from stylesplat.evaluation.summary import (
-    WHOLE,
-    around,
-    painted_gaussians,
-    photo_lines,
-    style_lines,
-)
+from stylesplat.evaluation.summary import WHOLE, around, painted_gaussians, photo_lines, style_lines
 
 QUIET = {"changed_outside": 0, "outside_max_difference": 0.0, "stain_pixels": 0}
 VASE = {

@@ -21,7 +21,7 @@ from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import write_label_maps
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.masks.checkpoint import open_checkpoint
-from stylesplat.rendering.reference import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats

@@ -7,18 +7,13 @@ import torch
 from torch import Tensor
 
 from stylesplat.demo.still_life import dome_cameras
-from stylesplat.figures.capture_picture import (
-    BLURRED,
-    PANEL,
-    SEEN,
-    UNSEEN,
-    WEAK,
-    capture_picture,
-)
+from stylesplat.figures.capture_picture import PANEL, SEEN, WEAK, capture_picture
 from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.structure_from_motion.capture_report import CaptureReport
+from stylesplat.scene.compose import UNSEEN
+from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.image_measures import BLURRED
 from stylesplat.verbs.check import check
 
 DOME = dome_cameras(48, 48, 36)

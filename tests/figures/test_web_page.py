@@ -16,7 +16,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.packed import meant, nearest_entries, palette_of
 from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.packing import morton_order
-from stylesplat.rendering.reference import rasterize, rotation_matrices
+from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import rows_unpainted

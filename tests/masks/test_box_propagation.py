@@ -11,7 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks import box_propagation as module
 from stylesplat.masks.box_propagation import Images, grabcut_images, propagate_boxes
 from stylesplat.masks.grabcut import Box, cut_box
-from stylesplat.rendering.reference import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats

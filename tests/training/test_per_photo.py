@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.evaluation.half_fits import Fits
-from stylesplat.evaluation.photo_metrics import NO_FITS, evaluate_views
+from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.poses import are_rigid

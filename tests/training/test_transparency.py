@@ -8,7 +8,7 @@ import torch
 
 from ball_photos import write_cut_outs
 from balls import CAMERAS, enlarged
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats

@@ -15,7 +15,7 @@ from balls import CAMERAS, SPLATS
 from plain_layers import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.quick_splat import working_splat
-from stylesplat.rendering.reference import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from stylesplat.cli.mask_scene import is_without_photos, mask_scene, scene_words
-from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.next_steps import next_lines, unused
 from stylesplat.cli.optional_pictures import told_if_missing
 from stylesplat.cli.options import (
     CONTINUES,
@@ -24,12 +24,13 @@ from stylesplat.cli.options import (
 from stylesplat.cli.parse import parse_named_box, parse_stroke
 from stylesplat.cli.posed import is_under_way, posed, view_called
 from stylesplat.cli.results import write_or_rescue
-from stylesplat.io.folders import partial_of
+from stylesplat.io.atomic import partial_of
+from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE
 
 if TYPE_CHECKING:
     from stylesplat.io.captures.sfm_file import SfmRecord
-    from stylesplat.masks.boxes.grabcut import Box, Stroke
+    from stylesplat.masks.grabcut import Box, Stroke
     from stylesplat.scene.capture import Capture
     from stylesplat.scene.scene import Scene
 
@@ -98,9 +99,8 @@ class Mask:
 
     def run(self) -> dict[str, Any]:
         """Do it."""
+        from stylesplat.io.atomic import changing, refuse_occupied
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
-        from stylesplat.io.folders import refuse_occupied
-        from stylesplat.io.recovery import changing
         from stylesplat.verbs.load import load
 
         method = self._method
@@ -146,8 +146,8 @@ class Mask:
     def _mask(
         self, capture: "Capture", scene: "Scene | None", output: Path, progress: Path | None
     ) -> dict[str, Any]:
-        from stylesplat.io.captures.label_folder import refuse_label_maps
         from stylesplat.io.captures.sfm_file import read_sfm
+        from stylesplat.io.label_maps import refuse_label_maps
         from stylesplat.scene.cameras import row_called
         from stylesplat.verbs.mask import mask
 
@@ -181,7 +181,7 @@ class Mask:
         return boxes
 
     def _strokes(self, record: "SfmRecord | None") -> "dict[str, list[tuple[str, Stroke]]]":
-        from stylesplat.masks.boxes.grabcut import Stroke
+        from stylesplat.masks.grabcut import Stroke
 
         strokes: dict[str, list[tuple[str, Stroke]]] = {}
         for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
@@ -197,10 +197,10 @@ class Mask:
 
     def _write(self, masked: "Capture", output: Path) -> dict[str, Any]:
         from stylesplat.figures.sheets import mask_preview
-        from stylesplat.io.captures.label_folder import write_label_maps
+        from stylesplat.io.atomic import changing
         from stylesplat.io.files import is_file
         from stylesplat.io.images import write_image
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.label_maps import write_label_maps
         from stylesplat.verbs.load import load
 
         found = write_or_rescue(

@@ -32,9 +32,8 @@ class Objects:
     def run(self) -> dict[str, Any]:
         """Do it."""
         from stylesplat.figures.sheets import object_sheet
+        from stylesplat.io.atomic import changing, refuse_file
         from stylesplat.io.images import write_image
-        from stylesplat.io.places import refuse_file
-        from stylesplat.io.recovery import changing
         from stylesplat.io.scene_folder import open
         from stylesplat.progress import say
         from stylesplat.selection.identities import UNLABELLED

@@ -166,7 +166,7 @@ class Select:
 
     def _draw(self, target: Path) -> Path | None:
         """Draw it, in the scene as it is saved; the picture if there is one."""
-        from stylesplat.figures.selection_picture import selection_picture
+        from stylesplat.figures.sheets import selection_picture
         from stylesplat.io.atomic import changing
         from stylesplat.io.images import write_image
         from stylesplat.io.scene_folder import open

@@ -63,10 +63,10 @@ def write_comparison(
         StyleSplatError: If a scene cannot be read, they share no view, or the page cannot be
             written.
     """
-    from stylesplat.io.recovery import changing
+    from stylesplat.io.atomic import changing
     from stylesplat.io.scene_folder import open
     from stylesplat.progress import say
-    from stylesplat.scene.shared_views import shared_views
+    from stylesplat.scene.scene import shared_views
     from stylesplat.verbs.compare import compare
 
     names = _names(paths)
@@ -107,7 +107,7 @@ def comparison_lines(result: dict[str, Any]) -> Iterator[str]:
 
 def _write(comparison: "Comparison", page: Path) -> None:
     from stylesplat.figures.html_page import comparison_page
-    from stylesplat.io.files import atomic_path
+    from stylesplat.io.atomic import atomic_path
 
     text = comparison_page(
         comparison.scenes, comparison.views, title="Scenes compared", notes=comparison.notes

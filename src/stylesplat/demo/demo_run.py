@@ -16,10 +16,11 @@ from stylesplat.figures.best_views import quiet_cut
 from stylesplat.figures.html_page import Figure, Section
 from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.sheets import object_sheet
-from stylesplat.io.folders import refuse_occupied
+from stylesplat.io.atomic import refuse_occupied
 from stylesplat.io.images import write_image
+from stylesplat.io.kinds import SCENE
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.io.scene_folder import SCENE, open, save
+from stylesplat.io.scene_folder import open, save
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style

@@ -5,7 +5,7 @@ from pathlib import Path
 from string import Template
 
 from stylesplat.figures.html_page import Section, file_url, page_style, section_html
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 
 TEMPLATE = Path(__file__).with_name("report.html")
 

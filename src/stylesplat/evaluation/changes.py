@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from stylesplat.metrics.masked_change import CHANGED, farther_than
 from stylesplat.metrics.psnr import decibels
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import (
     COVERED,
     colors_and_coverage,

@@ -13,18 +13,21 @@ from stylesplat.evaluation.segmentation import label_metrics
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
-from stylesplat.rendering.one_view import render
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments, adam_step
-from stylesplat.training.color_maps import aim, fitted, mapped
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.losses import photometric_loss
-from stylesplat.training.pose_shifts import moved
+from stylesplat.training.per_photo import (
+    apply_color_map,
+    blown_out_target,
+    fit_color_map,
+    shift_cameras,
+)
 
 MEASURED = 8  # views of an import
 STEPS = 40  # of fitting a camera
@@ -130,8 +133,8 @@ def _fitted_on(
     image, alpha = render(splats, camera)
     if not fits.colors:
         return image
-    change = fitted(image[:, seen], alpha[:, seen], photo[:, seen])
-    return mapped(image, alpha, change)
+    change = fit_color_map(image[:, seen], alpha[:, seen], photo[:, seen])
+    return apply_color_map(image, alpha, change)
 
 
 def _found(splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fits) -> Cameras:
@@ -143,12 +146,14 @@ def _found(splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fi
     for step in range(STEPS):
         params["pose_shifts"].grad = None
         with torch.enable_grad():
-            image, alpha, _ = rasterize(splats, moved(near, params["pose_shifts"], fits.unit))
+            image, alpha, _ = rasterize(
+                splats, shift_cameras(near, params["pose_shifts"], fits.unit)
+            )
             image = image[0]
             if fits.colors:
-                change = fitted(image.detach(), alpha[0].detach(), target)
-                image = mapped(image, alpha[0], change)
-            photometric_loss(image, aim(image, target))[0].backward()
+                change = fit_color_map(image.detach(), alpha[0].detach(), target)
+                image = apply_color_map(image, alpha[0], change)
+            photometric_loss(image, blown_out_target(image, target))[0].backward()
         rate = FIRST_RATE * (LAST_RATE / FIRST_RATE) ** (step / (STEPS - 1))
         adam_step(params, moments, {"pose_shifts": rate}, step + 1)
-    return moved(camera, params["pose_shifts"].detach(), fits.unit)
+    return shift_cameras(camera, params["pose_shifts"].detach(), fits.unit)

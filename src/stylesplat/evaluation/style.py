@@ -19,7 +19,7 @@ from stylesplat.evaluation.statistics import (
     palette_distance,
 )
 from stylesplat.progress import say
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats

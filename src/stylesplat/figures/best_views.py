@@ -17,15 +17,14 @@ from stylesplat.figures.grid import CELL
 from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
-from stylesplat.scene.projection import crop
+from stylesplat.scene.projection import crop, share_in_images
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.selection.in_images import in_images
 from stylesplat.stylization.object_views import SURVEY_SIZE, Box
 
 VIEWS = 3  # of an object
@@ -220,6 +219,6 @@ def quiet_cut(splats: Splats, camera: Cameras, objects: Sequence[Bool[Tensor, " 
 
 def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:
     """Some of the cameras that have an object in their image, though something may hide it."""
-    shares = in_images(surface, cameras)
+    shares = share_in_images(surface, cameras)
     good = (shares > 0) & (shares >= MOST * shares.max())
     return evenly(good.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.figures.pictures import to_uint8
-from stylesplat.rendering.one_view import render
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.render import render
 from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.framing import centred_K

@@ -9,14 +9,7 @@ from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import Content, content_of
-from stylesplat.scene.framing import (
-    Distances,
-    Sight,
-    centred_K,
-    distances,
-    focal_at,
-    level_axes,
-)
+from stylesplat.scene.framing import Distances, Sight, centred_K, distances, focal_at, level_axes
 from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
 from stylesplat.scene.splats import Splats
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.images import ColorPicture, ViewPicture
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

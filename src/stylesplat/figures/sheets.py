@@ -42,22 +42,20 @@ from stylesplat.metrics.psnr import psnr
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.compose import require_painted
 from stylesplat.scene.content import solid
 from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
 from stylesplat.scene.projection import crop
-from stylesplat.scene.resized import at_most
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
-from stylesplat.selection.own_shares import own_shares
 from stylesplat.selection.pick import each_object
-from stylesplat.selection.survey import survey
+from stylesplat.selection.soft_picks import own_shares, survey
 from stylesplat.stylization.object_views import Box
 
 GAP = 8  # pixels between the cut-outs of one object

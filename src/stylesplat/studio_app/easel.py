@@ -11,8 +11,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.shown import Shown
-from stylesplat.rendering.kernels.blend import Picture
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
@@ -22,6 +21,7 @@ from stylesplat.studio_app.session import Progress, Session, Stopped
 from stylesplat.studio_app.studio_state import State, names_in, shown, unless_all, with_scene
 from stylesplat.stylization.color import color_map, map_colors
 from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_images import Picture
 from stylesplat.verbs.stylize_live import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of what is painted
@@ -178,7 +178,7 @@ class Easel:
         what = f"{order.name}: {order.title}, step {step} of {steps}"
         self.session.progress = Progress(what, step / steps, left)
         scene = live.scene()
-        self.session.preview = Shown(scene.splats, hidden=self._hidden(scene))
+        self.session.preview = ViewerSplats(scene.splats, hidden=self._hidden(scene))
         self.session.tell_change()
 
     def _hidden(self, scene: Scene) -> Bool[Tensor, " N"] | None:

@@ -10,16 +10,15 @@ from zipfile import ZipFile
 
 import torch
 
-from stylesplat.demo.rehearsal import GAUSSIANS
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reason
-from stylesplat.io.tensors import IDENTITIES, Declared, check_tensors
+from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.progress import say
 from stylesplat.scene.capture import differences
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.training.adam import Moments
-from stylesplat.training.state import CLASSIFIER, State
+from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same

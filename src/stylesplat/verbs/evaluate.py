@@ -10,14 +10,9 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.changes import largest_stain
+from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
-from stylesplat.evaluation.style import (
-    measure_changes,
-    measure_look,
-    measure_statistics,
-    measure_style,
-)
+from stylesplat.evaluation.style import measure_look, measure_statistics, measure_style
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
 from stylesplat.scene.cameras import Cameras

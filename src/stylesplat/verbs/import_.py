@@ -1,4 +1,4 @@
-"""`import`: a splat of another program in, a scene out; no training."""
+"""`import`: a scene from a splat of another program, without training."""
 
 import time
 from dataclasses import replace
@@ -13,22 +13,20 @@ from torch import Tensor
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import evaluate_views, measured_rows
-from stylesplat.io.object_files import read_objects
+from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import known_frames, posed_as, seen_from
+from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.listed import ListedObjects
-from stylesplat.scene.resized import at_most
-from stylesplat.scene.ring import ring_cameras
-from stylesplat.scene.scene import Scene, SceneObject, is_id
+from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.naming import with_names
-from stylesplat.stylization.carried_over import carried_over
+from stylesplat.selection.objects import with_names
+from stylesplat.stylization.transfer_annotations import transfer_annotations
 from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
@@ -53,27 +51,28 @@ def import_(
     The splat stays as it is: same frame, same Gaussians, same order.
 
     Args:
-        splat: A .ply, .spz, .splat, .sog, .glb, .gltf or .usd file, or a SOG folder's meta.json;
-            or what was read from one.
+        splat: A .ply, .spz, .splat, .sog, .glb or .gltf file, or a SOG folder's meta.json;
+            or splats in memory.
         capture: The photos that it was made from. Without them the scene gets views around
-            the content, most of which have all of it in their pictures.
-        frame: The world frame of the splat, if it is not the capture's.
-        up: Which way is up, for these views; by default -y, as COLMAP has it.
-        labels: The label id of every Gaussian, or a file of them or of objects (see
-            `read_objects`); they take the place of the capture's label maps.
-        like: The scene that the splat was made of by another program: its views, objects and
-            paintings are carried over (see `carried_over`).
+            the content, most of which show all of it.
+        frame: The world frame of the splat, if it differs from the capture's.
+        up: The up direction of views without photos; by default -y, as COLMAP has it.
+        labels: The label id of every Gaussian, or a file of labels or objects; they replace the
+            capture's label maps.
+        like: The scene that another program made the splat of. Its views, objects and layers of
+            paint are transferred (see `transfer_annotations`).
         device: Where to render.
 
     Returns:
         The scene. Its metrics are `seconds`, `gaussians`, and with photos `psnr` and `ssim`, with
         label maps `confidence` (mean share of a Gaussian's pixels that have its label),
         `unseen_gaussians`, and `miou` and `boundary_miou` against these same label maps; with
-        labels `label_ids` and `unlabelled_gaussians`; or what `carried_over` says.
+        labels `label_ids` and `unlabelled_gaussians`; with `like` those of
+        `transfer_annotations`.
 
     Raises:
-        StyleSplatError: If a file is unfit, the splat does not show what the photos do, or an
-            option means nothing.
+        StyleSplatError: If a file is damaged, the splat does not show what the photos do, or an
+            option has no effect.
     """
     check_choice(frame, "frame", get_args(FrameName))
     if up is not None:
@@ -89,7 +88,7 @@ def import_(
         splats, listed, counts = _labelled(splats, labels)
         capture = capture and replace(capture, label_maps=None, object_names={})
     if like is not None:
-        scene = carried_over(splats, like, name=str(file or "The splat"))
+        scene = transfer_annotations(splats, like, name=str(file or "The splat"))
     elif capture is None:
         scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
         say(
@@ -111,7 +110,7 @@ def import_(
 def _labelled(
     splats: Splats, labels: Path | str | Int[Tensor, " N"]
 ) -> tuple[Splats, ListedObjects, dict[str, int]]:
-    """The splats with labels that are known, objects that have names, and how many these make."""
+    """The splats with labels, the named objects of the file, and the counts for the metrics."""
     if isinstance(labels, Tensor):
         listed = ListedObjects(len(splats), labels=labels)
     else:
@@ -125,7 +124,7 @@ def _labelled(
 
 
 def _with_listed(scene: Scene, listed: ListedObjects) -> Scene:
-    """The scene with the objects of a list that have names."""
+    """The scene with the named objects of a list."""
     for name, each in listed.objects.items():
         if not is_id(name):
             picked = torch.zeros(listed.count, dtype=torch.bool)
@@ -136,7 +135,7 @@ def _with_listed(scene: Scene, listed: ListedObjects) -> Scene:
 
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
-    """The scene of photos that show the splat: in its frame, with its labels, compared."""
+    """The scene with cameras in the splat's frame, lifted labels, and PSNR of the photos."""
     cameras = seen_from(capture.full_cameras, known_frames(capture.full_cameras)[frame])
     small = posed_as(at_most(capture, WORKING_SIZE), cameras)
     metrics: dict[str, Any] = {}
@@ -161,7 +160,7 @@ def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
 
 
 def _refuse_idle_options(capture: Capture | None, frame: FrameName, up: Up | None) -> None:
-    """Raise a StyleSplatError for options that would change nothing."""
+    """Raise a StyleSplatError for options that have no effect."""
     if capture is None and frame != "capture":
         raise StyleSplatError("--frame needs the capture. Name its folder as well.")
     if capture is not None and up is not None:
@@ -169,7 +168,7 @@ def _refuse_idle_options(capture: Capture | None, frame: FrameName, up: Up | Non
 
 
 def _check_fit(splats: Splats, name: str, small: Capture, frame: FrameName) -> None:
-    """Raise a StyleSplatError if renders do not show what the photos do; say which frame does."""
+    """Raise a StyleSplatError if renders do not match the photos; it names the frame that does."""
     frames = known_frames(small.cameras)
     gain = frame_fits(splats, small, {frame: frames.pop(frame)})[frame]
     if gain > CLOSER:

@@ -16,7 +16,6 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.style_sheet import SheetPlan, captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.kernels.blend import Picture
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
@@ -27,6 +26,7 @@ from stylesplat.selection.choose import find_object
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_images import Picture
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.verbs.stylize import stylize_unmeasured
 

@@ -35,8 +35,9 @@ from stylesplat.stylization.paint_objects import (
     paint_layer,
 )
 from stylesplat.stylization.paint_task import PaintTask, load_network, paint_tasks
-from stylesplat.stylization.style import Picture, Recipe, Style, StyledObject, as_recipe
+from stylesplat.stylization.style import Recipe, Style, StyledObject, as_recipe
 from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_images import Picture
 from stylesplat.stylization.style_job import Studio
 
 ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over networks

@@ -11,7 +11,7 @@ from full_scenes import COUNT, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.io.tensors import GAUSSIANS
-from stylesplat.rendering.reference import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.members import inliers
 from stylesplat.verbs.select import select
