@@ -23,7 +23,7 @@ class Row:
     """A row of a grid."""
 
     cells: Sequence[tuple[Picture, str] | None]
-    """Pictures with their captions, all `CELL` pixels wide and high; None leaves a gap."""
+    """Pictures with their captions, squares of one size in the whole grid; None leaves a gap."""
     label: str = ""
     """What the row is, at its left."""
     pictures: Sequence[Picture] = ()
@@ -33,17 +33,18 @@ class Row:
 def draw_grid(rows: Sequence[Row]) -> UInt8[Tensor, "H W 3"]:
     """Draw pictures in rows and columns. Texts too long for their place end in an ellipsis."""
     columns = max(len(row.cells) for row in rows)
+    side = next(cell[0].shape[1] for row in rows for cell in row.cells if cell)
     head = HEAD + MARGIN if any(row.label or row.pictures for row in rows) else 0
-    width, height = CELL + MARGIN, CELL + CAPTION + MARGIN
+    width, height = side + MARGIN, side + CAPTION + MARGIN
     sheet = Image.new("RGB", (head + columns * width + MARGIN, len(rows) * height + MARGIN), PAPER)
     for number, row in enumerate(rows):
         top = MARGIN + number * height
-        _draw_head(sheet, row, top)
+        _draw_head(sheet, row, top, side)
         for column, cell in enumerate(row.cells):
             if cell is not None:
                 left = head + MARGIN + column * width
                 sheet.paste(Image.fromarray(cell[0].cpu().numpy()), (left, top))
-                write_line(sheet, (left + 2, top + CELL + 4), cell[1], TITLE_SIZE, CELL - 2)
+                write_line(sheet, (left + 2, top + side + 4), cell[1], TITLE_SIZE, side - 2)
     return torch.from_numpy(np.array(sheet))
 
 
@@ -59,10 +60,10 @@ def write_line(
     ImageDraw.Draw(sheet).text(place, shown, INK, font)
 
 
-def _draw_head(sheet: Image.Image, row: Row, top: int) -> None:
+def _draw_head(sheet: Image.Image, row: Row, top: int, side: int) -> None:
     write_line(sheet, (MARGIN, top), row.label, COUNT_SIZE, HEAD)
     top += LABEL if row.label else 0
-    room = (CELL - LABEL) // max(1, len(row.pictures))  # pixels of height for each
+    room = (side - LABEL) // max(1, len(row.pictures))  # pixels of height for each
     for picture in row.pictures:
         small = Image.fromarray(picture.cpu().numpy())
         small.thumbnail((HEAD, room - 4))

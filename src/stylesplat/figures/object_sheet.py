@@ -97,13 +97,16 @@ def object_sheet(
 
 
 @torch.no_grad()
-def close_up(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> Cameras:
+def close_up(
+    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
+) -> Cameras:
     """A square view of an object and a margin, from the camera that shows most of it.
 
     Args:
         splats: The scene.
         cameras: Views to choose from.
         picked: The object's Gaussians.
+        side: Pixels along the view.
 
     Returns:
         One camera, named as the one it was made from.
@@ -116,7 +119,7 @@ def close_up(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> Ca
         where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"
         raise StyleSplatError(f"The object does not show in {where}. Choose a view of it.")
     best = cameras[found[0].row]
-    return _aim(splats, picked, best, CELL, padding=SURROUNDINGS)
+    return _aim(splats, picked, best, side, padding=SURROUNDINGS)
 
 
 def _scores(

@@ -16,6 +16,7 @@ from stylesplat.stylization.style import Picture, Style
 Variation = tuple[str, tuple[Any, ...]]
 """A setting, or `preset`, and the values that it takes in turn."""
 Drawn = UInt8[Tensor, "_ _ 3"]
+FIELDS = {"stroke_size": "scale"}  # settings that options of `stylize` call otherwise
 
 
 class Place(NamedTuple):
@@ -103,6 +104,8 @@ def captioned(
 ) -> list[Row]:
     """The grid's rows, led by the object as it is; style pictures are shown where they change.
 
+    Captions begin with the row and the column, counted from 1.
+
     Args:
         plan: The sheet.
         pictures: Of each cell, by row and column.
@@ -111,7 +114,10 @@ def captioned(
     rows, last = [], None
     for number, row in enumerate(plan.rows):
         first = (before, "before") if number == 0 else None
-        cells = [(pictures[number, at], caption) for at, (caption, _) in enumerate(row.cells)]
+        cells = [
+            (pictures[number, at], f"{number + 1},{at + 1}: {caption}")
+            for at, (caption, _) in enumerate(row.cells)
+        ]
         style = row.cells[0][1]
         new = last is None or style.pictures != last
         shown = [to_uint8(image) for image in Style(*style.pictures).read()] if new else []
@@ -134,7 +140,7 @@ def _choices(variations: Sequence[Variation]) -> Iterator[tuple[str, dict[str, A
         yield "", {}
     for key, values in variations:
         for value in values:
-            yield f"{key.replace('_', ' ')} {_shown(value)}", {key: value}
+            yield f"{key.replace('_', ' ')} {_shown(value)}", {FIELDS.get(key, key): value}
 
 
 def _shown(value: Any) -> str:
