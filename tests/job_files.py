@@ -7,7 +7,7 @@ from textwrap import dedent
 
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_file import plan_batch
-from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended
+from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job
 from stylesplat.cli.batch_verbs import batch_verbs
 
 VERBS = batch_verbs()
@@ -38,7 +38,7 @@ def pretend(slots: int, begun: list[str], fails: Callable[[str], bool]) -> JobEx
     def submit(job: Job) -> Future[JobRecord]:
         begun.append(job.name)
         future: Future[JobRecord] = Future()
-        future.set_result(ended(job, "failed" if fails(job.name) else "done", ""))
+        future.set_result(ended_job(job, "failed" if fails(job.name) else "done", ""))
         return future
 
     return JobExecutor(slots, submit)

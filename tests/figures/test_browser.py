@@ -16,7 +16,7 @@ from stylesplat.figures.client_camera import browser_camera
 from stylesplat.figures.live_splats import covariances, weightiest
 from stylesplat.figures.private_server import private_server
 from stylesplat.signals import Terminated
-from stylesplat.studio_app.viewing import pose_of
+from stylesplat.studio_app.viewport import viser_pose
 
 
 @pytest.fixture
@@ -192,7 +192,7 @@ def test_of_too_many_gaussians_those_that_show_most_are_sent():
 
 def test_a_browsers_camera_sees_what_ours_does():
     camera = CAMERAS[2]
-    wxyz, position, fov = pose_of(camera)
+    wxyz, position, fov = viser_pose(camera)
     found = browser_camera(wxyz, position, fov, camera.size)
     assert torch.allclose(found.viewmats, camera.viewmats, atol=1e-5)
     assert torch.allclose(found.Ks, camera.Ks, atol=1e-3) and found.size == camera.size

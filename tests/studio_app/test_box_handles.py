@@ -5,21 +5,21 @@ import numpy as np
 from balls import CAMERAS, SPLATS
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.box_handles import BoxHandles
-from stylesplat.studio_app.opening import studio
+from stylesplat.studio_app.pick_panel import BoxHandles
 from stylesplat.studio_app.picking import pick_box, pick_names
+from stylesplat.studio_app.studio import studio
 
 
 def test_the_box_begins_around_the_pick_and_its_corners_may_cross(tmp_path: Path):
     save(Scene(SPLATS, CAMERAS), tmp_path / "balls")
     opened = studio(tmp_path / "balls", port=0, block=False)
     try:
-        session, stage = opened.session, opened.page.stage
+        session, viewport = opened.session, opened.page.viewport
         session.do(lambda state: pick_names(state, ["3"]))
         assert session.worker.settle()
-        box = BoxHandles(stage)
+        box = BoxHandles(viewport)
         box.show(True)
-        assert session.worker.settle() and stage.rest.behind, "a picture would hide it"
+        assert session.worker.settle() and viewport.rest.behind, "a picture would hide it"
         corners = box.corners
         assert corners is not None
         picked = pick_box(session.state, *corners)
@@ -31,6 +31,6 @@ def test_the_box_begins_around_the_pick_and_its_corners_may_cross(tmp_path: Path
         again = box.corners
         assert again is not None and np.allclose(again, corners)
         box.show(False)
-        assert session.worker.settle() and not stage.rest.behind and box.corners is None
+        assert session.worker.settle() and not viewport.rest.behind and box.corners is None
     finally:
         opened.close()

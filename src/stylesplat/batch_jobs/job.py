@@ -13,10 +13,9 @@ Content = Literal["capture", "splat", "scene", "files"]
 
 @dataclass(frozen=True)
 class JobOption:
-    """An option of a verb."""
+    """An option of a verb, which takes `count` values at a time; a flag takes 0."""
 
     count: int | Literal["*"]
-    """Number of values that it takes at a time; 0 for a flag."""
     repeated: bool = False
     """It may be given several times, and appends."""
     is_path: bool = False
@@ -24,10 +23,6 @@ class JobOption:
     is_output: bool = False
     """It names what the job makes, within the job's folder."""
     is_positional: bool = False
-
-    @property
-    def takes_several(self) -> bool:
-        return self.repeated or self.count not in (0, 1)
 
 
 @dataclass(frozen=True)
@@ -38,16 +33,15 @@ class JobVerb:
     options: Mapping[str, JobOption]
     """By name, without dashes in front."""
     takes: tuple[Content, ...]
-    """What it works on."""
     makes: Content | None
     """What its result is; None if that is what it works on."""
     needs_output: bool
-    """An option must name what it makes in the job's folder."""
+    """An option must name the file that it makes."""
     check: Callable[[Sequence[str]], str | None]
     """Parses arguments, and returns what is wrong with them."""
 
 
-class Needs(msgspec.Struct, frozen=True):
+class Needs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Resources of a job, as the job file names them."""
 
     cpus: Annotated[int, Meta(ge=1, le=4096)] | None = None
@@ -80,17 +74,15 @@ class Job:
     line: int
     """In the job file."""
     source: Path | None
-    """What it works on; None if that is the result of another job."""
+    """What it works on; None if that is the result of the job `after`."""
     content: Content
-    """What kind of thing that is."""
     after: str | None
-    """The name of the job that it follows."""
     values: Mapping[str, OptionValue]
     needs: Needs
 
     @property
     def has_output_name(self) -> bool:
-        """Whether its options name what it makes in its folder; else its folder is the result."""
+        """Whether options name what it makes in its folder; if not, its folder is the result."""
         return any(self.verb.options[n].is_output and v.words for n, v in self.values.items())
 
     @property
@@ -100,7 +92,7 @@ class Job:
 
     @property
     def processes(self) -> int:
-        """Number of processes that train together, one for each GPU."""
+        """Processes that train together, one for each GPU."""
         return max(1, self.needs.gpus or 1) if self.verb.name == "train" else 1
 
     def source_in(self, output: Path) -> Path:
@@ -115,7 +107,6 @@ class Job:
         return (*self.arguments(source, folder), *place, "--overwrite", "--json")
 
     def arguments(self, source: Path, folder: Path) -> list[str]:
-        """The verb, what it works on and the options from the job file."""
         positional, options = [str(source)], []
         for name, value in self.values.items():
             option = self.verb.options[name]

@@ -78,9 +78,7 @@ class _Planner:
             raise StyleSplatError("it must hold `scenes:` and `jobs:`.")
         self._check_keys(content, TOP_KEYS, ())
         shared = self._scenes(content.get("scenes"), ("scenes",))
-        entries = self._list(content.get("jobs"), ("jobs",), EXAMPLE)
-        if not entries:
-            raise self._error(("jobs",), f"jobs must be a list. {EXAMPLE}")
+        entries = self._list(content.get("jobs") or "none", ("jobs",), EXAMPLE)
         for number, value in enumerate(entries):
             place: Place = ("jobs", number)
             entry, scenes = self._entry(value, place), shared
@@ -108,6 +106,10 @@ class _Planner:
         verb, label = self._verbs[found[0]], value.get("name", found[0])
         if not isinstance(label, str | int) or not str(label).strip():
             raise self._error((*place, "name"), "name must be a text.")
+        try:
+            needs = msgspec.convert(value.get("needs") or {}, Needs)
+        except msgspec.ValidationError as error:
+            raise self._error((*place, "needs"), f"needs: {error}.") from error
         then = self._list(value.get("then"), (*place, "then"), EXAMPLE)
         if then and verb.makes == "files":
             line = self._line((*place, "then", 0))
@@ -117,7 +119,7 @@ class _Planner:
             line=self._line((*place, verb.name)),
             label=str(label),
             combinations=self._combinations(verb, value[verb.name], (*place, verb.name)),
-            needs=self._needs(value.get("needs"), (*place, "needs")),
+            needs=needs,
             then=[self._entry(each, (*place, "then", n)) for n, each in enumerate(then)],
         )
 
@@ -125,7 +127,9 @@ class _Planner:
         self, verb: JobVerb, options: Any, place: Place
     ) -> list[tuple[Sequence[str], Mapping[str, OptionValue]]]:
         """All combinations of the values of the options of a verb."""
-        options = self._map(options, place)
+        options = options or {}
+        if not isinstance(options, dict):
+            raise self._error(place, f"{verb.name} takes KEY: VALUE, as in {{steps: 300}}.")
         self._check_keys(options, verb.options, place)
         names, axes = [_spelled(key) for key in options], []
         for key, name in zip(options, names, strict=True):
@@ -165,19 +169,6 @@ class _Planner:
                 raise self._error((*place, key), f"two scenes have one name, {name}. {remedy}")
             found[name] = path
         return found
-
-    def _needs(self, needs: Any, place: Place) -> Needs:
-        needs = self._map(needs, place)
-        self._check_keys(needs, Needs.__struct_fields__, place)
-        try:
-            return msgspec.convert(needs, Needs)
-        except msgspec.ValidationError as error:
-            raise self._error(place, f"needs: {error}.") from error
-
-    def _map(self, value: Any, place: Place) -> dict[str, Any]:
-        if value is not None and not isinstance(value, dict):
-            raise self._error(place, f"{place[-1]} must be KEY: VALUE, as in {{steps: 300}}.")
-        return value or {}
 
     def _list(self, value: Any, place: Place, remedy: str) -> list[Any]:
         if value is not None and not isinstance(value, list):

@@ -88,7 +88,9 @@ def local_executor(output: Path, workers: int) -> Iterator[JobExecutor]:
     """
     if workers < 1:
         raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
-    stopping, share = Event(), max(1, _cores() // workers)
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    stopping, share = Event(), max(1, cores // workers)
     pool = ThreadPoolExecutor(workers)
     try:
         yield JobExecutor(
@@ -111,20 +113,25 @@ def run_job(job: Job, output: Path, threads: int, stopping: Event | None = None)
         with answer.open("wb") as stdout, log.open("wb") as stderr:
             process = subprocess.Popen(
                 process_command(job, output),
-                env=_environment(threads),
+                env={
+                    **os.environ,
+                    **dict.fromkeys(THREADS, str(threads)),
+                    "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+                    "PYTHONUNBUFFERED": "1",
+                },
                 stdin=subprocess.DEVNULL,
                 stdout=stdout,
                 stderr=stderr,
             )
     except (OSError, shutil.Error) as error:
-        return ended(job, "failed", f"it could not be started: {error}")
+        return ended_job(job, "failed", f"it could not be started: {error}")
     memory = _wait(process, stopping or Event())
     status, result = process.returncode, {}
     with suppress(OSError, ValueError):
         result = json.loads(answer.read_bytes()) if status == 0 else {}
     answer.unlink(missing_ok=True)
     return replace(
-        ended(job, "failed" if status else "done", _reason(status, log)),
+        ended_job(job, "failed" if status else "done", _reason(status, log)),
         command=job.command(output),
         seconds=round(time.monotonic() - start, 2),
         threads=threads,
@@ -133,7 +140,7 @@ def run_job(job: Job, output: Path, threads: int, stopping: Event | None = None)
     )
 
 
-def ended(job: Job, status: Literal["done", "failed", "skipped"], reason: str) -> JobRecord:
+def ended_job(job: Job, status: Literal["done", "failed", "skipped"], reason: str) -> JobRecord:
     """The record of a job that has ended now."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return JobRecord(job=job.name, verb=job.verb.name, status=status, reason=reason, ended=now)
@@ -156,18 +163,17 @@ def process_command(job: Job, output: Path) -> list[str]:
     return [*parent, sys.executable, *launcher, "-m", "stylesplat", *job.command(output)]
 
 
-def _environment(threads: int) -> dict[str, str]:
-    paths = os.pathsep.join(filter(None, sys.path))  # where this stylesplat is imported from
-    own = dict.fromkeys(THREADS, str(threads)) | {"PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"}
-    return {**os.environ, **own}
-
-
 def _wait(process: "subprocess.Popen[bytes]", stopping: Event) -> float | None:
-    """Wait for a process; returns its peak memory in GB."""
+    """Wait for a process; returns its peak memory in GB, where the system tells it."""
     memory = None
     try:
         while process.returncode is None and not stopping.is_set():
-            memory = _poll(process)
+            if not hasattr(os, "wait4"):
+                process.poll()
+            elif (ended := os.wait4(process.pid, os.WNOHANG))[0]:
+                process.returncode = os.waitstatus_to_exitcode(ended[1])
+                unit = 1 if sys.platform == "darwin" else 1024  # bytes of ru_maxrss
+                memory = round(ended[2].ru_maxrss * unit / 1e9, 3)
             time.sleep(PAUSE)
     finally:
         if process.returncode is None:  # the batch ends early, or Ray cancels its task
@@ -178,18 +184,6 @@ def _wait(process: "subprocess.Popen[bytes]", stopping: Event) -> float | None:
                 process.kill()
                 process.wait()
     return memory
-
-
-def _poll(process: "subprocess.Popen[bytes]") -> float | None:
-    if not hasattr(os, "wait4"):
-        process.poll()
-        return None
-    pid, status, usage = os.wait4(process.pid, os.WNOHANG)
-    if not pid:
-        return None
-    process.returncode = os.waitstatus_to_exitcode(status)
-    unit = 1 if sys.platform == "darwin" else 1024  # bytes of ru_maxrss
-    return round(usage.ru_maxrss * unit / 1e9, 3)
 
 
 def _reason(status: int, log: Path) -> str:
@@ -204,9 +198,3 @@ def _reason(status: int, log: Path) -> str:
     last = lines[-1] if lines else f"it ended with status {status}."
     fault = FAULT.match(last)
     return fault[1] if fault else f"{last[:BRIEF]} See {log}."
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -55,7 +55,7 @@ def _option_value(name: str, option: JobOption, value: Any, folder: Path) -> Opt
         if not isinstance(value, bool):
             raise StyleSplatError(f"{name} is true or false, not {value!r}.")
         return OptionValue((), ((name, ()),)) if value else OptionValue(None, (("no", (name,)),))
-    if isinstance(value, list) and not option.takes_several:
+    if isinstance(value, list) and option.count == 1 and not option.repeated:
         raise StyleSplatError(f"{name} takes one value; a list within a list has no meaning.")
     values = value if isinstance(value, list) else [value]
     if isinstance(option.count, int) and not option.repeated and len(values) != option.count:

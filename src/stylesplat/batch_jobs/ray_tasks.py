@@ -14,7 +14,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
-from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended, run_job
+from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, run_job
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason
 from stylesplat.signals import kept_signals
@@ -33,12 +33,7 @@ REMEDY = (
 
 @contextmanager
 def ray_executor(jobs: Sequence[Job], output: Path, address: str) -> Iterator[JobExecutor]:
-    """Runs jobs on a cluster, which is left with the context.
-
-    Args:
-        jobs: What it will have to run.
-        output: The folder of the results, which all nodes share.
-        address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
+    """Runs jobs on a cluster, whose nodes share the output folder.
 
     Raises:
         StyleSplatError: If Ray is missing, the cluster cannot be reached, or no node has the
@@ -73,8 +68,8 @@ def ray_resources(job: Job) -> dict[str, int]:
     device, needs = job.values.get("device"), job.needs
     on_gpu = device is not None and device.words == ("cuda",)
     gpus = int(on_gpu) if needs.gpus is None else needs.gpus
-    found = {"num_cpus": needs.cpus or 1, "num_gpus": gpus}
-    return found | ({"memory": int(needs.memory * 1e9)} if needs.memory else {})
+    memory = {"memory": int(needs.memory * 1e9)} if needs.memory else {}
+    return {"num_cpus": needs.cpus or 1, "num_gpus": gpus, **memory}
 
 
 def refuse_oversized(job: Job, nodes: Sequence[Mapping[str, float]]) -> None:
@@ -92,14 +87,14 @@ def _run_on_node(job: Job, output: Path, threads: int, expected: str) -> JobReco
     node, found = socket.gethostname(), version("stylesplat")
     if found != expected:
         fault = f"the Ray node {node} has stylesplat {found}, here is {expected}. Install the same."
-        return ended(job, "failed", fault)
+        return ended_job(job, "failed", fault)
     return replace(run_job(job, output, threads), node=node)
 
 
 def _record(task: "Future[JobRecord]", job: Job, output: Path) -> JobRecord:
     error = task.exception()
     if error is not None:
-        return ended(job, "failed", f"its Ray task failed: {reason(Exception(error))}.")
+        return ended_job(job, "failed", f"its Ray task failed: {reason(Exception(error))}.")
     record = task.result()
     if record.status == "done" and not (output / job.name).exists():
         fault = f"the Ray node {record.node} has written to another {output} than that of here. "

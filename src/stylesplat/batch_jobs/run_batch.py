@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_page import PAGE, write_job_page
-from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended, local_executor
+from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, local_executor
 from stylesplat.batch_jobs.option_values import refuse_address
 from stylesplat.errors import StyleSplatError, some, within
 from stylesplat.io.files import atomic_path, cannot_write
@@ -59,13 +59,7 @@ class BatchResult:
 def run_batch(
     jobs: tuple[Job, ...], output: Path, *, workers: int = 1, ray: str | None = None
 ) -> BatchResult:
-    """Run jobs, except for those that an earlier run has done.
-
-    Args:
-        jobs: Each behind the one that it follows.
-        output: The folder of all results; what an earlier run has done there is kept.
-        workers: Processes at a time.
-        ray: `local`, or the address of a Ray cluster that runs the jobs instead.
+    """Run jobs, except for those that an earlier run has done in the same folder.
 
     Raises:
         StyleSplatError: If an input cannot be read, the folder holds something else, or the
@@ -88,8 +82,8 @@ def run_batch(
             temporary.write_text("".join(map(_line, kept)), encoding="utf-8")
         records, todo = dict(done), [job for job in jobs if job.name not in done]
         try:
-            for ended_job in _run(todo, {*done}, output, workers, ray) if todo else ():
-                record = replace(ended_job, fingerprint=prints[ended_job.job])
+            for record in _run(todo, {*done}, output, workers, ray) if todo else ():
+                record = replace(record, fingerprint=prints[record.job])
                 say(_row(record))
                 _append(path, record)
                 records[record.job] = record
@@ -105,20 +99,13 @@ def run_in_order(
     executor: JobExecutor,
     note: Callable[[str], None] = lambda text: None,
 ) -> Iterator[JobRecord]:
-    """Run jobs, each after the one that it follows; yields the record of each that ends.
-
-    Args:
-        todo: The jobs, in order.
-        done: The names of jobs that are done.
-        executor: What runs them.
-        note: Called with the names of the running jobs.
-    """
+    """Run jobs, each after the one that it follows; yields the record of each that ends."""
     waiting, done, failed = {job.name: job for job in todo}, set(done), set[str]()
     running: dict[Future[JobRecord], str] = {}
     while waiting or running:
         for job in [each for each in waiting.values() if each.after in failed]:
             failed.add(waiting.pop(job.name).name)
-            yield ended(job, "skipped", f"it follows {job.after}, which is not done.")
+            yield ended_job(job, "skipped", f"it follows {job.after}, which is not done.")
         ready = [each for each in waiting.values() if each.after is None or each.after in done]
         for job in ready[: executor.slots - len(running)]:
             running[executor.submit(waiting.pop(job.name))] = job.name

@@ -1,11 +1,13 @@
-"""What the panel See does: the picture of all browsers, and where their cameras are."""
+"""The picture in all browsers, and the moves of their cameras."""
 
-from dataclasses import replace
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.figures.at_rest import AtRest
@@ -17,47 +19,120 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.studio_app.flights import Flights, Stand, stand_of
 from stylesplat.studio_app.session import Session
 
 if TYPE_CHECKING:
     import viser
 
+
+SECONDS = 0.5  # of a move
+PAUSE = 1 / 20  # seconds between two poses: browsers without a GPU draw each of them
+
+Vector = Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """The pose of a browser's camera, in world coordinates."""
+
+    position: Vector
+    target: Vector
+    """The middle of its picture, about which it turns."""
+    up: Vector
+    fov: float
+    """Vertical, radians."""
+
+
+def interpolate_poses(start: CameraPose, end: CameraPose, share: float) -> CameraPose:
+    """A pose between two, which eases in and out, and goes round the target where that stays."""
+    eased = share * share * (3 - 2 * share)
+
+    def mix(a: Vector, b: Vector) -> Vector:
+        return a + eased * (b - a)
+
+    target = mix(start.target, end.target)
+    away = mix(start.position - start.target, end.position - end.target)
+    length = np.linalg.norm(away)
+    lengths = [np.linalg.norm(each.position - each.target) for each in (start, end)]
+    if length > 1e-6 * max(lengths):  # else it is on the other side: straight through
+        away = away / length * (lengths[0] + eased * (lengths[1] - lengths[0]))
+    up = mix(start.up, end.up)
+    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else end.up
+    fov = start.fov + eased * (end.fov - start.fov)
+    return CameraPose(target + away, target, up, fov)
+
+
+def client_pose(client: "viser.ClientHandle") -> CameraPose:
+    camera = client.camera
+    return CameraPose(camera.position, camera.look_at, camera.up_direction, camera.fov)
+
+
+def set_client_pose(client: "viser.ClientHandle", pose: CameraPose) -> None:
+    with client.atomic():
+        client.camera.up_direction = pose.up
+        client.camera.position = pose.position
+        client.camera.look_at = pose.target
+        client.camera.fov = pose.fov
+
+
+def poses_between(
+    start: CameraPose, end: CameraPose, seconds: float = SECONDS
+) -> Iterator[CameraPose]:
+    """Poses as time goes by; the last one is the end."""
+    began = time.monotonic()
+    while (share := (time.monotonic() - began) / max(seconds, 1e-9)) < 1:
+        yield interpolate_poses(start, end, share)
+        time.sleep(PAUSE)
+    yield end
+
+
+class CameraMoves:
+    """Moves of the browsers' cameras: a move ends an earlier one of the same browser."""
+
+    def __init__(self) -> None:
+        self._last = dict[int, object]()
+
+    def start(self, client: "viser.ClientHandle", end: CameraPose) -> None:
+        """Move a camera; returns when it has arrived, or moves elsewhere."""
+        move = self._last[client.client_id] = object()
+        for pose in poses_between(client_pose(client), end):
+            if self._last[client.client_id] is not move:
+                return
+            set_client_pose(client, pose)
+
+
 Compared = Literal["after", "before", "split"]
 
-BEHIND = (0.086, 0.086, 0.094)  # what is behind everything at first: that of the dark page
-MOST_FRAMES = 60  # cameras that are drawn
-NEAREST = 0.1  # world units to what a photo's camera turns about, at least
-CLOSE = 1.6  # extents of an object from which it is looked at
+BACKGROUND = (0.086, 0.086, 0.094)  # colour behind the scene at first: that of the dark page
+MOST_FRAMES = 60  # cameras of photos that are drawn
+NEAREST = 0.1  # world units from a photo's camera to its target, at least
+CLOSE = 1.6  # extents of an object between it and a camera close to it
 
 
-class Stage:
-    """The picture: splats that follow the session, and exact ones as cameras rest."""
+class Viewport:
+    """The picture: splats that follow the session, and exact pictures while cameras rest."""
 
     def __init__(self, server: "viser.ViserServer", session: Session) -> None:
-        """Show the session's state from now on."""
         self.server, self.session = server, session
-        self.behind = BEHIND
-        """The colour behind everything."""
+        self.background = BACKGROUND
         self.compared: Compared = "after"
-        """Whether paintings are seen, or what was before, or one beside the other."""
         self.split = 0.5
-        """Where a split view has its border, of the picture's width."""
-        self._holding, self.flights = set[int](), Flights()
+        """The border of a split view, as a share of the picture's width."""
+        self._holding, self.moves = set[int](), CameraMoves()
         scene = session.state.scene
         place_camera(server, scene.splats, scene.cameras)
         view = first_view(scene.splats, scene.cameras)
-        self._first = Stand(
+        self._first = CameraPose(
             *(each.double().numpy() for each in (view.position, view.target, view.up)),
             fov=server.initial_camera.fov,
         )
-        self._last = self.shown()
+        self._last = self.display()
         self._splats = LiveSplats(server, self._last)
         self.rest = AtRest(server, session.worker, self.look)
-        self.rest.set_paper(BEHIND)
+        self.rest.set_paper(BACKGROUND)
         self._drawn_over = set[str]()
         self._frames = list["viser.CameraFrustumHandle"]()
-        session.on_change(self.refresh)
+        session.on_change.append(self.refresh)
         server.on_client_disconnect(lambda client: self.hold(client.client_id, False))
         count = len(scene.splats)
         if count > MOST:
@@ -65,17 +140,16 @@ class Stage:
                 f"The browser moves {MOST:,} of {count:,} Gaussians; at rest the picture is of all."
             )
 
-    def shown(self) -> Shown:
-        """What is to be seen now."""
-        seen = self.session.shown
+    def display(self) -> Shown:
+        seen = self.session.display
         before = self.compared == "before" or self._holding
         if before and self.session.preview is None:
             return _before(self.session.state.scene, seen.hidden)
         return seen
 
     def refresh(self) -> None:
-        """Something is another: in the worker's thread."""
-        self._last = self.shown()
+        """Update the picture, in the worker's thread."""
+        self._last = self.display()
         self._splats.show(self._last)
         self.rest.active = not self.session.painting
         self.rest.behind = bool(self._drawn_over)
@@ -84,48 +158,46 @@ class Stage:
     def look(
         self, camera: Cameras, pointed: Bool[Tensor, " N"] | None = None
     ) -> UInt8[np.ndarray, "H W 3"]:
-        """What a camera sees exactly, some Gaussians tinted as those below the pointer."""
-        image = replace(self._last, pointed=pointed).render(camera, self.behind).numpy()
+        """Render the exact picture of a camera, with the Gaussians below the pointer tinted."""
+        image = replace(self._last, pointed=pointed).render(camera, self.background).numpy()
         if self.compared == "split" and not self._holding and self.session.preview is None:
             scene, hidden = self.session.state.scene, self._last.hidden
-            before = _before(scene, hidden).render(camera, self.behind).numpy()
+            before = _before(scene, hidden).render(camera, self.background).numpy()
             middle = round(self.split * image.shape[1])
             image[:, :middle] = before[:, :middle]
             image[:, max(0, middle - 1) : middle + 1] = 255
         return image
 
     def compare(self, compared: Compared, split: float | None = None) -> None:
-        """Show paintings, or what was before, or both, with a border somewhere."""
+        """Show the scene after or before painting, or both."""
         self.compared = compared
         self.split = self.split if split is None else split
         self.session.ask(self.refresh, kind="compare")
 
     @property
     def held(self) -> bool:
-        """Whether somebody holds the key that shows what was before."""
         return bool(self._holding)
 
     def hold(self, client_id: int, before: bool) -> None:
-        """Show what was before for as long as somebody holds a key."""
+        """Show the scene before painting while a browser holds the key for that."""
         if before == (client_id in self._holding):
             return
         (self._holding.add if before else self._holding.discard)(client_id)
         self.session.ask(self._exchange, kind="compare")
 
     def _exchange(self) -> None:
-        """In the worker's thread: something else is to be seen, at once and without a gap."""
-        self._last = self.shown()
+        """Replace the picture without a gap, in the worker's thread."""
+        self._last = self.display()
         self.rest.again()
         self._splats.show(self._last)
 
-    def paper(self, behind: tuple[float, float, float]) -> None:
-        """Another colour behind everything."""
-        self.behind = behind
-        self.rest.set_paper(behind)
+    def set_background(self, background: tuple[float, float, float]) -> None:
+        self.background = background
+        self.rest.set_paper(background)
         self.session.ask(self.refresh, kind="compare")
 
     def frames(self, show: bool) -> None:
-        """Draw the cameras of the photos, to fly to, or take them away."""
+        """Draw the cameras of the photos, or remove them."""
         for frame in self._frames:
             frame.remove()
         self._frames = []
@@ -136,12 +208,12 @@ class Stage:
         self.draw_over("frames", show)
 
     def draw_over(self, what: str, there: bool) -> None:
-        """Something is drawn in the scene, which exact pictures must not hide; or no longer."""
+        """Note that a thing is drawn in the scene, which exact pictures must not cover."""
         (self._drawn_over.add if there else self._drawn_over.discard)(what)
         self.session.ask(self.refresh, kind="compare")
 
     def _frame(self, camera: Cameras, size: float) -> "viser.CameraFrustumHandle":
-        wxyz, position, fov = pose_of(camera)
+        wxyz, position, fov = viser_pose(camera)
         width, height = camera.size
         frame = self.server.scene.add_camera_frustum(
             f"/photos/{camera.names[0]}",
@@ -155,34 +227,33 @@ class Stage:
 
         @frame.on_click
         def _(event: "viser.SceneNodePointerEvent[viser.CameraFrustumHandle]") -> None:
-            self.flights.fly(event.client, stand_at(self.session.state.scene, camera))
+            self.moves.start(event.client, photo_pose(self.session.state.scene, camera))
 
         return frame
 
     def home(self, client: "viser.ClientHandle") -> None:
-        """Where it began, or if something is picked, close to that."""
-        self.flights.fly(client, self.at_home(stand_of(client)))
+        """Move a camera close to what is picked, or to where it began."""
+        self.moves.start(client, self.at_home(client_pose(client)))
 
-    def at_home(self, now: Stand) -> Stand:
-        """Where Home leads to."""
+    def at_home(self, now: CameraPose) -> CameraPose:
         state = self.session.state
         picked = self.session.masks.together(state.scene, state.picked)
         if picked is None:
             return self._first
-        position, centre = close_to(state.scene.splats, picked, now.position)
+        position, centre = pose_close_to(state.scene.splats, picked, now.position)
         return replace(now, position=position, target=centre)
 
 
 def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> Shown:
-    """A scene without its layers; of what is hidden the rows that are there."""
+    """The scene without its layers."""
     base = scene.unpainted
     return Shown(base, hidden=None if hidden is None else hidden[: len(base)])
 
 
-def close_to(
+def pose_close_to(
     splats: Splats, picked: Bool[Tensor, " N"], position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where to stand and where to look to see an object from the side that one is at."""
+    """Position and target of a camera close to an object, on the side of a position."""
     extent = extent_of(splats, picked)
     centre = extent.centre.numpy()
     away = position - centre
@@ -190,19 +261,19 @@ def close_to(
     return centre + away / max(float(np.linalg.norm(away)), 1e-9) * distance, centre
 
 
-def stand_at(scene: Scene, camera: Cameras) -> Stand:
-    """Where a photo was taken, turning about what is in its middle as far away as the content."""
-    _, position, fov = pose_of(camera)
+def photo_pose(scene: Scene, camera: Cameras) -> CameraPose:
+    """The pose of a photo, whose target is as far away as the content."""
+    _, position, fov = viser_pose(camera)
     forward = camera.viewmats[0, 2, :3].double().numpy()
     content = content_of(scene.splats).extent.centre.double().numpy()
     distance = max(float((content - position) @ forward), NEAREST)
-    return Stand(
+    return CameraPose(
         position, position + distance * forward, -camera.viewmats[0, 1, :3].double().numpy(), fov
     )
 
 
-def pose_of(camera: Cameras) -> tuple[np.ndarray, np.ndarray, float]:
-    """A camera's rotation to the world, wxyz; its place; and radians from top to bottom."""
+def viser_pose(camera: Cameras) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rotation to the world (wxyz), position and vertical field of view (radians) of a camera."""
     from viser.transforms import SO3
 
     rotation = camera.viewmats[0, :3, :3].double().numpy()
@@ -212,7 +283,7 @@ def pose_of(camera: Cameras) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _spacing(cameras: Cameras) -> float:
-    """A length by which cameras can be drawn without hiding each other."""
+    """A size at which drawn cameras do not cover each other."""
     positions = cameras.positions.double()
     if len(cameras) < 2:
         return 0.1
