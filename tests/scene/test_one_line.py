@@ -17,7 +17,7 @@ from stylesplat.structure_from_motion.coverage import Coverage
 from stylesplat.structure_from_motion.findings import Finding
 from stylesplat.stylization.style import Recipe, StyledObject
 from stylesplat.verbs.render import Views
-from stylesplat.verbs.sheet import Sheet
+from stylesplat.verbs.sheet import StyleSheet
 
 VASE = torch.arange(len(SPLATS)) < 20
 
@@ -86,8 +86,8 @@ def test_records_and_reports():
     assert repr(report) == "CaptureReport(sharpness: good, sides: poor)"
     views = Views(("a.jpg", "b.jpg"), iter([]))
     assert repr(views) == "Views(2 pictures, a.jpg, b.jpg)"
-    sheet = Sheet(torch.zeros(20, 30, 3, dtype=torch.uint8), "a.jpg", 6, 2)
-    assert repr(sheet) == "Sheet(6 cells, 30x20, from a.jpg)"
+    sheet = StyleSheet(torch.zeros(20, 30, 3, dtype=torch.uint8), "a.jpg", 6, 2)
+    assert repr(sheet) == "StyleSheet(6 cells, 30x20, from a.jpg)"
 
 
 def test_it_is_one_line_whatever_names_hold():

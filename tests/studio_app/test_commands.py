@@ -13,7 +13,7 @@ from stylesplat.studio_app.compare_panel import remove_paint
 from stylesplat.studio_app.history import StudioState
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.picking import pick_names, rename_picked
-from stylesplat.studio_app.save_panel import command_lines, commands_text, folder_content
+from stylesplat.studio_app.save_panel import command_lines, commands_text
 from stylesplat.studio_app.session import Session
 from stylesplat.stylization.style import Style
 
@@ -34,11 +34,11 @@ def test_after_save_as_the_commands_start_from_what_is_saved(session: Session, t
     picture = tmp_path / "stripes.png"
     Image.fromarray(to_uint8(stripes()).numpy()).save(picture)
     store, first = SceneStore(session.folder), session.folder
-    held = {first: folder_content(session.saved)}
+    held = {first: session.saved}
     session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
     painted(session, "red", picture)
     store.save_as(session, "elsewhere")
-    held[store.folder] = folder_content(session.saved)
+    held[store.folder] = session.saved
     told = commands_text(session.state, store.folder, held).splitlines()
     assert told[0] == f"# {store.folder} holds all of this"
     assert f"select {first}" in told[1], "and this is how it came about"
@@ -69,10 +69,10 @@ def test_what_is_recovered_has_the_commands_of_the_run_before(session: Session):
 def test_a_folder_that_holds_what_was_taken_back_leads_nowhere(session: Session, tmp_path: Path):
     picture = tmp_path / "stripes.png"
     Image.fromarray(to_uint8(stripes()).numpy()).save(picture)
-    opened = folder_content(session.saved)
+    opened = session.saved
     painted(session, "3", picture)
     SceneStore(session.folder).save(session)
-    held = {tmp_path / "first": opened, session.folder: folder_content(session.saved)}
+    held = {tmp_path / "first": opened, session.folder: session.saved}
     painted(session, "7", picture)
     session.do(lambda state: remove_paint(state, "3"))
     assert session.worker.settle()
@@ -86,9 +86,7 @@ def test_what_is_saved_where_it_was_is_told_as_well(session: Session, tmp_path: 
     Image.fromarray(to_uint8(stripes()).numpy()).save(picture)
     painted(session, "3", picture)
     SceneStore(session.folder).save(session)
-    told = commands_text(
-        session.state, session.folder, {session.folder: folder_content(session.saved)}
-    )
+    told = commands_text(session.state, session.folder, {session.folder: session.saved})
     first, second, line = told.splitlines()[:3]
     assert first == f"# {session.folder} holds all of this" and "like this" in second
     assert line.startswith(f"stylesplat stylize {session.folder}") and f"3={picture}" in told

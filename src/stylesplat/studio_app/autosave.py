@@ -144,12 +144,8 @@ def render_png(
         raise StyleSplatError(f"A picture has 1 to {MOST_PIXELS} pixels a side, not {width}.")
     camera = camera.downscale(float(camera.sizes[0, 0]) / width)
     pixels = replace(session.display, glowing=None).render(camera, background)
-    return png(pixels.numpy())
-
-
-def png(pixels: "object") -> bytes:
     file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG")  # pyright: ignore[reportArgumentType]
+    Image.fromarray(pixels.numpy()).save(file, "PNG")
     return file.getvalue()
 
 

@@ -105,14 +105,6 @@ class History:
         self.now = first
 
     @property
-    def can_undo(self) -> bool:
-        return self._row > 0
-
-    @property
-    def can_redo(self) -> bool:
-        return self._row < len(self._rows) - 1
-
-    @property
     def on_disk(self) -> int:
         """Number of states on disk."""
         return sum(isinstance(state, Path) for state in self._states.values())

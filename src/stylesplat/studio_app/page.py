@@ -89,9 +89,7 @@ def add_see_panel(server: "viser.ViserServer", viewport: Viewport) -> None:
         @row.on_update
         def _(event: "viser.GuiEvent") -> None:
             if event.client is not None:
-                viewport.moves.start(
-                    event.client, photo_pose(scene, scene.cameras[int(row.value) - 1])
-                )
+                viewport.move(event.client, photo_pose(scene, scene.cameras[int(row.value) - 1]))
 
     frames = gui.add_checkbox("Show cameras", False, hint="Click one to fly there")
     frames.on_update(lambda _: viewport.frames(frames.value))

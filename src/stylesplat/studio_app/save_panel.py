@@ -1,7 +1,7 @@
 """The panel Keep: saving, exports, pictures, and the commands that do the same."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,32 +34,20 @@ if TYPE_CHECKING:
 NO_OPTIONS = frozenset({"intensity", "lr", "final_lr", "view_share", "object_size"})
 
 
-@dataclass(frozen=True)
-class FolderContent:
-    """The commands and layers of a state in a folder."""
-
-    commands: tuple[tuple[str, ...], ...] = ()
-    layers: tuple[Layer, ...] = ()
-
-
-def folder_content(state: StudioState) -> FolderContent:
-    return FolderContent(state.commands, state.scene.layers)
-
-
 def command_lines(
-    state: StudioState, folder: Path, output: Path, held: FolderContent | None = None
+    state: StudioState, folder: Path, output: Path, held: StudioState | None = None
 ) -> list[str] | None:
-    """The commands from what a folder holds to a state; None if it holds something else."""
-    held = held or FolderContent()
-    known, layers = len(held.commands), state.scene.layers
-    new = [layer for layer in layers if not any(_is_same(layer, other) for other in held.layers)]
-    before = [layer.object for layer in held.layers]
+    """The commands that lead to a state from the one that a folder holds, if any do."""
+    known, layers = held.commands if held else (), held.scene.layers if held else ()
+    new = [
+        each for each in state.scene.layers if not any(_is_same(each, other) for other in layers)
+    ]
+    before = [layer.object for layer in layers]
     added = [layer.object for layer in new if layer.object not in before]
-    if state.commands[:known] != held.commands or [*before, *added] != [
-        each.object for each in layers
-    ]:
+    objects = [layer.object for layer in state.scene.layers]
+    if state.commands[: len(known)] != known or [*before, *added] != objects:
         return None
-    lines = [_with_folder(words, folder) for words in state.commands[known:]]
+    lines = [_with_folder(words, folder) for words in state.commands[len(known) :]]
     source = folder
     for number, layer in enumerate(new):
         last = number == len(new) - 1
@@ -107,7 +95,7 @@ class SavePanel:
         self, server: "viser.ViserServer", session: Session, viewport: Viewport, store: SceneStore
     ) -> None:
         self.session, self._viewport, self._store, gui = session, viewport, store, server.gui
-        self._held = {store.folder: folder_content(session.saved)}
+        self._held = {store.folder: session.saved}
         self._status = gui.add_markdown("")
         save = gui.add_button("Save", icon=icon("device-floppy"), hint="Into the scene's folder")
         save.on_click(lambda _: session.ask(lambda: store.save(session)))
@@ -126,7 +114,7 @@ class SavePanel:
         folder = self._store.folder
         word = "Not saved yet" if self.session.unsaved else "All is saved"
         self._status.content = f"{word}. Folder: `{folder}`"
-        self._held[folder] = folder_content(self.session.saved)
+        self._held[folder] = self.session.saved
         self._command.content = f"```\n{commands_text(self.session.state, folder, self._held)}\n```"
 
     def _files(self, gui: "viser.GuiApi") -> None:
@@ -191,7 +179,7 @@ class SavePanel:
             self.session.tell(f"{name}: {len(content) / 1e6:.1f} MB.")
 
 
-def commands_text(state: StudioState, folder: Path, held: Mapping[Path, FolderContent]) -> str:
+def commands_text(state: StudioState, folder: Path, held: Mapping[Path, StudioState]) -> str:
     """The commands that give a state, from a folder that holds a part of it."""
     text = list[str]()
     for start in (folder, *(other for other in held if other != folder)):

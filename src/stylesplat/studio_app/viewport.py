@@ -18,7 +18,6 @@ from stylesplat.figures.shown import Shown
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, extent_of
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.session import Session
 
 if TYPE_CHECKING:
@@ -62,19 +61,6 @@ def interpolate_poses(start: CameraPose, end: CameraPose, share: float) -> Camer
     return CameraPose(target + away, target, up, fov)
 
 
-def client_pose(client: "viser.ClientHandle") -> CameraPose:
-    camera = client.camera
-    return CameraPose(camera.position, camera.look_at, camera.up_direction, camera.fov)
-
-
-def set_client_pose(client: "viser.ClientHandle", pose: CameraPose) -> None:
-    with client.atomic():
-        client.camera.up_direction = pose.up
-        client.camera.position = pose.position
-        client.camera.look_at = pose.target
-        client.camera.fov = pose.fov
-
-
 def poses_between(
     start: CameraPose, end: CameraPose, seconds: float = SECONDS
 ) -> Iterator[CameraPose]:
@@ -84,21 +70,6 @@ def poses_between(
         yield interpolate_poses(start, end, share)
         time.sleep(PAUSE)
     yield end
-
-
-class CameraMoves:
-    """Moves of the browsers' cameras: a move ends an earlier one of the same browser."""
-
-    def __init__(self) -> None:
-        self._last = dict[int, object]()
-
-    def start(self, client: "viser.ClientHandle", end: CameraPose) -> None:
-        """Move a camera; returns when it has arrived, or moves elsewhere."""
-        move = self._last[client.client_id] = object()
-        for pose in poses_between(client_pose(client), end):
-            if self._last[client.client_id] is not move:
-                return
-            set_client_pose(client, pose)
 
 
 Compared = Literal["after", "before", "split"]
@@ -118,7 +89,8 @@ class Viewport:
         self.compared: Compared = "after"
         self.split = 0.5
         """The border of a split view, as a share of the picture's width."""
-        self._holding, self.moves = set[int](), CameraMoves()
+        self._holding = set[int]()
+        self._moves = dict[int, object]()  # the last one of each browser
         scene = session.state.scene
         place_camera(server, scene.splats, scene.cameras)
         view = first_view(scene.splats, scene.cameras)
@@ -227,38 +199,42 @@ class Viewport:
 
         @frame.on_click
         def _(event: "viser.SceneNodePointerEvent[viser.CameraFrustumHandle]") -> None:
-            self.moves.start(event.client, photo_pose(self.session.state.scene, camera))
+            self.move(event.client, photo_pose(self.session.state.scene, camera))
 
         return frame
 
-    def home(self, client: "viser.ClientHandle") -> None:
-        """Move a camera close to what is picked, or to where it began."""
-        self.moves.start(client, self.at_home(client_pose(client)))
+    def move(self, client: "viser.ClientHandle", end: CameraPose) -> None:
+        """Move a browser's camera; returns when it has arrived, or moves elsewhere."""
+        move, camera = object(), client.camera
+        self._moves[client.client_id] = move
+        start = CameraPose(camera.position, camera.look_at, camera.up_direction, camera.fov)
+        for pose in poses_between(start, end):
+            if self._moves[client.client_id] is not move:
+                return
+            with client.atomic():
+                camera.up_direction = pose.up
+                camera.position = pose.position
+                camera.look_at = pose.target
+                camera.fov = pose.fov
 
-    def at_home(self, now: CameraPose) -> CameraPose:
-        state = self.session.state
+    def home(self, client: "viser.ClientHandle") -> None:
+        """Move a camera close to what is picked, on its side of that, or to where it began."""
+        state, camera = self.session.state, client.camera
         picked = self.session.masks.together(state.scene, state.picked)
         if picked is None:
-            return self._first
-        position, centre = pose_close_to(state.scene.splats, picked, now.position)
-        return replace(now, position=position, target=centre)
+            self.move(client, self._first)
+            return
+        extent = extent_of(state.scene.splats, picked)
+        centre = extent.centre.numpy()
+        away = camera.position - centre
+        away = away / max(float(np.linalg.norm(away)), 1e-9) * CLOSE * float(extent.size.norm())
+        self.move(client, CameraPose(centre + away, centre, camera.up_direction, camera.fov))
 
 
 def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> Shown:
     """The scene without its layers."""
     base = scene.unpainted
     return Shown(base, hidden=None if hidden is None else hidden[: len(base)])
-
-
-def pose_close_to(
-    splats: Splats, picked: Bool[Tensor, " N"], position: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Position and target of a camera close to an object, on the side of a position."""
-    extent = extent_of(splats, picked)
-    centre = extent.centre.numpy()
-    away = position - centre
-    distance = CLOSE * float(extent.size.norm())
-    return centre + away / max(float(np.linalg.norm(away)), 1e-9) * distance, centre
 
 
 def photo_pose(scene: Scene, camera: Cameras) -> CameraPose:

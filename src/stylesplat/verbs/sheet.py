@@ -33,7 +33,7 @@ CELL = 512  # pixels along a cell: strokes of a normal painting can be told apar
 
 
 @dataclass(frozen=True)
-class Sheet:
+class StyleSheet:
     """An object in a grid."""
 
     picture: UInt8[Tensor, "H W 3"]
@@ -62,7 +62,7 @@ def sheet(
     weights: Path | str | None = None,
     device: str = "auto",
     **settings: Any,
-) -> Sheet:
+) -> StyleSheet:
     """Repaint an object once for each cell, as `stylize` does, and draw the results.
 
     Cells that differ in nothing but intensity are blends of one result.
@@ -105,7 +105,7 @@ def sheet(
             shown = with_strengths(painted, {name: place.intensity}).splats.to(splats.device)
             pictures[place.row, place.column] = _picture(shown, camera)
     grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
-    return Sheet(grid, camera.names[0], len(pictures), len(runs))
+    return StyleSheet(grid, camera.names[0], len(pictures), len(runs))
 
 
 @torch.no_grad()
