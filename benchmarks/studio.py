@@ -75,7 +75,7 @@ def picks(opened: StudioServer, tab: Tab) -> Iterator[Time]:
 def painting(opened: StudioServer, tab: Tab) -> Iterator[Time]:
     session = opened.session
     tab.press_button("Paint")
-    tab.press_button(opened.page.paint.gallery.pictures[0].title)
+    tab.press_button(next(iter(opened.page.paint.gallery.pictures)))
     start = time.perf_counter()
     yield "style to the colour preview", seconds_until(lambda: session.preview, "a preview")
 
@@ -119,7 +119,7 @@ def memories(scene: Path, styles: Path, count: int) -> None:
     """The largest memory so far after each of some paintings, of all objects in turn."""
     opened = ss.studio(scene, styles=styles, port=0, block=False)
     session, paint = opened.session, opened.page.paint
-    names, pictures = object_names(session.state.scene), paint.gallery.pictures
+    names, pictures = object_names(session.state.scene), [*paint.gallery.pictures.values()]
     for number in range(count):
         name, style_picture = names[number % len(names)], pictures[number // 2 % len(pictures)]
         style = make_style(style_picture.path, quality="draft")

@@ -22,7 +22,7 @@ def test_a_folder_hangs_its_pictures_and_tells_what_is_none(tmp_path: Path, said
     (tmp_path / "bad.png").write_bytes(b"no picture")
     (tmp_path / "notes.txt").write_text("no picture either")
     gallery = Gallery(tmp_path)
-    (wave,) = gallery.pictures
+    (wave,) = gallery.pictures.values()
     assert (wave.title, wave.size, wave.thumbnail.shape) == ("wave", (64, 48), (SIDE, SIDE, 3))
     assert len(said) == 1 and "bad.png" in said[0]
 

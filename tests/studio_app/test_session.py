@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,13 +30,6 @@ from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.stylization.paint_objects import paint
 from stylesplat.stylization.plain_settings import plain
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    found = session_in(tmp_path)
-    yield found
-    found.close()
 
 
 @pytest.fixture

@@ -78,7 +78,9 @@ class _Planner:
             raise StyleSplatError("it must hold `scenes:` and `jobs:`.")
         self._check_keys(content, TOP_KEYS, ())
         shared = self._scenes(content.get("scenes"), ("scenes",))
-        entries = self._list(content.get("jobs") or "none", ("jobs",), EXAMPLE)
+        entries = self._list(content.get("jobs"), ("jobs",), EXAMPLE)
+        if not entries:
+            raise self._error(("jobs",), f"there are no jobs. {EXAMPLE}")
         for number, value in enumerate(entries):
             place: Place = ("jobs", number)
             entry, scenes = self._entry(value, place), shared
@@ -88,10 +90,10 @@ class _Planner:
                 raise self._error(place, f"{entry.verb.name} has no scenes. List `scenes:`.")
             for name, path in scenes.items():
                 with within(f"line {entry.line}"):
-                    content = CONTENTS.get(kind_of(path))
-                    if content is None:
+                    kind = CONTENTS.get(kind_of(path))
+                    if kind is None:
                         raise REFUSALS[entry.verb.takes[0]](path)
-                yield from _expand(entry, name, content, source=path)
+                yield from _expand(entry, name, kind, source=path)
 
     def _entry(self, value: Any, place: Place) -> _Entry:
         if not isinstance(value, dict):
@@ -103,7 +105,8 @@ class _Planner:
             raise self._error(place, f"a job has one verb, got {got}. Begin each with a dash.")
         if "then" in place and "scenes" in value:
             raise self._error((*place, "scenes"), "what follows a job works on its result.")
-        verb, label = self._verbs[found[0]], value.get("name", found[0])
+        verb, label = self._verbs[found[0]], value.get("name")
+        label = found[0] if label is None else label
         if not isinstance(label, str | int) or not str(label).strip():
             raise self._error((*place, "name"), "name must be a text.")
         try:

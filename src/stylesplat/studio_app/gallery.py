@@ -36,44 +36,34 @@ class Gallery:
     """Style pictures by title."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._pictures = dict[str, StylePicture]()
+        self.pictures = dict[str, StylePicture]()
         self._uploads: tempfile.TemporaryDirectory[str] | None = None
         if folder is None:
             return
         if not folder.is_dir():
             raise StyleSplatError(f"There is no folder {folder}. Pass one with style pictures.")
         for path in sorted(folder.iterdir()):
-            if path.suffix.lower() in PHOTOS and len(self) < MOST_PICTURES:
+            if path.suffix.lower() in PHOTOS and len(self.pictures) < MOST_PICTURES:
                 try:
                     self.add(path)
                 except StyleSplatError as error:
                     say(str(error))
 
-    def __len__(self) -> int:
-        return len(self._pictures)
-
-    @property
-    def pictures(self) -> list[StylePicture]:
-        return [*self._pictures.values()]
-
-    def __getitem__(self, title: str) -> StylePicture:
-        return self._pictures[title]
-
     def add(self, path: Path) -> StylePicture:
         picture = read_style(path)
         title, number = path.stem, 2
-        while title in self._pictures:
+        while title in self.pictures:
             title, number = f"{path.stem} {number}", number + 1
         height, width = picture.shape[:2]
-        style_picture = StylePicture(title, path, (width, height), picture_thumbnail(picture))
-        self._pictures[title] = style_picture
-        return style_picture
+        thumbnail = picture_thumbnail(picture)
+        self.pictures[title] = StylePicture(title, path, (width, height), thumbnail)
+        return self.pictures[title]
 
     def upload(self, name: str, content: bytes) -> StylePicture:
         """Add a picture from a browser."""
         if len(content) > MOST_BYTES:
             raise StyleSplatError(too_large(len(content)))
-        if len(self) >= MOST_PICTURES:
+        if len(self.pictures) >= MOST_PICTURES:
             raise StyleSplatError(f"The gallery holds {MOST_PICTURES} pictures and is full.")
         if self._uploads is None:
             self._uploads = tempfile.TemporaryDirectory(prefix="stylesplat-uploads-")

@@ -15,7 +15,7 @@ from stylesplat.studio_app.paint_panel import TITLE, PaintPanel
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.pick_panel import PickPanel
 from stylesplat.studio_app.save_panel import SavePanel
-from stylesplat.studio_app.session import Progress, Session
+from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.thumbnails import icon
 from stylesplat.studio_app.viewport import BACKGROUND, Viewport, photo_pose
 
@@ -169,19 +169,15 @@ class Page:
 
     def progress(self) -> None:
         """Update the status line and the bar."""
-        progress = self.session.progress
-        self._bar.value = 100 * progress.share if progress else 0.0
-        self._status.content = STATUS.format(html.escape(self._status_text(progress)))
-
-    def _status_text(self, progress: Progress | None) -> str:
+        progress, waiting = self.session.progress, self._queue.waiting
         if progress is None:
-            star = " · not saved" if self.session.unsaved else ""
-            return f"{self.session.state.note}{star}"
-        waiting = self._queue.waiting
-        left = "" if progress.left is None else f", {progress.left:.0f} s left"
-        doing = f" ({progress.doing})" if progress.doing and not progress.share else ""
-        queue = f" · {waiting} waiting" if waiting else ""
-        return f"{progress.what}{doing}{left}{queue}"
+            text = self.session.state.note + (" · not saved" if self.session.unsaved else "")
+        else:
+            left = "" if progress.left is None else f", {progress.left:.0f} s left"
+            doing = f" ({progress.doing})" if progress.doing and not progress.share else ""
+            text = f"{progress.what}{doing}{left}" + (f" · {waiting} waiting" if waiting else "")
+        self._bar.value = 100 * progress.share if progress else 0.0
+        self._status.content = STATUS.format(html.escape(text))
 
     def _receive(self, client: "viser.ClientHandle", message: BrowserMessage) -> None:
         self.viewport.hold(client.client_id, message.before)

@@ -58,9 +58,8 @@ class StylePart:
         return None if self.percent == (WHOLE, WHOLE) else region_in_pixels(*self.percent, size)
 
     def refresh(self) -> None:
-        titles = tuple(each.title for each in self._gallery.pictures)
-        if titles:
-            self._titles.options = titles
+        if self._gallery.pictures:
+            self._titles.options = tuple(self._gallery.pictures)
             self.show()
 
     def draw(self, part: tuple[float, float, float, float]) -> None:
@@ -76,7 +75,7 @@ class StylePart:
     def show(self) -> None:
         if self._titles.value == NONE:
             return
-        style_picture = self._gallery[self._titles.value]
+        style_picture = self._gallery.pictures[self._titles.value]
         if self._of is None or self._of[0] is not style_picture:
             self._of = style_picture, shrink_picture(style_picture)
         image = highlight_region(self._of[1], *self.percent)
@@ -167,17 +166,17 @@ class PaintPanel:
     def _refresh_gallery(self) -> None:
         pictures = self.gallery.pictures
         self.part.refresh()
-        self._titles.options = tuple(each.title for each in pictures) or (NONE,)
+        self._titles.options = tuple(pictures) or (NONE,)
         if pictures:
-            sheet = thumbnail_grid([e.thumbnail for e in pictures], [e.title for e in pictures])
+            sheet = thumbnail_grid([each.thumbnail for each in pictures.values()], [*pictures])
             if self._sheet is None:
                 self._sheet = self._gui.add_image(sheet, format="png", order=1.5)
             self._sheet.image = sheet
 
     def _paint(self, title: str) -> None:
-        if title not in {each.title for each in self.gallery.pictures}:
+        if title == NONE:
             return
-        style_picture, names = self.gallery[title], self.session.state.picked
+        style_picture, names = self.gallery.pictures[title], self.session.state.picked
         settings = self._chosen(style_picture.size)
 
         def begin() -> None:

@@ -1,6 +1,7 @@
 """Thumbnails of objects, paintings and style pictures, in grids, and icons."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -80,48 +81,36 @@ BLANK = np.full((SIDE, SIDE, 3), 60, dtype=np.uint8)  # until it is made
 class ObjectThumbnails:
     """Thumbnails of the objects of a scene, which are made while the worker is idle."""
 
-    def __init__(self, session: Session, ready: Callable[[], None]) -> None:
-        self._session, self._ready = session, ready
-        self._cameras = dict[str, tuple[object, Cameras | None]]()
-        self._pictures = dict[str, tuple[object, Thumbnail]]()
+    def __init__(self, session: Session, on_ready: Callable[[], None]) -> None:
+        self._session, self._on_ready = session, on_ready
+        self._cameras = dict[str, tuple[Tensor, Cameras]]()  # with the mask that each shows
+        self._pictures = dict[str, tuple[Tensor, Thumbnail]]()  # with the colours that each shows
 
     def of(self, names: Sequence[str]) -> list[Thumbnail]:
         """The thumbnails of objects; those that are not made yet are blank, or older ones."""
-        colors = self._session.state.scene.splats.sh0
+        session = self._session
         for name in names:
-            if name not in self._pictures or self._pictures[name][0] is not colors:
-                if self._session.painting:
-                    continue
-                self._session.ask(self._maker(name), kind=f"portrait {name}", patient=True)
-        return [self._pictures.get(name, (None, BLANK))[1] for name in names]
+            known = self._pictures.get(name)
+            if not session.painting and (
+                known is None or known[0] is not session.state.scene.splats.sh0
+            ):
+                session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
+        return [self._pictures[name][1] if name in self._pictures else BLANK for name in names]
 
-    def _maker(self, name: str) -> Callable[[], None]:
-        def make() -> None:
-            scene = self._session.state.scene
-            try:
-                picked = self._session.masks.of(scene, name)
-                camera = self._camera(name, picked)
-            except StyleSplatError:  # it was deleted
-                return
-            picture = BLANK if camera is None else object_thumbnail(scene.splats, camera, picked)
-            before = self._pictures.get(name)
-            self._pictures[name] = (scene.splats.sh0, picture)
-            if before is None or not np.array_equal(before[1], picture):
-                self._ready()
-
-        return make
-
-    def _camera(self, name: str, picked: object) -> Cameras | None:
-        """The camera of an object, found once."""
+    def _make(self, name: str) -> None:
         scene = self._session.state.scene
-        known = self._cameras.get(name)
-        if known is None or known[0] is not picked:
-            try:
-                camera = thumbnail_camera(scene.splats, scene.cameras, picked)  # pyright: ignore
-            except StyleSplatError:
-                camera = None
-            self._cameras[name] = known = (picked, camera)
-        return known[1]
+        try:
+            picked = self._session.masks.of(scene, name)
+            if name not in self._cameras or self._cameras[name][0] is not picked:
+                camera = thumbnail_camera(scene.splats, scene.cameras, picked)
+                self._cameras[name] = picked, camera
+            picture = object_thumbnail(scene.splats, self._cameras[name][1], picked)
+        except StyleSplatError:  # it was deleted, or no view shows it
+            picture = BLANK
+        before = self._pictures.get(name)
+        self._pictures[name] = scene.splats.sh0, picture
+        if before is None or not np.array_equal(before[1], picture):
+            self._on_ready()
 
 
 def icon(name: str) -> "viser.IconName":

@@ -1,11 +1,9 @@
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from PIL import Image
 
-from studio_balls import QUICK, session_in, stripes
+from studio_balls import QUICK, stripes
 from stylesplat.figures.compositing import to_uint8
 from stylesplat.io.scene_folder import open
 from stylesplat.studio_app.autosave import SceneStore
@@ -16,13 +14,6 @@ from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.save_panel import command_lines, commands_text
 from stylesplat.studio_app.session import Session
 from stylesplat.stylization.style import Style
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    found = session_in(tmp_path)
-    yield found
-    found.close()
 
 
 def painted(session: Session, name: str, picture: Path) -> None:

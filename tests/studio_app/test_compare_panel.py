@@ -1,19 +1,7 @@
-from collections.abc import Iterator
-from pathlib import Path
-
-import pytest
-
-from studio_balls import quick_style, session_in
+from studio_balls import quick_style
 from stylesplat.studio_app.compare_panel import Variant, describe_variants, make_variant
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.session import Session
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    found = session_in(tmp_path)
-    yield found
-    found.close()
 
 
 def test_variants_tell_what_of_their_settings_is_unusual(session: Session):
