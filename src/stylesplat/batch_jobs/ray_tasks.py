@@ -76,7 +76,8 @@ def refuse_oversized(job: Job, nodes: Sequence[Mapping[str, float]]) -> None:
     """Refuse a job that fits on no node: Ray would wait for one forever."""
     wanted = {RESOURCES[key]: number for key, number in ray_resources(job).items() if number}
     if not any(all(node.get(key, 0) >= wanted[key] for key in wanted) for node in nodes):
-        asked = ", ".join(f"{key} {number:,}" for key, number in wanted.items())
+        gb = {"memory": f"{job.needs.memory} GB"}
+        asked = ", ".join(f"{key} {gb.get(key, number)}" for key, number in wanted.items())
         raise StyleSplatError(
             f"{job.name} needs {asked}, and no node of the Ray cluster has that. Change `needs:` "
             "in the job file, or add a larger node."
