@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import stylesplat as ss
 from studio_tab import Tab, center_of, studio_tab, until
-from stylesplat.studio_app.easel import styled
-from stylesplat.studio_app.opening import Studio
-from stylesplat.studio_app.studio_state import names_in
+from stylesplat.studio_app.history import object_names
+from stylesplat.studio_app.paint_queue import make_style
+from stylesplat.studio_app.studio import StudioServer
 
 SIZE = 1344, 540  # the picture beside the panel has 960x540
 WIDTH = "Math.max(...[...document.querySelectorAll('canvas')].map(e => e.width))"
@@ -39,7 +39,7 @@ def seconds_until(ask: Callable[[], object], what: str) -> float:
     return time.perf_counter() - start
 
 
-def opening(scene: Path, styles: Path, tab: Tab) -> tuple[Studio, float]:
+def opening(scene: Path, styles: Path, tab: Tab) -> tuple[StudioServer, float]:
     start = time.perf_counter()
     opened = ss.studio(scene, styles=styles, port=0, block=False)
     tab.page.open(opened.url)
@@ -48,17 +48,17 @@ def opening(scene: Path, styles: Path, tab: Tab) -> tuple[Studio, float]:
     return opened, time.perf_counter() - start
 
 
-def fits(opened: Studio, tab: Tab) -> bool:
+def fits(opened: StudioServer, tab: Tab) -> bool:
     """Whether the studio knows how large the picture is, beside the panel."""
     (client,) = opened.server.get_clients().values()
     return tab.page.evaluate(WIDTH) == client.camera.image_width
 
 
-def rests(opened: Studio) -> bool:
-    return all(map(opened.page.stage.rest.showing, opened.server.get_clients()))
+def rests(opened: StudioServer) -> bool:
+    return all(map(opened.page.viewport.rest.showing, opened.server.get_clients()))
 
 
-def picks(opened: Studio, tab: Tab) -> Iterator[Time]:
+def picks(opened: StudioServer, tab: Tab) -> Iterator[Time]:
     session = opened.session
     place = center_of(opened, next(iter(session.state.scene.objects)))
     for _ in range(TIMES):
@@ -67,15 +67,15 @@ def picks(opened: Studio, tab: Tab) -> Iterator[Time]:
         tab.click(*place)
         changed = lambda before=before: session.state is not before  # noqa: E731
         yield "click to the pick", seconds_until(changed, "a pick")
-        opened.page.stage.rest.changed()
+        opened.page.viewport.rest.changed()
         time.sleep(0.05)
         yield "camera at rest to the exact picture", seconds_until(lambda: rests(opened), "rest")
 
 
-def painting(opened: Studio, tab: Tab) -> Iterator[Time]:
+def painting(opened: StudioServer, tab: Tab) -> Iterator[Time]:
     session = opened.session
     tab.press_button("Paint")
-    tab.press_button(opened.page.paint.gallery.exhibits[0].title)
+    tab.press_button(next(iter(opened.page.paint.gallery.pictures)))
     start = time.perf_counter()
     yield "style to the colour preview", seconds_until(lambda: session.preview, "a preview")
 
@@ -88,7 +88,7 @@ def painting(opened: Studio, tab: Tab) -> Iterator[Time]:
     yield "style to the final picture", time.perf_counter() - start
 
 
-def intensities(opened: Studio, tab: Tab) -> Iterator[Time]:
+def intensities(opened: StudioServer, tab: Tab) -> Iterator[Time]:
     session = opened.session
     tab.press_button("Compare")
     tab.focus_last_slider()
@@ -119,10 +119,11 @@ def memories(scene: Path, styles: Path, count: int) -> None:
     """The largest memory so far after each of some paintings, of all objects in turn."""
     opened = ss.studio(scene, styles=styles, port=0, block=False)
     session, paint = opened.session, opened.page.paint
-    names, exhibits = names_in(session.state.scene), paint.gallery.exhibits
+    names, pictures = object_names(session.state.scene), [*paint.gallery.pictures.values()]
     for number in range(count):
-        name, exhibit = names[number % len(names)], exhibits[number // 2 % len(exhibits)]
-        paint.easel.paint((name,), styled(exhibit.path, quality="draft"), exhibit.title)
+        name, style_picture = names[number % len(names)], pictures[number // 2 % len(pictures)]
+        style = make_style(style_picture.path, quality="draft")
+        paint.queue.paint((name,), style, style_picture.title)
         session.worker.settle(PATIENCE)
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         print(f"{number + 1:3d} {session.state.note:50s} {most:.2f} GB", flush=True)

@@ -1,11 +1,13 @@
-"""Job files, and a crew that only pretends to work."""
+"""Job files, and an executor that only pretends to work."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from textwrap import dedent
 
-from stylesplat.batch_jobs.batch_plan import Job, plan_batch
-from stylesplat.batch_jobs.orders import Outcome
+from stylesplat.batch_jobs.job import Job
+from stylesplat.batch_jobs.job_file import plan_batch
+from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job
 from stylesplat.cli.batch_verbs import batch_verbs
 
 VERBS = batch_verbs()
@@ -30,33 +32,13 @@ def planned(folder: Path, text: str) -> dict[str, Job]:
     return {job.name: job for job in plan_batch(write_jobs(folder, text), VERBS)}
 
 
-class Pretended:
-    """A crew of so many that ends jobs in turn, as it is told."""
+def pretend(slots: int, begun: list[str], fails: Callable[[str], bool]) -> JobExecutor:
+    """An executor whose jobs end at once; `begun` gets their names."""
 
-    def __init__(self, size: int, ends: Callable[[str], int] = lambda name: 0) -> None:
-        self._size, self._ends = size, ends
-        self.begun: list[str] = []
-        self._busy: list[Job] = []
+    def submit(job: Job) -> Future[JobRecord]:
+        begun.append(job.name)
+        future: Future[JobRecord] = Future()
+        future.set_result(ended_job(job, "failed" if fails(job.name) else "done", ""))
+        return future
 
-    def threads_of(self, job: Job) -> int:
-        return 1
-
-    @property
-    def has_room(self) -> bool:
-        return len(self._busy) < self._size
-
-    @property
-    def at_work(self) -> list[str]:
-        return [job.name for job in self._busy]
-
-    def begin(self, job: Job) -> None:
-        self.begun.append(job.name)
-        self._busy.append(job)
-        assert len(self._busy) <= self._size
-
-    def ended(self) -> Iterator[tuple[Job, Outcome]]:
-        job = self._busy.pop(0)
-        yield job, Outcome(self._ends(job.name), 1.0, "", {}, None)
-
-    def close(self) -> None:
-        pass
+    return JobExecutor(slots, submit)

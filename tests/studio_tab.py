@@ -10,7 +10,7 @@ from typing import TypeVar
 from chromium import Page, launched
 from stylesplat.figures.browser import camera_of
 from stylesplat.rendering.shares import coverage
-from stylesplat.studio_app.opening import Studio
+from stylesplat.studio_app.studio import StudioServer
 
 T = TypeVar("T")
 
@@ -118,7 +118,7 @@ def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> 
     raise AssertionError(f"Waited {seconds:g} s for {what}.")
 
 
-def center_of(opened: Studio, name: str) -> tuple[float, float]:
+def center_of(opened: StudioServer, name: str) -> tuple[float, float]:
     """Where an object shows on the page."""
     (client,) = opened.server.get_clients().values()
     camera = camera_of(client)

@@ -8,7 +8,7 @@ from .scene.cameras import Cameras as Cameras
 from .scene.capture import Capture as Capture
 from .scene.scene import Scene as Scene
 from .scene.splats import Splats as Splats
-from .studio_app.opening import studio as studio
+from .studio_app.studio import studio as studio
 from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from job_files import VERBS
-from stylesplat.batch_jobs.batch_plan import plan_batch
+from stylesplat.batch_jobs.job_file import plan_batch
 
 TEXT = (Path(__file__).parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)

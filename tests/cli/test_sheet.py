@@ -1,6 +1,7 @@
 """The verb `sheet`: what its cells show, and what it refuses."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -9,12 +10,16 @@ from PIL import Image
 
 from balls import CAMERAS
 from command_line import QUICK, complaint, run
+from stylesplat.cli.batch_verbs import batch_verbs
+from stylesplat.cli.sheet import VARIED
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.grid import CAPTION, CELL, HEAD, MARGIN
+from stylesplat.figures.grid import CAPTION, HEAD
+from stylesplat.figures.object_sheet import MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
-from stylesplat.io.images import read_image
+from stylesplat.io.captures.photos import read_image
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.stylization.style_config import PRESETS
+from stylesplat.verbs.sheet import CELL
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"
@@ -53,7 +58,7 @@ def size(sheet: torch.Tensor) -> tuple[int, int]:
 def test_columns_and_rows_are_the_two_settings(draw, scene: Path, style: Path):
     before = {p.name: p.read_bytes() for p in scene.iterdir()}
     styles = ("--style", f"3={style}")
-    shown, sheet = draw(*styles, "--vary", "color=style,keep", "--vary", "scale=1,3")
+    shown, sheet = draw(*styles, "--vary", "color=style,keep", "--vary", "stroke_size=1,3")
     assert size(sheet) == (2, 3)
     assert (shown["cells"], shown["repainted"]) == (4, 4)
     assert before == {p.name: p.read_bytes() for p in scene.iterdir()}
@@ -144,13 +149,18 @@ def test_settings_start_from_the_preset():
     [
         (["--style", "3={style}", "--style", "7={style}"], "one object, got 3 and 7"),
         ([], "got none"),
-        (["--style", "3={style}", "--vary", "sclae=1"], "Did you mean 'scale'?"),
-        (["--style", "3={style}", "--vary", "scale=big"], 'scale must be a number, not "big"'),
+        (["--style", "3={style}", "--vary", "sclae=1"], "no option of `stylize` to vary, 'sclae'"),
+        (["--style", "3={style}", "--vary", "scale=big"], 'size must be a number, not "big"'),
+        (["--style", "3={style}", "--vary", "lr=1"], "no option of `stylize` to vary, 'lr'"),
+        (["--style", "3={style}", "--pick", "2,1"], "no cell '2,1'. Use 1,1"),
         (["--style", "3={style}", "--vary", "scale=0"], "must exceed 0"),
         (["--style", "3={style}", "--vary", "scale"], "KEY=VALUE"),
         (["--style", "3={style}", "--vary", "scale=1,,2"], "no valid YAML"),
         (["--style", "3={style}", "--vary", "preset=papr"], '"default" or "paper"'),
-        (["--style", "3={style}", *["--vary", "scale=1"] * 2], "--vary scale was given twice"),
+        (
+            ["--style", "3={style}", "--vary", "scale=1", "--vary", "stroke-size=1"],
+            "--vary stroke-size was",
+        ),
         (
             ["--style", "3={style}"] * 2 + ["--vary", "scale=1"] + ["--vary", "steps=2"],
             "several styles and one",
@@ -185,3 +195,19 @@ def test_a_failure_keeps_the_sheet_before(scene: Path, style: Path, tmp_path: Pa
     arguments = ("--style", f"3={style}", "--overwrite", *FAST)
     assert run("sheet", scene, "-o", out, *arguments) == 1
     assert out.read_bytes() == b"mine"
+
+
+def test_each_cell_has_a_command_that_paints_it(scene: Path, style: Path, tmp_path: Path, capsys):
+    sheet = ("sheet", scene, "-o", tmp_path / "sheet.png", "--style", f"3={style}", "--steps", 9)
+    vary = ("--vary", "stroke_size=0.5,1", "--vary", "region=null,[0,0,9,9]")
+    assert run(*sheet, *vary, "--pick", "2,1") == 0
+    words = shlex.split(capsys.readouterr().err.strip())
+    assert words[:3] == ["stylesplat", "stylize", str(scene)]
+    options = ["--style", f"3={style}", "--steps", "9", "--stroke-size", "0.5"]
+    assert words[3:] == [*options, *"--region 0 0 9 9 -o".split(), f"{scene}-painted"]
+    assert not (tmp_path / "sheet.png").exists()
+
+
+def test_what_varies_is_an_option_of_stylize():
+    options = batch_verbs()["stylize"].options
+    assert {key.replace("_", "-") for key in VARIED} <= {*options}

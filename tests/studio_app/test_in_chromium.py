@@ -18,9 +18,8 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import MOST_BYTES
-from stylesplat.studio_app.opening import Studio, studio
-from stylesplat.studio_app.studio_state import shown
-from stylesplat.studio_app.wire import MANY, TITLE
+from stylesplat.studio_app.page import MANY, TITLE
+from stylesplat.studio_app.studio import StudioServer, studio
 
 pytestmark = needs_chromium
 
@@ -51,7 +50,7 @@ SLIGHT = 12  # of 255: JPEG, which pictures at rest are sent as, changes pixels 
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Studio]:
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StudioServer]:
     """The balls, and a picture of stripes."""
     folder, styles = tmp_path / "balls", tmp_path / "styles"
     save(Scene(SPLATS, enlarged(CAMERAS, 4)), folder)
@@ -60,7 +59,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Studio]:
     pixels = torch.stack([200 * rows, 90 + 0 * rows, 255 - 200 * rows], dim=-1).to(torch.uint8)
     image = Image.fromarray(pixels[:, None].expand(96, 96, 3).numpy())
     image.save(styles / "stripes.png")
-    monkeypatch.setattr("stylesplat.studio_app.keep_panel.FRAMES", 6)
+    monkeypatch.setattr("stylesplat.studio_app.save_panel.FRAMES", 6)
     found = studio(folder, styles=styles, port=0, block=False, device="cpu")
     found.session.greetings.append("The studio of all browsers.")
     yield found
@@ -68,7 +67,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Studio]:
 
 
 @pytest.fixture
-def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
+def tab(opened: StudioServer, tmp_path: Path) -> Iterator[Tab]:
     downloads = tmp_path / "downloads"
     downloads.mkdir()
     with studio_tab(size=SIZE, downloads=downloads) as tab:
@@ -77,14 +76,14 @@ def tab(opened: Studio, tmp_path: Path) -> Iterator[Tab]:
         yield tab
 
 
-def at_rest(tab: Tab, opened: Studio) -> np.ndarray:
+def at_rest(tab: Tab, opened: StudioServer) -> np.ndarray:
     """What the page shows of the scene once there is nothing more to do."""
     (client,) = until(lambda: opened.server.get_clients() or None, "a browser")
     assert opened.session.worker.settle()
 
     def picture() -> np.ndarray | None:
         wanted = exact(opened)  # each time: the camera may move at first
-        if not opened.page.stage.rest.showing(client):
+        if not opened.page.viewport.rest.showing(client):
             return None
         tab.page.evaluate(HIDE)
         pixels = tab.page.screenshot().astype(float)[: wanted.shape[0], : wanted.shape[1]]
@@ -101,18 +100,18 @@ def alike(pixels: np.ndarray, wanted: np.ndarray) -> bool:
     return bool(tiles.max() < SLIGHT)
 
 
-def exact(opened: Studio) -> np.ndarray:
+def exact(opened: StudioServer) -> np.ndarray:
     (client,) = opened.server.get_clients().values()
-    stage = opened.page.stage
-    seen = shown(opened.session.state, opened.session.masks)
-    return seen.render(camera_of(client), stage.behind).numpy().astype(float)
+    viewport = opened.page.viewport
+    seen = opened.session.display
+    return seen.render(camera_of(client), viewport.background).numpy().astype(float)
 
 
-def wait_for_note(opened: Studio, begins: str) -> Callable[[], bool]:
+def wait_for_note(opened: StudioServer, begins: str) -> Callable[[], bool]:
     return lambda: opened.session.state.note.startswith(begins)
 
 
-def test_pick_paint_compare_undo_save_export(opened: Studio, tab: Tab, tmp_path: Path):
+def test_pick_paint_compare_undo_save_export(opened: StudioServer, tab: Tab, tmp_path: Path):
     session = opened.session
     until(lambda: "Picked: nothing" in tab.text(), "the page")
     until(lambda: "of all browsers" in tab.text(), "a greeting")
@@ -157,10 +156,10 @@ def draws_no_splats(tab: Tab) -> bool:
     return before["splats"] > 0 and tab.page.evaluate("drawn.splats") == before["splats"]
 
 
-def chooses_pictures(opened: Studio, tab: Tab, folder: Path) -> None:
+def chooses_pictures(opened: StudioServer, tab: Tab, folder: Path) -> None:
     """One is too large, one is added; and a part of one is drawn."""
     told, part = list[str](), opened.page.paint.part
-    opened.session.on_word(lambda line, failure: told.append(line))
+    opened.session.on_message.append(lambda line, failure: told.append(line))
     tab.press_button("Paint")
     large, small = folder / "large.png", folder / "plain.png"
     with large.open("wb") as file:
@@ -182,13 +181,13 @@ def chooses_pictures(opened: Studio, tab: Tab, folder: Path) -> None:
         until(lambda wanted=wanted: np.abs(np.subtract(part.percent, wanted)).max() < 2, "a part")
 
 
-def draws_cameras(opened: Studio, tab: Tab, before: np.ndarray) -> None:
+def draws_cameras(opened: StudioServer, tab: Tab, before: np.ndarray) -> None:
     """The photos' cameras lie over the exact picture, which stays where there are none."""
-    stage, session = opened.page.stage, opened.session
+    viewport, session = opened.page.viewport, opened.session
     (client,) = opened.server.get_clients()
-    session.ask(lambda: stage.frames(True))
+    session.ask(lambda: viewport.frames(True))
     assert session.worker.settle()
-    until(lambda: stage.rest.behind and stage.rest.showing(client), "cameras over a picture")
+    until(lambda: viewport.rest.behind and viewport.rest.showing(client), "cameras over a picture")
 
     def share() -> float:
         height, width = before.shape[:2]
@@ -196,11 +195,11 @@ def draws_cameras(opened: Studio, tab: Tab, before: np.ndarray) -> None:
         return float((change > 3 * SLIGHT).mean())
 
     until(lambda: 0.001 < share() < 0.3, "lines on the exact picture")
-    session.ask(lambda: stage.frames(False))
+    session.ask(lambda: viewport.frames(False))
     assert np.abs(at_rest(tab, opened) - before).max() < 3 * SLIGHT
 
 
-def hovers(opened: Studio, tab: Tab) -> None:
+def hovers(opened: StudioServer, tab: Tab) -> None:
     """The object below the pointer is lit, until the pointer is elsewhere."""
     hover = opened.page.pick.hover
     tab.page.mouse("move", *center_of(opened, "7"))
@@ -209,26 +208,26 @@ def hovers(opened: Studio, tab: Tab) -> None:
     until(lambda: not hover.lit, "nothing to be lit")
 
 
-def holds(opened: Studio, tab: Tab, painted: np.ndarray) -> None:
+def holds(opened: StudioServer, tab: Tab, painted: np.ndarray) -> None:
     """B shows what was before, once for as long as it is held."""
-    stage = opened.page.stage
+    viewport = opened.page.viewport
     tab.hold("B", True)
-    until(lambda: stage.held, "what was before")
+    until(lambda: viewport.held, "what was before")
     assert opened.session.worker.settle()
     tab.hold("B", True)  # as a key that is held repeats
     tab.hold("B", False)
-    until(lambda: not stage.held, "the painting again")
+    until(lambda: not viewport.held, "the painting again")
     assert np.abs(at_rest(tab, opened) - painted).max() < 3 * SLIGHT
 
 
-def assert_changed(change: np.ndarray, opened: Studio) -> None:
+def assert_changed(change: np.ndarray, opened: StudioServer) -> None:
     """The ball is another, and nothing else is."""
     near = near_object(opened, 3)
     assert np.abs(change)[near].mean() > SLIGHT
     assert np.abs(change)[~near].max(initial=0) < 3 * SLIGHT
 
 
-def saved_and_exported(opened: Studio, tab: Tab, file: Path) -> None:
+def saved_and_exported(opened: StudioServer, tab: Tab, file: Path) -> None:
     tab.press_button("Keep")
     tab.press_button("Save")
     until(lambda: not opened.session.unsaved, "saving")
@@ -247,7 +246,7 @@ def saved_and_exported(opened: Studio, tab: Tab, file: Path) -> None:
     assert b"ftyp" in (file.parent / "turntable.mp4").read_bytes()[:16]
 
 
-def near_object(opened: Studio, id: int) -> np.ndarray:
+def near_object(opened: StudioServer, id: int) -> np.ndarray:
     """The pixels of a ball, and some around it."""
     (client,) = opened.server.get_clients().values()
     scene = opened.session.state.scene

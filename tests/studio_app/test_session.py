@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,28 +15,27 @@ from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.scene import SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.studio_app.comparing import at_intensity, taken_back, variant_of
-from stylesplat.studio_app.easel import Easel, previewed
-from stylesplat.studio_app.history import History
-from stylesplat.studio_app.keeping import AUTOSAVE, COMMANDS, FORMATS, Place, exported, still
-from stylesplat.studio_app.picking import pick_names, renamed
+from stylesplat.studio_app.autosave import (
+    AUTOSAVE,
+    COMMANDS,
+    FORMATS,
+    SceneStore,
+    export_bytes,
+    render_png,
+)
+from stylesplat.studio_app.compare_panel import make_variant, remove_paint, set_intensity
+from stylesplat.studio_app.history import History, StudioState, replace_scene
+from stylesplat.studio_app.paint_queue import PaintQueue, preview_colors
+from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
-from stylesplat.studio_app.studio_state import State, with_scene
 from stylesplat.stylization.paint_objects import paint
 from stylesplat.stylization.plain_settings import plain
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    found = session_in(tmp_path)
-    yield found
-    found.close()
-
-
-@pytest.fixture
 def said(session: Session) -> list[str]:
     lines = list[str]()
-    session.on_word(lambda line, failure: lines.append(line))
+    session.on_message.append(lambda line, failure: lines.append(line))
     return lines
 
 
@@ -48,18 +46,18 @@ def wanted(tmp_path_factory: pytest.TempPathFactory) -> Splats:
     return paint(scene.splats, CAMERAS, find_object(scene, "3"), stripes(), config=QUICK)
 
 
-def painted(session: Session, *names: str) -> Easel:
-    easel = Easel(session, device="cpu")
-    easel.paint(names, quick_style(), "stripes")
+def painted(session: Session, *names: str) -> PaintQueue:
+    queue = PaintQueue(session, device="cpu")
+    queue.paint(names, quick_style(), "stripes")
     assert session.worker.settle()
-    return easel
+    return queue
 
 
 def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
     session: Session, wanted: Splats
 ):
     before, seen = session.state.scene, list[torch.Tensor]()
-    session.on_change(lambda: seen.append(session.shown.splats.sh0))
+    session.on_change.append(lambda: seen.append(session.display.splats.sh0))
     painted(session, "3")
     found = session.state.scene
     assert torch.equal(found.splats.sh0, wanted.sh0)
@@ -85,42 +83,42 @@ def test_several_are_queued_and_undo_takes_one_after_the_other_back(session: Ses
 def test_stop_keeps_what_there_is_and_continue_finishes_it(
     session: Session, said: list[str], wanted: Splats
 ):
-    easel = Easel(session, device="cpu")
+    queue = PaintQueue(session, device="cpu")
     steps = list[int]()
 
     def stop_at_two() -> None:
         if session.progress is not None and session.progress.share >= 0.25 and not steps:
             steps.append(1)
-            easel.stop()
+            queue.stop()
 
-    session.on_change(stop_at_two)
-    easel.paint(("3",), quick_style(), "stripes")
+    session.on_change.append(stop_at_two)
+    queue.paint(("3",), quick_style(), "stripes")
     assert session.worker.settle()
     assert session.state.note.startswith("Stopped at step"), said
     early = session.state.scene
-    assert early.layers and easel.can_continue
-    easel.go_on()
+    assert early.layers and queue.can_continue
+    queue.resume()
     assert session.worker.settle()
     assert torch.equal(session.state.scene.splats.sh0, wanted.sh0)
     assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
-    assert not easel.can_continue
+    assert not queue.can_continue
 
 
 def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
-    easel, before = Easel(session, device="cpu"), session.state
+    queue, before = PaintQueue(session, device="cpu"), session.state
     prepared = list[str]()
 
     def stop() -> None:
         assert session.progress is not None
         prepared.append(session.progress.doing)
-        easel.stop()
+        queue.stop()
 
-    session.on_progress(stop)
-    easel.paint(("3", "7"), quick_style(), "stripes")
+    session.on_progress.append(stop)
+    queue.paint(("3", "7"), quick_style(), "stripes")
     assert session.worker.settle()
     assert prepared[0].startswith("looking for") and len(prepared) < 3
-    assert session.state is before and not session.painting and not easel.can_continue
-    assert session.preview is None and not easel.waiting
+    assert session.state is before and not session.painting and not queue.can_continue
+    assert session.preview is None and not queue.waiting
     painted(session, "3")
     assert strengths_of(session.state.scene) == {"3": 1.0}, "it can be painted afterwards"
 
@@ -128,11 +126,11 @@ def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
 def test_stop_between_the_order_and_its_first_step_ends_nothing_else(
     session: Session, said: list[str]
 ):
-    easel, done = Easel(session, device="cpu"), list[int]()
+    queue, done = PaintQueue(session, device="cpu"), list[int]()
 
     def order_and_stop() -> None:
-        easel.paint(("3",), quick_style(), "stripes")
-        easel.stop()
+        queue.paint(("3",), quick_style(), "stripes")
+        queue.stop()
 
     session.ask(order_and_stop)
     assert session.worker.settle() and not session.painting
@@ -144,10 +142,10 @@ def test_stop_between_the_order_and_its_first_step_ends_nothing_else(
 def test_stop_during_a_job_within_the_first_step_ends_the_painting_alone(
     session: Session, said: list[str]
 ):
-    easel, before, done = Easel(session, device="cpu"), session.state, list[int]()
+    queue, before, done = PaintQueue(session, device="cpu"), session.state, list[int]()
 
     def other_job() -> None:
-        easel.stop()
+        queue.stop()
         done.extend(track(range(3), "another job"))
 
     def ask_once() -> None:
@@ -156,8 +154,8 @@ def test_stop_during_a_job_within_the_first_step_ends_the_painting_alone(
             session.ask(other_job)
 
     asked = list[bool]()
-    session.on_progress(ask_once)
-    easel.paint(("3",), quick_style(), "stripes")
+    session.on_progress.append(ask_once)
+    queue.paint(("3",), quick_style(), "stripes")
     assert session.worker.settle()
     assert done == [0, 1, 2] and not said
     assert session.state is before and not session.painting
@@ -174,7 +172,7 @@ def test_what_cannot_be_painted_is_told_and_changes_nothing(session: Session, sa
 def test_an_object_of_three_gaussians_is_told_to_be_too_small(session: Session, said: list[str]):
     three = {"few": SceneObject(torch.arange(len(SPLATS)) < 3, {})}
     scene = replace(session.state.scene, objects=three)
-    session.do(lambda state: with_scene(state, scene, "named"))
+    session.do(lambda state: replace_scene(state, scene, "named"))
     painted(session, "few")
     assert session.state.scene is scene and not session.painting
     assert "3 Gaussians, too few" in said[-1]
@@ -182,11 +180,11 @@ def test_an_object_of_three_gaussians_is_told_to_be_too_small(session: Session, 
 
 def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(session: Session):
     painted(session, "3")
-    variant = variant_of(session, "3", "stripes")
+    variant = make_variant(session, "3", "stripes")
     full = session.state
     for value in (0.8, 0.4, 0.0):
         session.do(
-            lambda state, value=value: at_intensity(state, "3", value),
+            lambda state, value=value: set_intensity(state, "3", value),
             merge="slider",
             kind=f"slider {value}",
         )
@@ -196,7 +194,7 @@ def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(sess
     session.step(-1)
     assert session.worker.settle()
     assert strengths_of(session.state.scene) == {"3": 1.0}
-    session.do(lambda state: taken_back(state, "3"))
+    session.do(lambda state: remove_paint(state, "3"))
     session.do(lambda _: session.history.at(variant.bookmark))
     assert session.worker.settle()
     assert torch.equal(session.state.scene.splats.sh0, full.scene.splats.sh0)
@@ -206,7 +204,7 @@ def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(sess
 def test_the_preview_has_the_pictures_colours_on_the_object_alone(session: Session):
     scene = session.state.scene
     picked = session.masks.of(scene, "7")
-    splats = previewed(scene.splats, picked, (stripes(),))
+    splats = preview_colors(scene.splats, picked, (stripes(),))
     assert torch.equal(splats.sh0[~picked], scene.splats.sh0[~picked])
     mean = rgb_from_sh0(splats.sh0[picked, 0]).mean(dim=0)
     assert torch.allclose(mean, stripes().mean(dim=(0, 1)), atol=0.05)
@@ -218,37 +216,38 @@ def test_history_is_bounded_in_memory_and_loses_nothing(session: Session):
     states = [first]
     for number in range(12):
         splats = replace(first.scene.splats, shN=torch.full((440, 15, 3), float(number)))
-        states.append(State(replace(first.scene, splats=splats), note=str(number)))
+        states.append(StudioState(replace(first.scene, splats=splats), note=str(number)))
         history.add(states[-1])
     assert history.on_disk > 3, "a tensor has 80 kB"
     for state in reversed(states):
         assert history.now.note == state.note
         assert torch.equal(history.now.scene.splats.shN, state.scene.splats.shN)
         history.step(-1)
-    assert not history.can_undo and history.can_redo
+    assert history.now is first or history.now.note == first.note
     history.step(1)
     history.add(first)
-    assert not history.can_redo, "what was undone is forgotten"
+    history.step(1)
+    assert history.now is first, "what was undone is forgotten"
     history.close()
 
 
 def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, said: list[str]):
-    place = Place(session.folder)
-    session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    store = SceneStore(session.folder)
+    session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
     assert session.worker.settle() and session.unsaved
-    assert place.autosave(session)
-    kept = Place(session.folder).recovered(State(open(session.folder)))
+    assert store.autosave(session)
+    kept = SceneStore(session.folder).recover(StudioState(open(session.folder)))
     assert kept is not None and [*kept.scene.objects] == ["red"]
-    place.save(session)
+    store.save(session)
     assert not session.unsaved and not (session.folder / AUTOSAVE).exists()
-    assert not place.autosave(session), "there is nothing to keep"
+    assert not store.autosave(session), "there is nothing to keep"
     assert [*open(session.folder).objects] == ["red"]
     painted(session, "red")
-    place.save(session)
+    store.save(session)
     assert strengths_of(open(session.folder)) == {"red": 1.0}
     session.step(-1)
     assert session.worker.settle()
-    place.save(session)
+    store.save(session)
     assert not open(session.folder).layers, "saving after undo takes the paint back"
 
 
@@ -259,20 +258,20 @@ def versions(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def test_autosaves_write_what_changed_since_the_last_one_alone(session: Session):
-    place, folder = Place(session.folder), session.folder / AUTOSAVE
+    store, folder = SceneStore(session.folder), session.folder / AUTOSAVE
 
     def kept_after(change: Change) -> dict[str, tuple[int, int]]:
         session.do(change)
-        assert session.worker.settle() and place.autosave(session)
+        assert session.worker.settle() and store.autosave(session)
         return versions(folder)
 
-    first = kept_after(lambda state: renamed(pick_names(state, ["3"]), "red"))
-    assert place.autosave(session) and versions(folder) == first, "nothing changed"
-    second = kept_after(lambda state: renamed(pick_names(state, ["7"]), "blue"))
+    first = kept_after(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
+    assert store.autosave(session) and versions(folder) == first, "nothing changed"
+    second = kept_after(lambda state: rename_picked(pick_names(state, ["7"]), "blue"))
     changed = {name for name in second if second[name] != first[name]}
     assert changed == {"objects.json", "picks.safetensors", COMMANDS}
-    again = Place(session.folder)
-    kept = again.recovered(State(open(session.folder)))
+    again = SceneStore(session.folder)
+    kept = again.recover(StudioState(open(session.folder)))
     assert kept is not None and [*kept.scene.objects] == ["red", "blue"]
     session.history.add(kept)
     assert again.autosave(session) and versions(folder) == second, "it is kept already"
@@ -282,14 +281,14 @@ def test_autosaves_write_what_changed_since_the_last_one_alone(session: Session)
 
 
 def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Session):
-    place = Place(session.folder)
+    store = SceneStore(session.folder)
     (session.folder / "objects.json").write_text("{}  ")
-    with pytest.raises(StyleSplatError, match="changed by somebody else"):
-        place.save(session)
+    with pytest.raises(StyleSplatError, match="Another program has changed"):
+        store.save(session)
     for name in ("../out", ".hidden", ""):
         with pytest.raises(StyleSplatError):
-            place.save_as(session, name)
-    place.save_as(session, "elsewhere")
+            store.save_as(session, name)
+    store.save_as(session, "elsewhere")
     assert open(session.folder.parent / "elsewhere").splats is not None
 
 
@@ -307,13 +306,13 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
 )
 def test_exports_are_files_of_their_kind(session: Session, ending: str, begin: bytes):
     assert ending in FORMATS
-    content = exported(session.state.scene, ending)
+    content = export_bytes(session.state.scene, ending)
     assert len(content) > 1000 and content.lower().startswith(begin)
 
 
 def test_stills_have_the_size_that_is_asked_for(session: Session):
     camera = browser_camera((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -3.0), 1.0, (300, 200), pixels=10**9)
-    content = still(session, camera, 90, (0.0, 0.0, 0.0))
+    content = render_png(session, camera, 90, (0.0, 0.0, 0.0))
     assert content[:4] == b"\x89PNG" and content[16:24] == (90).to_bytes(4) + (60).to_bytes(4)
     with pytest.raises(StyleSplatError, match="8192"):
-        still(session, camera, 10**6, (0.0, 0.0, 0.0))
+        render_png(session, camera, 10**6, (0.0, 0.0, 0.0))

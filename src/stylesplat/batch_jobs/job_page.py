@@ -1,4 +1,4 @@
-"""A page with a picture and the numbers of every job of a batch: one HTML file, without network."""
+"""Writes a page with a picture and the numbers of every job: one HTML file, without network."""
 
 import io
 from base64 import b64encode
@@ -12,40 +12,34 @@ from urllib.parse import quote
 
 from PIL import Image
 
-from stylesplat.batch_jobs.batch_plan import Job
-from stylesplat.batch_jobs.job_journal import JobLine
-from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import is_file
+from stylesplat.batch_jobs.job import Job
+from stylesplat.batch_jobs.job_process import JobRecord
+from stylesplat.io.files import atomic_path, is_file
 
 PAGE = "jobs.html"
 TEMPLATE = Path(__file__).with_name(PAGE)
-PICTURES = ("before_after", "picture", "preview", "sheet")  # what results call theirs
+PICTURES = ("before_after", "picture", "preview", "sheet")  # keys of results that name a picture
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".gif")
-SIDE, QUALITY = 420, 80  # pixels at most, and JPEG's quality: some 20 KB a job
-MAX_NUMBERS = 14  # of a job: the journal has all
+SIDE, QUALITY = 420, 80  # pixels at most, and JPEG's quality: some 20 KB for each job
+MAX_NUMBERS = 14  # of a job: its record has all
 
 
-def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobLine]], *, of: int) -> Path:
-    """Write the page of those jobs of a batch that have ended.
-
-    Args:
-        path: The HTML file to make, in the folder of the results.
-        jobs: Which, with how each ended.
-        of: How many there are in all.
-
-    Returns:
-        The file.
+def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int) -> Path:
+    """Write the page of the jobs that have ended, `of` so many in all; returns its path.
 
     Raises:
         StyleSplatError: If it cannot be written.
     """
-    shown = {job.name: picture_of(line, path.parent / job.name) for job, line in jobs}
-    states = [line.status for _, line in jobs]
+    pictures = {job.name: job_picture(record, path.parent / job.name) for job, record in jobs}
+    states = [record.status for _, record in jobs]
     ends = (f"{states.count(each)} {each}" for each in dict.fromkeys(states))
+    articles = [
+        _article(record, pictures[job.name] or pictures.get(str(job.after))) for job, record in jobs
+    ]
     page = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         title=escape(path.parent.name),
         summary=f"Jobs: {of}. {', '.join(ends) or 'none has ended'}.",
-        jobs="\n".join(_article(job, line, _shown(job, shown)) for job, line in jobs),
+        jobs="\n".join(articles),
     )
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -60,55 +54,49 @@ def numbers_in(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[st
         [('psnr', 31.5), ('nnfm_after vase', 0.25)]
     """
     for name, value in result.items():
-        called = f"{before} {name}".strip()
+        label = f"{before} {name}".strip()
         if isinstance(value, Mapping):
-            yield from numbers_in(value, called)
+            yield from numbers_in(value, label)
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield called, value
+            yield label, value
 
 
-def picture_of(line: JobLine, folder: Path) -> Path | None:
+def job_picture(record: JobRecord, folder: Path) -> Path | None:
     """A picture of what a job has made, if there is one."""
-    named = (line.result.get(key) for key in PICTURES)
+    named = (record.result.get(key) for key in PICTURES)
     found = [Path(each) for each in named if isinstance(each, str) and is_file(each)]
-    if not found and line.verb == "render" and folder.is_dir():
+    if not found and record.verb == "render":
         found = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in SUFFIXES]
     return found[0] if found else None
 
 
-def _shown(job: Job, pictures: Mapping[str, Path | None]) -> Path | None:
-    """A job's own picture, or that of what it follows."""
-    return pictures[job.name] or pictures.get(str(job.after))
-
-
-def _article(job: Job, line: JobLine, picture: Path | None) -> str:
-    place = quote(f"{job.name}/")
-    memory = "" if line.memory_gb is None else f", {line.memory_gb:.2f} GB"
-    took = f" {line.seconds:.1f} s{memory}" if line.command else ""
-    reason = f": {line.reason}" if line.reason else ""
-    rows = islice(numbers_in(line.result), MAX_NUMBERS)
-    numbers = "".join(f"<dt>{escape(k)}</dt><dd>{_number(v)}</dd>" for k, v in rows)
-    small = _thumbnail(picture) if picture else ""
-    shown = f'<img src="{small}" alt="{escape(job.name)}">' if small else ""
+def _article(record: JobRecord, picture: Path | None) -> str:
+    place, name = quote(f"{record.job}/"), escape(record.job)
+    memory = "" if record.memory_gb is None else f", {record.memory_gb:.2f} GB"
+    took = f" {record.seconds:.1f} s{memory}" if record.command else ""
+    reason = f": {record.reason}" if record.reason else ""
+    rows = islice(numbers_in(record.result), MAX_NUMBERS)
+    numbers = "".join(
+        f"<dt>{escape(k)}</dt><dd>{format(v, ',' if isinstance(v, int) else '.4g')}</dd>"
+        for k, v in rows
+    )
+    url = _thumbnail_url(picture) if picture else ""
+    image = f'<img src="{url}" alt="{name}">' if url else ""
     return (
-        f'<article class="{line.status}"><a href="{place}">{shown}</a>'
-        f'<h2><a href="{place}">{escape(job.name)}</a></h2>'
-        f"<p>{line.status}{took}{escape(reason)}</p><dl>{numbers}</dl></article>"
+        f'<article class="{record.status}"><a href="{place}">{image}</a>'
+        f'<h2><a href="{place}">{name}</a></h2>'
+        f"<p>{record.status}{took}{escape(reason)}</p><dl>{numbers}</dl></article>"
     )
 
 
-def _number(value: int | float) -> str:
-    return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-
-
-def _thumbnail(path: Path) -> str:
-    """A small JPEG as a URL that holds it; nothing of a picture that cannot be read."""
-    small = io.BytesIO()
+def _thumbnail_url(path: Path) -> str:
+    """A small JPEG as a URL that holds it; empty for a picture that cannot be read."""
+    content = io.BytesIO()
     try:
         with Image.open(path) as picture:
-            flat = picture.convert("RGB")
+            small = picture.convert("RGB")
     except (OSError, ValueError, Image.DecompressionBombError):
         return ""
-    flat.thumbnail((SIDE, SIDE))
-    flat.save(small, "JPEG", quality=QUALITY)
-    return f"data:image/jpeg;base64,{b64encode(small.getvalue()).decode()}"
+    small.thumbnail((SIDE, SIDE))
+    small.save(content, "JPEG", quality=QUALITY)
+    return f"data:image/jpeg;base64,{b64encode(content.getvalue()).decode()}"

@@ -1,46 +1,51 @@
-"""A batch: what is done already is left, the rest is run, and all that ended is written down."""
+"""Runs the jobs of a batch, except for those that are done, and records how each ends."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from functools import cache
+from hashlib import blake2b, file_digest
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+import msgspec
 from msgspec.structs import replace
 
-from stylesplat.batch_jobs.batch_plan import Job
-from stylesplat.batch_jobs.job_inputs import fingerprints
-from stylesplat.batch_jobs.job_journal import (
-    JOURNAL,
-    JobJournal,
-    JobLine,
-    read_journal,
-    still_valid,
-)
+from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_page import PAGE, write_job_page
-from stylesplat.batch_jobs.job_paths import refuse_address
-from stylesplat.batch_jobs.local_crew import Crew, LocalCrew
-from stylesplat.batch_jobs.orders import Outcome, order_of
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing, refuse_occupied
+from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, local_executor
+from stylesplat.batch_jobs.option_values import refuse_address
+from stylesplat.errors import StyleSplatError, some, within
+from stylesplat.io.files import atomic_path, cannot_write
+from stylesplat.io.folders import PARTIAL, refuse_occupied
+from stylesplat.io.json_files import strict_json
+from stylesplat.io.kinds import SOG_META
+from stylesplat.io.recovery import changing
 from stylesplat.progress import say, task
 
+RECORDS = "jobs.jsonl"  # in the batch's folder: a line of JSON for each job that has ended
+SCENE_FILES = (".json", ".ply", ".safetensors")  # what makes a scene; pictures are drawn later
 HEAD = f"{'':8}{'seconds':>9}{'GB':>7}  job"
 
 
 @dataclass(frozen=True)
-class Batch:
-    """What came of a job file."""
+class BatchResult:
+    """How the jobs of a file ended."""
 
     folder: Path
     """Where the results are, each in a folder of its job's name."""
-    jobs: tuple[JobLine, ...]
-    """How each ended, in the order of the file."""
+    jobs: tuple[JobRecord, ...]
+    """In the order of the file."""
     kept: int
-    """How many of them were done by an earlier run."""
+    """Number of jobs that an earlier run had done."""
     page: Path
     """All pictures and numbers, for any browser."""
 
-    def of(self, status: str) -> list[JobLine]:
+    def of(self, status: str) -> list[JobRecord]:
         """The jobs that ended so: `done`, `failed` or `skipped`."""
         return [job for job in self.jobs if job.status == status]
 
@@ -52,154 +57,154 @@ class Batch:
 
 
 def run_batch(
-    jobs: tuple[Job, ...],
-    output: Path,
-    *,
-    workers: int = 1,
-    ray: str | None = None,
-) -> Batch:
-    """Run jobs, but for those that an earlier run has done.
-
-    Args:
-        jobs: Each behind the one that it follows.
-        output: The folder of all results; what an earlier run has done there is kept.
-        workers: Processes at a time.
-        ray: `local`, or the address of a Ray cluster that runs the jobs instead.
+    jobs: tuple[Job, ...], output: Path, *, workers: int = 1, ray: str | None = None
+) -> BatchResult:
+    """Run jobs, except for those that an earlier run has done in the same folder.
 
     Raises:
-        StyleSplatError: If what they name cannot be read, the folder holds something else or is an
-            address, or the cluster is unfit. Jobs that fail raise nothing.
+        StyleSplatError: If an input cannot be read, the folder holds something else, or the
+            cluster cannot be reached. Jobs that fail raise nothing.
     """
     refuse_address(output)
     output = output.resolve()
-    _refuse_other(output)
-    prints = fingerprints(jobs)
-    with changing(output):
-        output.mkdir(parents=True, exist_ok=True)
-        earlier = read_journal(output)
-        valid = still_valid(earlier, prints, output)
-        others = [line for name, line in earlier.items() if name not in prints]
-        journal = JobJournal(output, [*others, *valid.values()])
-        todo = [job for job in jobs if job.name not in valid]
-        lines = dict(valid)
-        try:
-            for line in _ended(todo, {*valid}, output, prints, (workers, ray)):
-                journal.add(line)
-                lines[line.job] = line
-        finally:
-            known = [(job, lines[job.name]) for job in jobs if job.name in lines]
-            page = write_job_page(output / PAGE, known, of=len(jobs))
-    return Batch(output, tuple(line for _, line in known), len(valid), page)
-
-
-def _refuse_other(output: Path) -> None:
-    """Raise a StyleSplatError for a folder that holds anything but an earlier run."""
-    refuse_occupied(output, marker=JOURNAL, overwrite=True)
-    if output.exists() and any(output.iterdir()) and not (output / JOURNAL).is_file():
+    refuse_occupied(output, marker=RECORDS, overwrite=True)
+    path = output / RECORDS
+    if output.exists() and any(output.iterdir()) and not path.is_file():
         raise StyleSplatError(
             f"The folder {output} holds something that is no result of jobs. Choose another one."
         )
+    prints = fingerprints(jobs)
+    with changing(output):
+        earlier = read_records(path)
+        done = {n: r for n, r in earlier.items() if _is_valid(r, prints.get(n), output)}
+        kept = [r for n, r in earlier.items() if n in done or n not in prints]
+        with atomic_path(path) as temporary:
+            temporary.write_text("".join(map(_line, kept)), encoding="utf-8")
+        records, todo = dict(done), [job for job in jobs if job.name not in done]
+        try:
+            for record in _run(todo, {*done}, output, workers, ray) if todo else ():
+                record = replace(record, fingerprint=prints[record.job])
+                say(_row(record))
+                _append(path, record)
+                records[record.job] = record
+        finally:
+            known = [(job, records[job.name]) for job in jobs if job.name in records]
+            page = write_job_page(output / PAGE, known, of=len(jobs))
+    return BatchResult(output, tuple(record for _, record in known), len(done), page)
 
 
-def _ended(
+def run_in_order(
     todo: Sequence[Job],
     done: set[str],
-    output: Path,
-    prints: Mapping[str, str],
-    where: tuple[int, str | None],
-) -> Iterator[JobLine]:
-    """Run jobs; how each ended, one by one, told in a table."""
-    if not todo:
-        return
-    with task("batch", len(todo) + len(done), unit="job", done=len(done)) as bar:
-        crew = _crew(todo, output, *where)
-        say(HEAD)
-        try:
-            for job, outcome in scheduled(todo, done, crew, lambda: bar.note(_at_work(crew))):
-                line = _line(job, outcome, output, prints[job.name], crew.threads_of(job))
-                say(_row(line))
-                bar.note(_at_work(crew))
-                bar.advance()
-                yield line
-        finally:
-            crew.close()
+    executor: JobExecutor,
+    note: Callable[[str], None] = lambda text: None,
+) -> Iterator[JobRecord]:
+    """Run jobs, each after the one that it follows; yields the record of each that ends."""
+    waiting, done, failed = {job.name: job for job in todo}, set(done), set[str]()
+    running: dict[Future[JobRecord], str] = {}
+    while waiting or running:
+        for job in [each for each in waiting.values() if each.after in failed]:
+            failed.add(waiting.pop(job.name).name)
+            yield ended_job(job, "skipped", f"it follows {job.after}, which is not done.")
+        ready = [each for each in waiting.values() if each.after is None or each.after in done]
+        for job in ready[: executor.slots - len(running)]:
+            running[executor.submit(waiting.pop(job.name))] = job.name
+        note(some(running.values(), 2))
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            record = future.result()
+            del running[future]
+            (done if record.status == "done" else failed).add(record.job)
+            yield record
 
 
-def _crew(todo: Sequence[Job], output: Path, workers: int, ray: str | None) -> Crew:
+def _run(
+    todo: Sequence[Job], done: set[str], output: Path, workers: int, ray: str | None
+) -> Iterator[JobRecord]:
     if ray is None:
-        return LocalCrew(output, workers)
-    if workers != 1:
+        context = local_executor(output, workers)
+    elif workers != 1:
         raise StyleSplatError("Ray shares out its own cores. Leave --workers out with --ray.")
-    from stylesplat.batch_jobs.ray_crew import RayCrew
+    else:
+        from stylesplat.batch_jobs.ray_tasks import ray_executor
 
-    return RayCrew(todo, output, ray)
-
-
-def scheduled(
-    todo: Sequence[Job], done: set[str], crew: Crew, told: Callable[[], None]
-) -> Iterator[tuple[Job, Outcome | str]]:
-    """Have a crew run jobs, each after the one that it follows.
-
-    Args:
-        todo: The jobs, in order.
-        done: The names of jobs that are done.
-        crew: Who runs them.
-        told: Called when others are at work.
-
-    Yields:
-        A job with how it ended; or with the name of the job for whose failure it is skipped.
-    """
-    waiting, done, failed = list(todo), set(done), set[str]()
-    while waiting or crew.at_work:
-        for job in [each for each in waiting if each.after in failed]:
-            waiting.remove(job)
-            failed.add(job.name)
-            yield job, str(job.after)
-        for job in [each for each in waiting if each.after is None or each.after in done]:
-            if not crew.has_room:
-                break
-            waiting.remove(job)
-            crew.begin(job)
-            told()
-        for job, outcome in crew.ended() if crew.at_work else ():
-            (failed if outcome.status else done).add(job.name)
-            yield job, outcome
-            told()
+        context = ray_executor(todo, output, ray)
+    total = len(todo) + len(done)
+    with context as executor, task("batch", total, unit="job", done=len(done)) as bar:
+        say(HEAD)
+        for record in run_in_order(todo, done, executor, bar.note):
+            yield record
+            bar.advance()
 
 
-def _line(
-    job: Job, outcome: Outcome | str, output: Path, fingerprint: str, threads: int
-) -> JobLine:
-    line = JobLine(
-        job=job.name,
-        status="skipped",
-        fingerprint=fingerprint,
-        verb=job.verb.name,
-        ended=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
-    if isinstance(outcome, str):
-        return replace(line, reason=f"it follows {outcome}, which is not done.")
-    return replace(
-        line,
-        status="failed" if outcome.status else "done",
-        command=order_of(job, output, threads=threads).words,
-        seconds=outcome.seconds,
-        threads=threads,
-        memory_gb=outcome.memory_gb,
-        node=outcome.node,
-        reason=outcome.reason,
-        result=outcome.result,
-    )
+def fingerprints(jobs: Sequence[Job]) -> dict[str, str]:
+    """A digest for each job of its inputs, its options and the package's version, by name."""
+    digests: dict[str, str] = {}
+    digest = cache(_digest_of)
+    for job in jobs:
+        with within(f"Cannot use the inputs of {job.name}"):
+            source = digest(job.source) if job.source else digests[str(job.after)]
+            options = {
+                name: [
+                    [subject, *(digest(v) if isinstance(v, Path) else v for v in texts)]
+                    for subject, texts in value.parts
+                ]
+                for name, value in job.values.items()
+            }
+        digests[job.name] = _digest([version("stylesplat"), job.verb.name, source, options])
+    return digests
 
 
-def _row(line: JobLine) -> str:
-    """A row of the table."""
-    memory = "" if line.memory_gb is None else f"{line.memory_gb:.2f}"
-    seconds = f"{line.seconds:.1f}" if line.command else ""
-    reason = f": {line.reason}" if line.reason else ""
-    return f"{line.status:8}{seconds:>9}{memory:>7}  {line.job}{reason}"
+def _digest_of(path: Path) -> str:
+    """A digest of a file's content, or of the names, sizes and times of a folder's files."""
+    if path.is_file() and path.name != SOG_META:
+        with path.open("rb") as file:
+            return file_digest(file, "blake2b").hexdigest()
+    folder = path if path.is_dir() else path.parent
+    suffixes = SCENE_FILES if (folder / "scene.json").is_file() else None
+    found = []
+    for file in sorted(each for each in folder.rglob("*") if each.is_file()):
+        parts = file.relative_to(folder).parts
+        is_hidden = any(part.startswith(".") or part.endswith(PARTIAL) for part in parts)
+        if not is_hidden and (suffixes is None or file.suffix in suffixes):
+            found.append([*parts, file.stat().st_size, file.stat().st_mtime_ns])
+    return _digest(found)
 
 
-def _at_work(crew: Crew) -> str:
-    names = crew.at_work
-    return ", ".join(names[:2]) + (f" and {len(names) - 2} more" if len(names) > 2 else "")
+def _digest(value: Any) -> str:
+    return blake2b(json.dumps(value).encode(), digest_size=16).hexdigest()
+
+
+def read_records(path: Path) -> dict[str, JobRecord]:
+    """The last record of each job, by name; the torn line of a killed process is left out."""
+    found: dict[str, JobRecord] = {}
+    for line in path.read_bytes().splitlines() if path.is_file() else ():
+        with suppress(msgspec.DecodeError, UnicodeDecodeError):
+            record = msgspec.json.decode(line, type=JobRecord)
+            found[record.job] = record
+    return found
+
+
+def _is_valid(record: JobRecord, fingerprint: str | None, output: Path) -> bool:
+    is_same = (record.status, record.fingerprint) == ("done", fingerprint)
+    return is_same and (output / record.job).exists()
+
+
+def _append(path: Path, record: JobRecord) -> None:
+    """Write a line, and wait until it is on the disk."""
+    try:
+        with path.open("ab", buffering=0) as file:
+            file.write(_line(record).encode())
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def _line(record: JobRecord) -> str:
+    return strict_json(msgspec.to_builtins(record)) + "\n"
+
+
+def _row(record: JobRecord) -> str:
+    memory = "" if record.memory_gb is None else f"{record.memory_gb:.2f}"
+    seconds = f"{record.seconds:.1f}" if record.command else ""
+    reason = f": {record.reason}" if record.reason else ""
+    return f"{record.status:8}{seconds:>9}{memory:>7}  {record.job}{reason}"

@@ -13,9 +13,9 @@ from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError, some
 
 if TYPE_CHECKING:
-    from stylesplat.batch_jobs.run_batch import Batch as Done
+    from stylesplat.batch_jobs.run_batch import BatchResult
 
-NAMED = 5  # failed jobs that are told of at the end; the table and the page have all
+NAMED = 5  # failed jobs in the last line; the table and the page have all
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Batch:
 
     first: ClassVar = ("workers", "ray")
     jobs: Positional[Path]
-    """YAML file with scenes and jobs; docs/batch.md says how it is written."""
+    """YAML file with scenes and jobs; docs/batch.md describes it."""
     output: Output
     """Folder of the results, one for each job. What is done there already is not run again."""
     workers: int = 1
@@ -40,18 +40,16 @@ class Batch:
     after_interruption: ClassVar[str] = CONTINUES
 
     def run(self) -> dict[str, Any]:
-        """Do it."""
+        """Run the jobs."""
         done = batch(self.jobs, self.output, workers=self.workers, ray=self.ray)
-        jobs = [
-            {"job": line.job, "status": line.status, "seconds": line.seconds, "reason": line.reason}
-            for line in done.jobs
-        ]
         ends = {status: len(done.of(status)) for status in ("done", "failed", "skipped")}
+        keys = ("job", "status", "seconds", "reason")
+        jobs = [{key: getattr(record, key) for key in keys} for record in done.jobs]
         result = {"output": self.output, "page": done.page, "kept": done.kept, **ends}
-        return Answer({**result, "jobs": jobs}, lambda: refuse_failed(done))
+        return Answer({**result, "jobs": jobs}, lambda: _refuse_failed(done))
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What was made, and how to go on."""
+        """What to print after the jobs."""
         kept = f", {result['kept']} of them by an earlier run" if result["kept"] else ""
         yield f"{self.output}: {result['done']} of {len(result['jobs'])} jobs are done{kept}."
         yield f"Page: {result['page']}"
@@ -60,7 +58,7 @@ class Batch:
 @check_arguments
 def batch(
     jobs: Path | str, output: Path | str, *, workers: int = 1, ray: str | None = None
-) -> "Done":
+) -> "BatchResult":
     """Run many jobs, each as a process of the command line: verbs over scenes, as a file says.
 
     Jobs that an earlier run has done with the same inputs, settings and version are not run again.
@@ -76,10 +74,10 @@ def batch(
         How each job ended, with what its verb measured.
 
     Raises:
-        StyleSplatError: If the file is wrong, or names what is not there; if the folder holds
-            something else; or if the cluster cannot be reached, or is unfit.
+        StyleSplatError: If the file is wrong, or names what does not exist; if the folder holds
+            something else; or if the cluster cannot be reached or is too small.
     """
-    from stylesplat.batch_jobs.batch_plan import plan_batch
+    from stylesplat.batch_jobs.job_file import plan_batch
     from stylesplat.batch_jobs.run_batch import run_batch
     from stylesplat.cli.batch_verbs import batch_verbs
 
@@ -87,14 +85,14 @@ def batch(
     return run_batch(planned, Path(output), workers=workers, ray=ray)
 
 
-def refuse_failed(done: "Done") -> None:
-    """Raise a StyleSplatError if jobs are not done."""
+def _refuse_failed(done: "BatchResult") -> None:
     failed, skipped = done.of("failed"), done.of("skipped")
     if failed:
         others = f" ({len(skipped)} behind them skipped)" if skipped else ""
-        said = "; ".join(f"{line.job}: {line.reason.rstrip('.')}" for line in failed[:NAMED])
-        more = some([line.job for line in failed[NAMED:]])
+        faults = [f"{record.job}: {record.reason.rstrip('.')}" for record in failed[:NAMED]]
+        rest = some([record.job for record in failed[NAMED:]])
         raise StyleSplatError(
-            f"{len(failed)} of {len(done.jobs)} jobs failed{others}: {said}"
-            f"{'; ' + more if more else ''}. Mend that; the same command runs only these again."
+            f"{len(failed)} of {len(done.jobs)} jobs failed{others}: "
+            f"{'; '.join([*faults, rest] if rest else faults)}. Mend that; the same command runs "
+            "only these again."
         )

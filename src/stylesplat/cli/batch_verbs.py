@@ -1,15 +1,16 @@
-"""The verbs that jobs of a batch can be, as the command line has them."""
+"""The verbs that jobs of a batch can run, with the options that the command line has for them."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.batch_jobs.job_verbs import Content, JobOption, JobVerb
-from stylesplat.cli.arguments import CALLED, known, read_command
+from stylesplat.batch_jobs.job import Content, JobOption, JobVerb
+from stylesplat.cli.arguments import read_command
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
@@ -20,17 +21,10 @@ from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.wrong_usage import WrongUsage
 
-# What a batch itself says
-OURS = ("json", "verbose", "overwrite", "restart", "finish", "output", "file")
-WITHIN = ("cells", "workers")  # what would make a batch of a job
-PLACES = {  # what is made in the job's folder
-    Export: ("output", "each"),
-    Render: ("output",),
-    Sheet: ("output",),
-}
-NAMED = (Export, Sheet)  # what makes a file there, whose name says of what kind
-PATH, _ = CALLED[Path]
-WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
+HIDDEN = ("json", "verbose", "overwrite", "restart", "finish", "output", "file", "pick")
+OUTPUTS = {Export: ("output", "each"), Render: ("output",), Sheet: ("output",)}
+MAKES_FILE = (Export, Sheet)  # the suffix of the file that they make says of which kind it is
+VERBS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "train": (Train, ("capture",), "scene"),
     "import": (Import, ("splat",), "scene"),
     "mask": (Mask, ("capture", "scene"), None),
@@ -40,6 +34,7 @@ WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "render": (Render, ("scene",), "files"),
     "export": (Export, ("scene",), "files"),
 }
+POSITIONAL, REPEATED = (get_args(each)[1] for each in (Positional[int], UseAppendAction[int]))
 
 
 def batch_verbs() -> dict[str, JobVerb]:
@@ -50,36 +45,48 @@ def batch_verbs() -> dict[str, JobVerb]:
             options=dict(_options(command)),
             takes=takes,
             makes=makes,
-            needs_place=command in NAMED,
+            needs_output=command in MAKES_FILE,
             check=partial(_fault, command, name),
         )
-        for name, (command, takes, makes) in WORKS.items()
+        for name, (command, takes, makes) in VERBS.items()
     }
 
 
 def _options(command: type) -> Iterator[tuple[str, JobOption]]:
-    """The options of a command but for what it works on, which comes first."""
-    places = PLACES.get(command, ())
-    _, *fields = zip(dataclasses.fields(command), known(command), strict=True)
-    for field, option in fields:
-        if field.name in (*OURS, *WITHIN) and field.name not in places:
-            continue
-        marks = get_args(field.type)
-        found = JobOption(
-            count=option.count,
-            repeated=UseAppendAction in marks,
-            is_path=option.placeholder == PATH and field.name not in places,
-            is_place=field.name in places,
-            is_word=Positional in marks,
-        )
-        for each in option.names:
-            name = each.removeprefix("--").lower()
-            if not name.startswith("-"):  # one letter, which nobody writes into a job file
-                yield f"no-{name}" if field.default is True else name, found
+    """The options of a command, except for what it works on, which is its first field."""
+    kinds, outputs = get_type_hints(command, include_extras=True), OUTPUTS.get(command, ())
+    for field in dataclasses.fields(command)[1:]:
+        if field.name in outputs or field.name not in HIDDEN:
+            kind = kinds[field.name]
+            yield from _option(field.name, kind, field.default, is_output=field.name in outputs)
+
+
+def _option(
+    field: str, kind: Any, default: object, *, is_output: bool
+) -> Iterator[tuple[str, JobOption]]:
+    """An option by each of its names."""
+    kind, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    configs = [mark for mark in marks if hasattr(mark, "aliases")]
+    if NoneType in get_args(kind):
+        kind = next(each for each in get_args(kind) if each is not NoneType)
+    if REPEATED in marks:
+        (kind, *_) = get_args(kind)
+    parts = get_args(kind) if get_origin(kind) is tuple else (kind,)
+    found = JobOption(
+        count=0 if kind is bool else "*" if Ellipsis in parts else len(parts),
+        repeated=REPEATED in marks,
+        is_path=parts[0] is Path and not is_output,
+        is_output=is_output,
+        is_positional=POSITIONAL in marks,
+    )
+    names = [next((each.name for each in configs if each.name), field)]
+    names += [alias[2:] for each in configs for alias in each.aliases or () if alias[1] == "-"]
+    for name in (each.replace("_", "-") for each in names):
+        yield f"no-{name}" if default is True else name, found
 
 
 def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
-    """What is wrong with words behind a verb."""
+    """What is wrong with the words after a verb."""
     try:
         read_command(command, words, f"stylesplat {name}")
     except WrongUsage as error:

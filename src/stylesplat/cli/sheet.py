@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import next_lines, unused
+from stylesplat.cli.next_steps import pasted, unused
 from stylesplat.cli.options import (
-    CONTINUES,
     Device,
     Json,
     Output,
@@ -20,23 +20,25 @@ from stylesplat.cli.options import (
 )
 from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import pasted
-from stylesplat.signals import WHOLE
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.stylization.style_config import Network
 
-if TYPE_CHECKING:
-    from stylesplat.verbs.sheet import Sheet as Drawn
+VARIED = (  # options of `stylize`
+    *("preset", "quality", "steps", "stroke_size", "rotate", "region", "intensity", "color"),
+    *("form", "content", "seed"),
+)
+RENAMED = {"scale": "stroke_size"}  # the other name that `stylize` has for an option
 
 
 @dataclass(frozen=True)
 class Sheet:
     """Draw an object in a grid of styles and settings, to choose from.
 
-    Example: stylesplat sheet garden-scene -o sheet.png --style vase=wave.jpg --vary scale=1,2,4
+    Example: stylesplat sheet garden-scene -o sheet.png --style vase=wave.jpg --vary
+    stroke_size=1,2,4
     """
 
-    first: ClassVar = ("style", "vary")
+    first: ClassVar = ("style", "vary", "pick")
     scene: Positional[Path]
     """Folder of the scene, which stays as it is."""
     output: Output
@@ -45,8 +47,11 @@ class Sheet:
     """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE. May be repeated with other pictures for the same
     object, which are the rows then."""
     vary: UseAppendAction[tuple[str, ...]] = ()
-    """KEY=VALUE,VALUE: what the columns are, and the rows if it is given twice. KEY is preset or
-    a setting as in recipes; lists take brackets: layers=[3],[2,3]."""
+    """KEY=VALUE,VALUE: makes columns, or rows if it is given a second time. KEY is an option of
+    `stylize`, such as stroke_size or color; lists take brackets: region=[0,0,99,99],null."""
+    pick: str | None = None
+    """ROW,COLUMN of a cell, as its caption begins: print the command that paints it, and draw
+    nothing."""
     view: str | None = None
     """Name of the photo to look from; by default the one that shows most of the object."""
     preset: Literal["default", "paper"] = "default"
@@ -57,49 +62,55 @@ class Sheet:
     """Network whose features are matched, by default compact, which ships with the package; vgg16
     for --preset paper."""
     weights: Path | None = None
-    """File of the network's weights (.safetensors, .pth); VGG's are else downloaded, once."""
+    """File of the network's weights (.safetensors, .pth); without it VGG's are downloaded once."""
     seed: int | None = None
     """The same seed and number of threads give the same result."""
-    cells: Path | None = None
-    """Folder to keep the painted scenes in, each painted by a process of its own. What is there
-    already is not painted again: an interrupted sheet goes on."""
-    workers: int | None = None
-    """With --cells, processes at a time, each with its share of the cores."""
     device: Device = "auto"
-    """Where to compute; auto takes an NVIDIA GPU where there is one."""
+    """Where to compute; auto uses an NVIDIA GPU if there is one."""
     overwrite: Overwrite = False
     verbose: Verbose = False
     json: Json = False
 
-    @property
-    def after_interruption(self) -> str:
-        """How to go on."""
-        return WHOLE if self.cells is None else CONTINUES
-
     def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.io.atomic import changing
+        """Draw the sheet, or tell the command of a cell."""
+        from stylesplat.io.recovery import changing
 
+        variations = self._variations()
+        commands = self._commands(variations)
+        if self.pick is not None:
+            return {"command": self._picked(commands)}
         with changing(self.output):
-            return self._draw()
+            return {**self._draw(variations), "commands": commands}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What was made, and how to go on."""
+        """What to print after the picture."""
+        if "command" in result:
+            yield result["command"]
+            return
         yield f"{self.output}: {result['cells']} pictures, seen from {result['view']}."
-        if self.cells is not None:
-            yield f"The painted scenes are in {self.cells}: what you like is there."
-        yield "With the settings that you like, in the spelling of `stylize --help`:"
-        chosen = ["--style", self.style[0], "-o", unused(self.scene, "-painted")]
-        yield from next_lines(pasted("stylize", self.scene, *chosen))
+        yield "To paint the scene like one of the cells (--pick ROW,COLUMN prints its line again):"
+        for row, commands in enumerate(result["commands"], 1):
+            for column, command in enumerate(commands, 1):
+                yield f"{row},{column}:  {command}"
 
-    def _draw(self) -> dict[str, Any]:
+    def _draw(self, variations: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
         from stylesplat.io.images import write_image
+        from stylesplat.io.scene_folder import open
+        from stylesplat.verbs.sheet import sheet
 
         refuse_picture(self.output, overwrite=self.overwrite)
-        if self.workers is not None and self.cells is None:
-            raise StyleSplatError("--workers means nothing without --cells. Add --cells FOLDER.")
-        name, styles = self._styles()
-        made = (self._at_once if self.cells is None else self._by_cells)(name, styles)
+        made = sheet(
+            open(self.scene),
+            parse_style(self.style[0])[0],
+            [pictures for _, pictures in map(parse_style, self.style)],
+            vary=variations,
+            view=self.view,
+            features=self.features,
+            weights=self.weights,
+            device=self.device,
+            preset=self.preset,
+            **given(self, ("steps", "seed")),
+        )
         write_or_rescue(
             lambda place, _: write_image(made.picture, place),
             self.output,
@@ -109,64 +120,52 @@ class Sheet:
         counts = {"cells": made.cells, "repainted": made.repainted}
         return {"sheet": self.output, "view": made.view, **counts}
 
-    def _at_once(self, name: str, styles: list[tuple[Path, ...]]) -> "Drawn":
-        """Painted in this process."""
-        from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.sheet import sheet
+    def _variations(self) -> dict[str, tuple[Any, ...]]:
+        """The values of each option that varies."""
+        from stylesplat.stylization.recipe import parse_variation
 
-        return sheet(
-            open(self.scene),
-            name,
-            styles,
-            vary=self._variations(),
-            view=self.view,
-            features=self.features,
-            weights=self.weights,
-            device=self.device,
-            **self._settings,
-        )
-
-    def _by_cells(self, name: str, styles: list[tuple[Path, ...]]) -> "Drawn":
-        """Painted by processes of their own, whose results are kept."""
-        from stylesplat.cli.sheet_cells import Cells
-        from stylesplat.figures.style_sheet import plan_sheet
-        from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.sheet import sheet_of
-
-        assert self.cells is not None
-        vary = self._variations()
-        plan = plan_sheet(styles, [*vary.items()], settings=self._settings)
-        how = {"device": self.device, **self._settings}
-        how |= {"features": self.features} if self.features else {}
-        how |= {"weights": str(self.weights)} if self.weights else {}
-        cells = Cells(self.scene, name, styles, vary, how)
-        painted = cells.painted(self.cells, 1 if self.workers is None else self.workers)
-        scene = open(self.scene)
-        return sheet_of(scene, name, plan, painted, view=self.view, device=self.device)
-
-    @property
-    def _settings(self) -> dict[str, Any]:
-        """Those of all cells."""
-        return {"preset": self.preset, **given(self, ("steps", "seed"))}
-
-    def _styles(self) -> tuple[str, list[tuple[Path, ...]]]:
-        """The object, and the pictures of each style."""
-        styles = [parse_style(text) for text in self.style]
-        names = list(dict.fromkeys(name for name, _ in styles))
+        names = list(dict.fromkeys(parse_style(text)[0] for text in self.style))
         if len(names) != 1:
             got = " and ".join(names) or "none"
             raise StyleSplatError(
                 f"A sheet shows one object, got {got}. Pass --style OBJECT=IMAGE."
             )
-        return names[0], [pictures for _, pictures in styles]
+        found: dict[str, tuple[Any, ...]] = {}
+        for text in self.vary:
+            name, equals, values = text.partition("=")
+            key = name.replace("-", "_")
+            key = RENAMED.get(key, key)
+            if equals:
+                check_choice(key, "option of `stylize` to vary,", VARIED)
+            if key in found:
+                raise StyleSplatError(f"--vary {name} was given twice. List all its values in one.")
+            _, found[key] = parse_variation(f"{key}{equals}{values}")
+        return found
 
-    def _variations(self) -> dict[str, tuple[Any, ...]]:
-        """What is varied."""
-        from stylesplat.stylization.recipe import parse_variation
+    def _commands(self, variations: dict[str, tuple[Any, ...]]) -> list[list[str]]:
+        """The command that paints each cell, by row and column."""
+        shared = given(self, ("preset", "steps", "features", "weights", "seed"))
+        axes = [[(key, value) for value in values] for key, values in variations.items()]
+        columns, *others = axes or [[("preset", self.preset)]]
+        return [
+            [self._command(style, {**shared, **dict((column, *chosen))}) for column in columns]
+            for style, chosen in product(self.style, product(*others))
+        ]
 
-        vary = [parse_variation(text) for text in self.vary]
-        keys = [key for key, _ in vary]
-        if len(set(keys)) < len(keys):
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise StyleSplatError(f"--vary {twice} was given twice. List all its values in one.")
-        return dict(vary)
+    def _command(self, style: str, options: dict[str, Any]) -> str:
+        words: list[object] = ["--style", style]
+        for key, value in options.items():
+            if value is not None and (key, value) != ("preset", "default"):
+                values = value if isinstance(value, tuple) else (value,)
+                shown = (f"{each:g}" if isinstance(each, float) else each for each in values)
+                words += [f"--{key.replace('_', '-')}", *shown]
+        return pasted("stylize", self.scene, *words, "-o", unused(self.scene, "-painted"))
+
+    def _picked(self, commands: list[list[str]]) -> str:
+        found = {
+            f"{row},{column}": command
+            for row, cells in enumerate(commands, 1)
+            for column, command in enumerate(cells, 1)
+        }
+        check_choice(self.pick, "cell", found)
+        return found[str(self.pick)]

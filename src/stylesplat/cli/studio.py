@@ -35,7 +35,7 @@ class Studio:
 
     def run(self) -> NoReturn:
         """Do it."""
-        from stylesplat.studio_app.opening import studio
+        from stylesplat.studio_app.studio import studio
 
         def start() -> Callable[[], None]:
             return studio(

@@ -11,12 +11,12 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import Row
 from stylesplat.figures.pictures import to_uint8
-from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_images import Picture
+from stylesplat.stylization.style import Picture, Style
 
 Variation = tuple[str, tuple[Any, ...]]
 """A setting, or `preset`, and the values that it takes in turn."""
 Drawn = UInt8[Tensor, "_ _ 3"]
+FIELDS = {"stroke_size": "scale"}  # settings that options of `stylize` call otherwise
 
 
 class SheetCell(NamedTuple):
@@ -97,11 +97,17 @@ def plan_sheet(
 def captioned(
     plan: SheetPlan, pictures: Mapping[tuple[int, int], Drawn], before: Drawn
 ) -> list[Row]:
-    """The grid's rows, led by the object as it is; style pictures are shown where they change."""
+    """The grid's rows, led by the object as it is; style pictures are shown where they change.
+
+    Captions begin with the row and the column, counted from 1.
+    """
     rows, last = [], None
     for number, row in enumerate(plan.rows):
         first = (before, "before") if number == 0 else None
-        cells = [(pictures[number, at], caption) for at, (caption, _) in enumerate(row.cells)]
+        cells = [
+            (pictures[number, at], f"{number + 1},{at + 1}: {caption}")
+            for at, (caption, _) in enumerate(row.cells)
+        ]
         style = row.cells[0][1]
         new = last is None or style.pictures != last
         shown = [to_uint8(image) for image in Style(*style.pictures).read()] if new else []
@@ -124,7 +130,7 @@ def _choices(variations: Sequence[Variation]) -> Iterator[tuple[str, dict[str, A
         yield "", {}
     for key, values in variations:
         for value in values:
-            yield f"{key.replace('_', ' ')} {_shown(value)}", {key: value}
+            yield f"{key.replace('_', ' ')} {_shown(value)}", {FIELDS.get(key, key): value}
 
 
 def _shown(value: Any) -> str:

@@ -1,9 +1,11 @@
-"""The style pictures that there are to paint with: of a folder, and those that were uploaded."""
+"""The style pictures to paint with: those of a folder, and uploads."""
 
 import re
 import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.kinds import PHOTOS
@@ -11,86 +13,57 @@ from stylesplat.progress import say
 from stylesplat.studio_app.thumbnails import Thumbnail, picture_thumbnail
 from stylesplat.stylization.style_images import read_style
 
+if TYPE_CHECKING:
+    import viser
+
+
 MOST_BYTES = 40 * 2**20  # of an upload
 MOST_PICTURES = 60  # in the gallery
 NO_NAME = re.compile(r"[^\w .-]|^\.+")
 
 
 @dataclass(frozen=True)
-class Exhibit:
-    """A style picture."""
-
+class StylePicture:
     title: str
-    """What it is called; no two are alike."""
+    """Differs from all others."""
     path: Path
-    """Its file."""
     size: tuple[int, int]
-    """Its width and height in pixels."""
+    """Width and height in pixels."""
     thumbnail: Thumbnail
-    """Its middle."""
 
 
 class Gallery:
-    """Pictures by title."""
+    """Style pictures by title."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """Read the pictures of a folder; what is unfit is told.
-
-        Raises:
-            StyleSplatError: If there is no such folder.
-        """
-        self._exhibits = dict[str, Exhibit]()
+        self.pictures = dict[str, StylePicture]()
         self._uploads: tempfile.TemporaryDirectory[str] | None = None
         if folder is None:
             return
         if not folder.is_dir():
             raise StyleSplatError(f"There is no folder {folder}. Pass one with style pictures.")
         for path in sorted(folder.iterdir()):
-            if path.suffix.lower() in PHOTOS and len(self) < MOST_PICTURES:
+            if path.suffix.lower() in PHOTOS and len(self.pictures) < MOST_PICTURES:
                 try:
                     self.add(path)
                 except StyleSplatError as error:
                     say(str(error))
 
-    def __len__(self) -> int:
-        return len(self._exhibits)
-
-    @property
-    def exhibits(self) -> list[Exhibit]:
-        """All, in order."""
-        return [*self._exhibits.values()]
-
-    def __getitem__(self, title: str) -> Exhibit:
-        return self._exhibits[title]
-
-    def add(self, path: Path) -> Exhibit:
-        """Hang one more.
-
-        Raises:
-            StyleSplatError: If it is no picture to take a style from.
-        """
+    def add(self, path: Path) -> StylePicture:
         picture = read_style(path)
         title, number = path.stem, 2
-        while title in self._exhibits:
+        while title in self.pictures:
             title, number = f"{path.stem} {number}", number + 1
         height, width = picture.shape[:2]
-        exhibit = Exhibit(title, path, (width, height), picture_thumbnail(picture))
-        self._exhibits[title] = exhibit
-        return exhibit
+        thumbnail = picture_thumbnail(picture)
+        self.pictures[title] = StylePicture(title, path, (width, height), thumbnail)
+        return self.pictures[title]
 
-    def upload(self, name: str, content: bytes) -> Exhibit:
-        """Hang one that came from a browser.
-
-        Args:
-            name: What it is called there; only its letters and digits are used.
-            content: Of the file.
-
-        Raises:
-            StyleSplatError: If it is too large, or no picture to take a style from.
-        """
+    def upload(self, name: str, content: bytes) -> StylePicture:
+        """Add a picture from a browser."""
         if len(content) > MOST_BYTES:
             raise StyleSplatError(too_large(len(content)))
-        if len(self) >= MOST_PICTURES:
+        if len(self.pictures) >= MOST_PICTURES:
             raise StyleSplatError(f"The gallery holds {MOST_PICTURES} pictures and is full.")
         if self._uploads is None:
             self._uploads = tempfile.TemporaryDirectory(prefix="stylesplat-uploads-")
@@ -99,15 +72,40 @@ class Gallery:
         path.write_bytes(content)
         try:
             return self.add(path)
-        except StyleSplatError as error:  # whoever sent it knows no path of ours
+        except StyleSplatError as error:  # the sender knows no path of ours
             raise StyleSplatError(str(error).replace(str(path), path.stem)) from error
 
     def close(self) -> None:
-        """Remove what was uploaded."""
+        """Remove the uploads."""
         if self._uploads is not None:
             self._uploads.cleanup()
 
 
 def too_large(size: int) -> str:
-    """What is said of a file of so many bytes."""
     return f"The file has {size / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."
+
+
+MOST_PARTS = 200  # viser's page sends half a megabyte at a time
+
+
+class BoundedUploads(dict[str, Any]):
+    """viser's dict of running uploads; viser ignores an upload that is not in it."""
+
+    def __init__(self, most: int, refused: Callable[[int], None]) -> None:
+        super().__init__()
+        self._most, self._refused = most, refused
+
+    def __setitem__(self, key: str, transfer: Mapping[str, Any]) -> None:
+        size = int(transfer["total_bytes"])
+        together = size + sum(int(each["total_bytes"]) for each in self.values())
+        if together > self._most or int(transfer["part_count"]) > MOST_PARTS:
+            self._refused(size)
+            return
+        super().__setitem__(key, transfer)
+
+
+def limit_uploads(server: "viser.ViserServer", most: int, refused: Callable[[int], None]) -> None:
+    """Bound the bytes of all running uploads together: viser itself has no bound."""
+    api: Any = server.gui
+    assert api._current_file_upload_states == {}  # its name in viser 1.1
+    api._current_file_upload_states = BoundedUploads(most, refused)

@@ -1,4 +1,4 @@
-"""What the panel Pick does: objects picked by their names, by clicks, rectangles and shapes."""
+"""Picks objects by names, clicks, rectangles and shapes, and changes picked objects."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,23 +14,29 @@ from stylesplat.rendering.shares import AT_ONCE, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, depths_of
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.detector import CHECKPOINT
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.shapes import surface_point
-from stylesplat.selection.text import CHECKPOINT
-from stylesplat.studio_app.studio_state import Masks, State, names_in, unless_all, with_scene
+from stylesplat.studio_app.history import (
+    ObjectMasks,
+    StudioState,
+    none_if_all,
+    object_names,
+    replace_scene,
+)
 from stylesplat.verbs.delete import delete
 from stylesplat.verbs.rename import rename
 from stylesplat.verbs.select import select
 
 How = Literal["new", "add", "away"]
+Pixel = tuple[float, float]
 
-AROUND = 1  # pixels about a click that are looked at, too
-MADE = "pick {}"  # names of what is picked by shapes
-TAKEN = "taken away"  # the name of what is taken away, while it has one
+AROUND = 1  # pixels around a click that count, too
+MADE = "pick {}"  # names of picks that are made by shapes
+TAKEN = "taken away"  # the name of a shape while it is subtracted
 
 
-def pick_names(state: State, names: Sequence[str], how: How = "new") -> State:
-    """Pick objects, or some more, or no longer."""
+def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> StudioState:
     if how == "away":
         picked = tuple(name for name in state.picked if name not in names)
     else:
@@ -41,31 +47,17 @@ def pick_names(state: State, names: Sequence[str], how: How = "new") -> State:
 
 
 def object_in(
-    state: State,
-    masks: Masks,
-    camera: Cameras,
-    low: tuple[float, float],
-    high: tuple[float, float],
+    state: StudioState, masks: ObjectMasks, camera: Cameras, low: Pixel, high: Pixel
 ) -> str | None:
-    """The object that shows most in a rectangle of a camera's picture; None if none does.
-
-    Of those that show alike, it is the smallest.
-
-    Args:
-        state: What is shown.
-        masks: Knows which Gaussians each object is.
-        camera: One camera.
-        low: Left and top, in pixels.
-        high: Right and bottom.
-    """
+    """The object that shows most in a rectangle, or the smallest of those that show alike."""
     scene = state.scene
-    names = [name for name in names_in(scene) if name not in state.hidden]
+    names = [name for name in object_names(scene) if name not in state.hidden]
     if not names:
         return None
     size = [max(1, round(b - a)) for a, b in zip(low, high, strict=True)]
     shares = torch.stack([masks.of(scene, name) for name in names], dim=1)
     counts = shares.sum(dim=0)
-    splats, hidden = scene.splats, unless_all(masks.together(scene, state.hidden))
+    splats, hidden = scene.splats, none_if_all(masks.together(scene, state.hidden))
     if hidden is not None:
         splats, shares = splats[~hidden], shares[~hidden]
     seen = render_shares(splats, crop(camera, low, size), shares.to(splats.means))
@@ -76,26 +68,23 @@ def object_in(
     return names[int(counts.masked_fill(~alike, len(splats) + 1).argmin())]
 
 
-def object_at(
-    state: State, masks: Masks, camera: Cameras, place: tuple[float, float]
-) -> str | None:
-    """The object that shows at a pixel; None if none does."""
+def object_at(state: StudioState, masks: ObjectMasks, camera: Cameras, place: Pixel) -> str | None:
     x, y = (float(int(each)) for each in place)
     low, high = (x - AROUND, y - AROUND), (x + 1 + AROUND, y + 1 + AROUND)
     return object_in(state, masks, camera, low, high)
 
 
-def pixel_of(camera: Cameras, place: tuple[float, float]) -> tuple[float, float]:
-    """A place in shares of a picture, 0 to 1, as a pixel of it, within its bounds."""
+def pixel_of(camera: Cameras, place: Pixel) -> Pixel:
+    """The pixel of a place in shares of a picture, 0 to 1."""
     width, height = camera.size
     x, y = (min(max(each, 0.0), 0.9999) for each in place)
     return x * width, y * height
 
 
 def pick_at(
-    state: State, masks: Masks, camera: Cameras, place: tuple[float, float], how: How = "new"
-) -> State:
-    """Pick the object that shows at a pixel; where none does, nothing."""
+    state: StudioState, masks: ObjectMasks, camera: Cameras, place: Pixel, how: How = "new"
+) -> StudioState:
+    """Pick the object that shows at a pixel, or nothing where none shows."""
     found = object_at(state, masks, camera, place)
     if found is None:
         return pick_names(state, [], how) if how == "new" and state.picked else state
@@ -103,42 +92,16 @@ def pick_at(
 
 
 def pick_ball(
-    state: State, camera: Cameras, place: tuple[float, float], radius: float, how: How = "new"
-) -> State:
-    """Pick what lies around the surface at a pixel; or add that to the pick; or take it away.
-
-    Args:
-        state: What is picked now.
-        camera: One camera.
-        place: Of its pixels.
-        radius: In world units.
-        how: What becomes of it.
-
-    Raises:
-        StyleSplatError: If nothing solid shows there.
-    """
+    state: StudioState, camera: Cameras, place: Pixel, radius: float, how: How = "new"
+) -> StudioState:
+    """Pick the ball around the surface at a pixel."""
     return _ball(state, surface_point(state.scene.splats, camera, place), radius, how)
 
 
 def pick_round(
-    state: State,
-    camera: Cameras,
-    low: tuple[float, float],
-    high: tuple[float, float],
-    how: How = "new",
-) -> State:
-    """Pick the ball that fits into a rectangle of a camera's picture, around the surface there.
-
-    Args:
-        state: What is picked now.
-        camera: One camera.
-        low: Left and top, in pixels.
-        high: Right and bottom.
-        how: What becomes of it.
-
-    Raises:
-        StyleSplatError: If nothing solid shows in its middle.
-    """
+    state: StudioState, camera: Cameras, low: Pixel, high: Pixel, how: How = "new"
+) -> StudioState:
+    """Pick the ball that fits into a rectangle of a picture, around the surface there."""
     across, down = ((a + b) / 2 for a, b in zip(low, high, strict=True))
     centre = surface_point(state.scene.splats, camera, (across, down))
     pixels = min(b - a for a, b in zip(low, high, strict=True)) / 2
@@ -146,27 +109,21 @@ def pick_round(
     return _ball(state, centre, pixels * depth / float(camera.Ks[0, 0, 0]), how)
 
 
-def _ball(state: State, centre: Float[Tensor, " 3"], radius: float, how: How) -> State:
+def _ball(state: StudioState, centre: Float[Tensor, " 3"], radius: float, how: How) -> StudioState:
     sphere = tuple(round(float(number), 5) for number in (*centre.tolist(), radius))
     return _shaped(state, {"sphere": sphere}, how)
 
 
-def pick_box(state: State, low: Sequence[float], high: Sequence[float], how: How = "new") -> State:
-    """Pick what lies in a box along the world's axes.
-
-    Raises:
-        StyleSplatError: If nothing does.
-    """
+def pick_box(
+    state: StudioState, low: Sequence[float], high: Sequence[float], how: How = "new"
+) -> StudioState:
+    """Pick a box along the world's axes."""
     box = tuple(round(float(number), 5) for number in (*low, *high))
     return _shaped(state, {"box3d": box}, how)
 
 
-def pick_words(state: State, text: str) -> State:
-    """Pick the object that words mean.
-
-    Raises:
-        StyleSplatError: If no model is installed that knows words, or they mean none.
-    """
+def pick_words(state: StudioState, text: str) -> StudioState:
+    """Pick the object that a phrase names."""
     # A download would take minutes, in which the page answers nothing
     if not is_at_hand(CHECKPOINT):
         raise StyleSplatError(
@@ -176,37 +133,29 @@ def pick_words(state: State, text: str) -> State:
     return _shaped(state, {"text": text}, "new")
 
 
-def united(state: State) -> State:
-    """Make one object of all that are picked."""
+def unite_picked(state: StudioState) -> StudioState:
     _require_picked(state)
     return _selected(state, _free_name(state.scene), {"plus": state.picked})
 
 
-def difference(state: State) -> State:
-    """Take all that are picked but the first away from that one.
-
-    Raises:
-        StyleSplatError: If fewer than two are picked, or nothing is left.
-    """
+def subtract_picked(state: StudioState) -> StudioState:
+    """Subtract all picked objects from the first one."""
     if len(state.picked) < 2:
-        raise StyleSplatError("Pick two objects: from the first the others are taken away.")
+        raise StyleSplatError(
+            "Pick two objects or more: the others are subtracted from the first one."
+        )
     first, *others = state.picked
     return _selected(state, _free_name(state.scene), {"plus": (first,), "minus": tuple(others)})
 
 
-def resized(state: State, share: float) -> State:
-    """Let what is picked grow by a share of its extent, or shrink where that is negative."""
+def resize_picked(state: StudioState, share: float) -> StudioState:
+    """Let what is picked grow by a share of its extent, or shrink if that is negative."""
     _require_picked(state)
     change = {"grow": share} if share > 0 else {"shrink": -share}
     return _selected(state, _own_name(state), {"plus": state.picked, **change})
 
 
-def renamed(state: State, name: str) -> State:
-    """Call the one object that is picked something else.
-
-    Raises:
-        StyleSplatError: If not one is picked, or it cannot be called that.
-    """
+def rename_picked(state: StudioState, name: str) -> StudioState:
     if len(state.picked) != 1:
         raise StyleSplatError("Pick one object to give it a name.")
     (old,) = state.picked
@@ -219,8 +168,8 @@ def renamed(state: State, name: str) -> State:
     return replace(state, commands=(*state.commands, command), note=f"Renamed {old} to {name}")
 
 
-def forgotten(state: State) -> State:
-    """Forget the names that are picked; their Gaussians stay."""
+def forget_picked(state: StudioState) -> StudioState:
+    """Delete the picked names; the Gaussians stay."""
     names = [name for name in state.picked if name in state.scene.objects]
     if not names:
         raise StyleSplatError("Only objects that were named can be forgotten. Pick one of them.")
@@ -228,10 +177,10 @@ def forgotten(state: State) -> State:
     for name in names:
         scene = delete(scene, name)
     commands = (*state.commands, *(("delete", "SCENE", name) for name in names))
-    return replace(with_scene(state, scene, f"Forgot {', '.join(names)}"), commands=commands)
+    return replace(replace_scene(state, scene, f"Forgot {', '.join(names)}"), commands=commands)
 
 
-def hidden(state: State, hide: bool) -> State:
+def hide_picked(state: StudioState, hide: bool) -> StudioState:
     """Hide what is picked, or show everything again."""
     names = state.hidden | set(state.picked) if hide else frozenset()
     picked = () if hide else state.picked
@@ -239,13 +188,12 @@ def hidden(state: State, hide: bool) -> State:
     return replace(state, hidden=names, picked=picked, alone=False, note=note)
 
 
-def alone(state: State, only: bool) -> State:
-    """Show what is picked alone, or with all the rest."""
+def isolate_picked(state: StudioState, only: bool) -> StudioState:
     return replace(state, alone=only, note="Showed alone" if only else "Showed with the rest")
 
 
-def _shaped(state: State, shape: dict[str, Any], how: How) -> State:
-    """What a shape holds as a pick, or added to it, or taken away from it."""
+def _shaped(state: StudioState, shape: dict[str, Any], how: How) -> StudioState:
+    """Make a pick of a shape, or add the shape to the pick, or subtract it."""
     scene = state.scene
     if how == "new" or not state.picked:
         if how == "away":
@@ -261,8 +209,8 @@ def _shaped(state: State, shape: dict[str, Any], how: How) -> State:
     return replace(less, scene=scene, commands=commands)
 
 
-def _selected(state: State, name: str, choice: dict[str, Any]) -> State:
-    """A new object, picked; and how the command line would make it."""
+def _selected(state: StudioState, name: str, choice: dict[str, Any]) -> StudioState:
+    """Make a picked object, and note the command that makes it."""
     scene = select(state.scene, name, **choice)
     words = ["select", "SCENE", "--name", name]
     for key, value in choice.items():
@@ -275,8 +223,8 @@ def _selected(state: State, name: str, choice: dict[str, Any]) -> State:
     return replace(state, picked=(name,), glow=True)
 
 
-def _own_name(state: State) -> str:
-    """The name of the pick that may be changed: one that was made here, else a new one."""
+def _own_name(state: StudioState) -> str:
+    """The name of the pick if it was made here, and not painted; else a new name."""
     made = {words[3] for words in state.commands if words[0] == "select"}
     if len(state.picked) == 1 and state.picked[0] in made - {*state.scene.painted_objects}:
         return state.picked[0]
@@ -290,6 +238,6 @@ def _free_name(scene: Scene) -> str:
     )
 
 
-def _require_picked(state: State) -> None:
+def _require_picked(state: StudioState) -> None:
     if not state.picked:
         raise StyleSplatError("Nothing is picked. Click an object first.")

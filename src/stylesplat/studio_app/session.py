@@ -1,4 +1,4 @@
-"""One run of the studio: its states, the thread that works on them, and who is told of changes."""
+"""A session of the studio: its state, the thread that works on it, and its listeners."""
 
 import traceback
 from collections.abc import Callable, Iterator
@@ -7,187 +7,147 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.live_splats import ViewerSplats
+from stylesplat.figures.shown import Shown
 from stylesplat.progress import Observer, Silence, Task, observed
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.history import History
-from stylesplat.studio_app.studio_state import Masks, State, shown
+from stylesplat.studio_app.history import History, ObjectMasks, StudioState, display_of
 from stylesplat.work import Worker
 
-Change = Callable[[State], State]
+Change = Callable[[StudioState], StudioState]
 
 
 class Stopped(Exception):
-    """Long work was to end before it had anything to show."""
+    """Ends long work that has no result yet."""
+
+
+class Callbacks(list[Callable[..., None]]):
+    """Functions that the worker calls one after the other."""
+
+    def call(self, *arguments: object, **options: object) -> None:
+        for callback in self:
+            callback(*arguments, **options)
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Long work that is under way."""
+    """The progress of long work."""
 
     what: str
-    """In a few words."""
     share: float
     """How much of it is done, 0 to 1."""
     left: float | None = None
-    """Seconds that it may still take; None if nobody knows."""
+    """Estimated seconds that it still takes."""
     doing: str = ""
-    """What is prepared."""
+    """The preparation that is under way."""
 
 
 class Session:
     """What all browsers of a studio share. All computing is done in the worker's thread."""
 
     def __init__(self, scene: Scene, *, folder: Path) -> None:
-        """Begin with a scene.
-
-        Args:
-            scene: What is worked on.
-            folder: Where it is saved to.
-        """
-        self.history = History(State(scene))
-        self.masks = Masks()
+        self.history = History(StudioState(scene))
+        self.masks = ObjectMasks()
         self.folder = folder
         """Where Save writes."""
         self.saved = self.history.now
         """The state that was saved last, or opened."""
-        self.preview: ViewerSplats | None = None
-        """What is shown in place of the state while something is painted."""
+        self.preview: Shown | None = None
+        """What browsers display in place of the state during a painting."""
         self.progress: Progress | None = None
-        """What is under way."""
         self.painting = False
-        """Whether something is being painted, or filmed: the scene stays as it is meanwhile."""
+        """Whether an object is being painted, or a video made: the scene does not change then."""
         self.interrupt: Callable[[], bool] = lambda: False
-        """Ends at once what is being painted, keeping what there is of it; whether it could."""
+        """Stops the painting and keeps its result so far; returns whether there was one."""
         self.greetings = list[str]()
-        """What everybody is told who comes to see."""
-        self._changed, self._progressed = list[Callable[[], None]](), list[Callable[[], None]]()
-        self._told = list[Callable[[str, bool], None]]()
-        self._painted = list[Callable[[str, str], None]]()
-        self.worker = Worker(self._failed)
+        """Messages for each new browser."""
+        self.on_change = Callbacks()
+        self.on_progress = Callbacks()
+        """Called where `progress` alone has changed."""
+        self.on_painted = Callbacks()
+        """Called with an object and the title of its picture when it is painted, or stopped."""
+        self.on_message = Callbacks()
+        """Called with a line for the user, and whether it reports a failure."""
+        self.worker = Worker(self._report)
 
     @property
-    def state(self) -> State:
-        """What is shown."""
+    def state(self) -> StudioState:
         return self.history.now
 
     @property
-    def shown(self) -> ViewerSplats:
-        """What is to be seen now."""
-        return self.preview or shown(self.state, self.masks)
+    def display(self) -> Shown:
+        """What browsers display now."""
+        return self.preview or display_of(self.state, self.masks)
 
     @property
     def unsaved(self) -> bool:
-        """Whether the scene differs from what was saved last."""
+        """Whether the scene differs from the saved one."""
         return self.state.scene is not self.saved.scene
 
-    def on_change(self, callback: Callable[[], None]) -> None:
-        """Have something called in the worker's thread whenever anything is another."""
-        self._changed.append(callback)
-
-    def on_progress(self, callback: Callable[[], None]) -> None:
-        """Have something called in the worker's thread when nothing but `progress` is another."""
-        self._progressed.append(callback)
-
-    def on_painted(self, callback: Callable[[str, str], None]) -> None:
-        """Have told, when an object is painted or stopped, its name and the picture's."""
-        self._painted.append(callback)
-
-    def on_word(self, callback: Callable[[str, bool], None]) -> None:
-        """Have lines for the user told, and whether each is of a failure."""
-        self._told.append(callback)
-
     def do(self, change: Change, *, merge: object = None, kind: str = "") -> None:
-        """Have the state changed, soon.
-
-        Args:
-            change: Makes another state of the one that there will be then.
-            merge: See `History.add`.
-            kind: See `Worker.ask`.
-        """
+        """Ask for a change of the state; `merge` as for `History.add`, `kind` as for `ask`."""
 
         def job() -> None:
             state = change(self.state)
             if state is not self.state:
                 if self.painting and state.scene is not self.state.scene:
                     raise StyleSplatError(
-                        "Something is being painted. Wait until it is done, or press Stop."
+                        "An object is being painted. Wait until it is done, or press Stop."
                     )
                 self.history.add(state, merge=merge)
-                self.tell_change()
+                self.on_change.call()
 
         self.ask(job, kind=kind)
 
     def step(self, rows: int) -> None:
-        """Undo or redo, soon. Undo ends a painting first, and takes what there is of it back."""
+        """Ask for undo or redo. Undo first ends a painting, and takes its result so far back."""
 
         def job() -> None:
             if self.painting:
                 before = self.state
                 if rows > 0 or not self.interrupt():
                     raise StyleSplatError(
-                        "Something is being painted or filmed. Wait until it is done, or Stop it."
+                        "An object is being painted, or a video made. Wait until it is done, or "
+                        "press Stop."
                     )
-                if self.state is before:  # there was no stroke yet
+                if self.state is before:  # the painting had no step yet
                     return
             self.history.step(rows)
             self.preview = None
-            self.tell_change()
+            self.on_change.call()
 
         self.ask(job)
 
     def ask(self, job: Callable[[], object], *, kind: str = "", patient: bool = False) -> None:
-        """Have something done in the worker's thread, its words told to the user."""
+        """Ask the worker for a job, whose messages go to the user; see `Worker.ask`."""
 
-        def told() -> None:
+        def job_with_messages() -> None:
             with self.listening():
                 job()
 
-        self.worker.ask(told, kind=kind, patient=patient)
-
-    def tell_change(self) -> None:
-        """Something is another."""
-        for callback in self._changed:
-            callback()
-
-    def tell_progress(self) -> None:
-        """`progress` is another."""
-        for callback in self._progressed:
-            callback()
-
-    def tell_painted(self, name: str, title: str) -> None:
-        """An object is painted to the end, or was stopped."""
-        for callback in self._painted:
-            callback(name, title)
+        self.worker.ask(job_with_messages, kind=kind, patient=patient)
 
     def tell(self, line: str, *, failure: bool = False) -> None:
-        """Say something to the user."""
-        for callback in self._told:
-            callback(line, failure)
+        """Show a line to the user."""
+        self.on_message.call(line, failure)
 
     @contextmanager
     def listening(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[None]:
-        """Within the block the library's words are the user's.
-
-        Args:
-            stopped: Whether the work of the block is to end at once; then it raises Stopped.
-        """
-        with observed(_Ear(self, stopped)):
+        """Within the block the library's messages go to the user, and `stopped` may end it."""
+        with observed(_SessionObserver(self, stopped)):
             yield
 
     def close(self) -> None:
-        """End the thread."""
         self.worker.close()
         self.history.close()
 
-    def _failed(self, error: Exception) -> None:
+    def _report(self, error: Exception) -> None:
         if not isinstance(error, StyleSplatError):
-            traceback.print_exception(error)  # a fault of ours: the terminal has it whole
+            traceback.print_exception(error)  # our fault: the terminal gets the whole trace
         self.tell(str(error), failure=True)
 
 
-class _Ear(Silence, Observer):
-    """Passes words on, and lets short work in between the parts of long work."""
+class _SessionObserver(Silence, Observer):
+    """Passes messages on, and lets short work in between the parts of long work."""
 
     def __init__(self, session: Session, stopped: Callable[[], bool]) -> None:
         self._session, self._stopped = session, stopped
@@ -196,19 +156,16 @@ class _Ear(Silence, Observer):
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
     ) -> Iterator[Task]:
-        """Say what is done before the first stroke."""
         progress = self._session.progress
         if progress is not None and progress.share == 0:
             self._session.progress = replace(progress, doing=what)
-            self._session.tell_progress()
+            self._session.on_progress.call()
         yield self
 
     def advance(self, amount: int | float = 1) -> None:
-        """Something may wait."""
         self._session.worker.breathe()
         if self._stopped():
             raise Stopped
 
     def say(self, line: str) -> None:
-        """Tell the user."""
         self._session.tell(line)

@@ -1,6 +1,8 @@
-"""Small pictures of objects, paintings and style pictures, in grids with words below."""
+"""Thumbnails of objects, paintings and style pictures, in grids, and icons."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -8,12 +10,17 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from stylesplat.figures.best_views import close_up
-from stylesplat.figures.grid import CARD
-from stylesplat.figures.pictures import to_uint8
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.object_sheet import CARD, close_up
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
+from stylesplat.studio_app.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
 
 SIDE = 132  # pixels along a picture
 COLUMNS = 3
@@ -26,25 +33,19 @@ Thumbnail = UInt8[np.ndarray, "S S 3"]
 
 
 @torch.no_grad()
-def portrait_camera(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> Cameras:
-    """Where an object is seen best, in a small square.
-
-    Raises:
-        StyleSplatError: If it shows in no view.
-    """
+def thumbnail_camera(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> Cameras:
+    """A small square view of an object."""
     return close_up(splats, cameras, picked).at_most(SIDE)
 
 
 @torch.no_grad()
 def object_thumbnail(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Thumbnail:
-    """An object on a plain card."""
     image, share = colors_and_coverage(splats, camera, picked)
     card = image.new_tensor(CARD) / 255
     return to_uint8(share * image + (1 - share) * card).cpu().numpy()
 
 
 def picture_thumbnail(picture: Float[Tensor, "H W 3"]) -> Thumbnail:
-    """The middle of a picture."""
     pixels = Image.fromarray(to_uint8(picture).numpy())
     side = min(pixels.size)
     left, top = ((length - side) // 2 for length in pixels.size)
@@ -52,16 +53,10 @@ def picture_thumbnail(picture: Float[Tensor, "H W 3"]) -> Thumbnail:
     return np.array(square.resize((SIDE, SIDE), Image.Resampling.LANCZOS))
 
 
-def grid(
+def thumbnail_grid(
     pictures: Sequence[Thumbnail], captions: Sequence[str], marked: Sequence[bool] = ()
 ) -> UInt8[np.ndarray, "H W 4"]:
-    """Pictures in rows of three on nothing, those that are marked with a rim.
-
-    Args:
-        pictures: At least one.
-        captions: One for each.
-        marked: Whether each is; none by default.
-    """
+    """Captioned pictures in rows of three on a transparent sheet; marked ones get a rim."""
     lines = -(-len(pictures) // COLUMNS)
     size = (COLUMNS * (SIDE + GAP) - GAP, lines * (SIDE + CAPTION + GAP) - GAP)
     sheet = Image.new("RGBA", size)
@@ -72,10 +67,52 @@ def grid(
         sheet.paste(Image.fromarray(picture), (left, top))
         if marked and marked[number]:
             draw.rectangle((left, top, left + SIDE - 1, top + SIDE - 1), outline=RIM, width=5)
-        draw.text((left + 2, top + SIDE + 2), shortened(caption), INK, font)
+        draw.text((left + 2, top + SIDE + 2), shorten(caption), INK, font)
     return np.array(sheet)
 
 
-def shortened(text: str, longest: int = LONGEST) -> str:
-    """A text that fits below a picture."""
+def shorten(text: str, longest: int = LONGEST) -> str:
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+BLANK = np.full((SIDE, SIDE, 3), 60, dtype=np.uint8)  # until it is made
+
+
+class ObjectThumbnails:
+    """Thumbnails of the objects of a scene, which are made while the worker is idle."""
+
+    def __init__(self, session: Session, on_ready: Callable[[], None]) -> None:
+        self._session, self._on_ready = session, on_ready
+        self._cameras = dict[str, tuple[Tensor, Cameras]]()  # with the mask that each shows
+        self._pictures = dict[str, tuple[Tensor, Thumbnail]]()  # with the colours that each shows
+
+    def of(self, names: Sequence[str]) -> list[Thumbnail]:
+        """The thumbnails of objects; those that are not made yet are blank, or older ones."""
+        session = self._session
+        for name in names:
+            known = self._pictures.get(name)
+            if not session.painting and (
+                known is None or known[0] is not session.state.scene.splats.sh0
+            ):
+                session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
+        return [self._pictures[name][1] if name in self._pictures else BLANK for name in names]
+
+    def _make(self, name: str) -> None:
+        scene = self._session.state.scene
+        try:
+            picked = self._session.masks.of(scene, name)
+            if name not in self._cameras or self._cameras[name][0] is not picked:
+                camera = thumbnail_camera(scene.splats, scene.cameras, picked)
+                self._cameras[name] = picked, camera
+            picture = object_thumbnail(scene.splats, self._cameras[name][1], picked)
+        except StyleSplatError:  # it was deleted, or no view shows it
+            picture = BLANK
+        before = self._pictures.get(name)
+        self._pictures[name] = scene.splats.sh0, picture
+        if before is None or not np.array_equal(before[1], picture):
+            self._on_ready()
+
+
+def icon(name: str) -> "viser.IconName":
+    """A name of Tabler's icons."""
+    return cast("viser.IconName", name)

@@ -20,7 +20,7 @@ from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
 from stylesplat.stylization.style_config import PRESETS, Network, Precision, StyleConfig
 
 Preset = Literal["default", "paper"]
-VARIED = SETTINGS | {"preset": Preset}  # what a sheet may vary
+VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,
     "features": Network | None,

@@ -1,6 +1,6 @@
 """`sheet`: one object in a grid of styles and settings, to choose from."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,13 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.figures.best_views import close_up
+from stylesplat.figures.compositing import to_uint8
 from stylesplat.figures.grid import draw_grid
-from stylesplat.figures.pictures import to_uint8
-from stylesplat.figures.style_sheet import SheetPlan, captioned, plan_sheet
+from stylesplat.figures.object_sheet import close_up
+from stylesplat.figures.style_sheet import captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.render import render
+from stylesplat.rendering.one_view import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.one_line import counted, one_line
@@ -24,17 +24,16 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.paint_objects import check_jobs
-from stylesplat.stylization.style import Style
+from stylesplat.stylization.style import Picture
 from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_images import Picture
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.verbs.stylize import stylize_unmeasured
 
-Drawn = UInt8[Tensor, "_ _ 3"]
+CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
 
 
 @dataclass(frozen=True)
-class Sheet:
+class StyleSheet:
     """An object in a grid."""
 
     picture: UInt8[Tensor, "H W 3"]
@@ -42,9 +41,9 @@ class Sheet:
     view: str
     """The photo that it is looked at from."""
     cells: int
-    """How many there are, the object as it is aside."""
+    """Number of cells, without the object as it is."""
     repainted: int
-    """How many of them were painted; the others are blends of these."""
+    """Number of cells that were painted; the others are blends of these."""
 
     def __repr__(self) -> str:
         height, width, _ = self.picture.shape
@@ -63,8 +62,8 @@ def sheet(
     weights: Path | str | None = None,
     device: str = "auto",
     **settings: Any,
-) -> Sheet:
-    """Repaint an object once for each cell, as `stylize` would, and draw the results.
+) -> StyleSheet:
+    """Repaint an object once for each cell, as `stylize` does, and draw the results.
 
     Cells that differ in nothing but intensity are blends of one result.
 
@@ -72,7 +71,8 @@ def sheet(
         scene: Where the object is.
         name: The object.
         styles: Pictures, or several that make one style; alternatives are rows.
-        vary: Settings, or `preset`, and the values to try: the first makes columns, a second rows.
+        vary: Settings, named as options of `stylize`, and the values to try: the first makes
+            columns, a second rows.
         view: The photo to look from; by default the one that shows most of the object.
         features: Network whose features are matched; by default that of the preset.
         weights: File of its weights.
@@ -84,67 +84,30 @@ def sheet(
             is more than rows and columns can show.
 
     Example:
-        >>> sheet(scene, "vase", ["wave.jpg"], vary={"scale": (1, 2, 4)})  # doctest: +SKIP
+        >>> sheet(scene, "vase", ["wave.jpg"], vary={"stroke_size": (1, 2, 4)})  # doctest: +SKIP
     """
     several = [(s,) if isinstance(s, str | Path | Tensor) else tuple(s) for s in styles]
     variations = [(key, tuple(values)) for key, values in (vary or {}).items()]
     plan = plan_sheet(several, variations, settings=settings)
-    how = {"features": features, "weights": weights, "device": device}
-
-    def painted() -> Iterator[Scene]:
-        # Its own paint is not told of, and stays in its place of the stack
-        bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
-        for style, _ in track(plan.runs(), name, unit="painting"):
-            yield stylize_unmeasured(bare, {name: style}, **how).scene
-
-    return sheet_of(scene, name, plan, painted(), view=view, device=device)
-
-
-def sheet_of(
-    scene: Scene,
-    name: str,
-    plan: SheetPlan,
-    painted: Iterable[Scene],
-    *,
-    view: str | None = None,
-    device: str = "auto",
-) -> Sheet:
-    """As `sheet`, of what was painted elsewhere.
-
-    Args:
-        scene: Where the object is.
-        name: The object.
-        plan: What to draw.
-        painted: The scene with each of `plan.runs()` painted; asked for when all is checked.
-        view: The photo to look from; by default the one that shows most of the object.
-        device: Where to draw.
-
-    Raises:
-        StyleSplatError: As `sheet` does.
-    """
-    runs = plan.runs()
-    splats, camera = _looked(scene, name, runs, view, device)
-    pictures = {}
-    for (_, places), each in zip(runs, painted, strict=True):
-        for place in places:
-            shown = with_strengths(each, {name: place.intensity}).splats.to(splats.device)
-            pictures[place.row, place.column] = _picture(shown, camera)
-    grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
-    return Sheet(grid, camera.names[0], len(pictures), len(runs))
-
-
-def _looked(
-    scene: Scene, name: str, runs: Sequence[tuple[Style, Any]], view: str | None, device: str
-) -> tuple[Splats, Cameras]:
-    """What a sheet shows an object with, and from where; it and its styles are checked."""
-    picked = find_object(scene, name)
+    runs, picked = plan.runs(), find_object(scene, name)
     jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in runs]
     check_jobs(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
-    return splats, close_up(splats, cameras, picked.to(splats.device))
+    camera = close_up(splats, cameras, picked.to(splats.device), side=CELL)
+    # The paint that the object has stays in its place of the stack, without a message about it
+    bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
+    how = {"features": features, "weights": weights, "device": device}
+    pictures = {}
+    for style, places in track(runs, name, unit="painting"):
+        painted = stylize_unmeasured(bare, {name: style}, **how).scene
+        for place in places:
+            shown = with_strengths(painted, {name: place.intensity}).splats.to(splats.device)
+            pictures[place.row, place.column] = _picture(shown, camera)
+    grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
+    return StyleSheet(grid, camera.names[0], len(pictures), len(runs))
 
 
 @torch.no_grad()
-def _picture(splats: Splats, camera: Cameras) -> Drawn:
+def _picture(splats: Splats, camera: Cameras) -> UInt8[Tensor, "_ _ 3"]:
     return to_uint8(render(splats, camera)[0]).cpu()

@@ -12,33 +12,30 @@ from stylesplat.figures.private_server import ADDRESS, PrivateServer, private_se
 from stylesplat.io import scene_folder
 from stylesplat.progress import say
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.easel import Easel
-from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, too_large
-from stylesplat.studio_app.keeping import Place
+from stylesplat.studio_app.autosave import SceneStore
+from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, limit_uploads, too_large
 from stylesplat.studio_app.page import Page
+from stylesplat.studio_app.paint_queue import PaintQueue, warm_up_at_first_client
 from stylesplat.studio_app.session import Session
-from stylesplat.studio_app.uploads import bound_uploads
-from stylesplat.studio_app.warming import warm_up_for_the_first
 
 AUTOSAVE_SECONDS = 60.0
 
 
-class Studio:
-    """A studio that is open."""
+class StudioServer:
+    """A running studio."""
 
-    def __init__(self, opened: PrivateServer, page: Page, place: Place, gallery: Gallery):
-        self.server, self.page, self.place, self._gallery = opened.server, page, place, gallery
+    def __init__(self, opened: PrivateServer, page: Page, store: SceneStore, gallery: Gallery):
+        self.server, self.page, self.store, self._gallery = opened.server, page, store, gallery
         self.session = page.session
         self.url = opened.url
         """The address that opens it, with the token."""
         self._closed = threading.Event()
-        self._complained = False
-        self.session.on_painted(lambda name, title: self.autosave())
+        self._has_warned = False
+        self.session.on_painted.append(lambda name, title: self.autosave())
         self._timer = threading.Thread(target=self._autosaves, daemon=True)
         self._timer.start()
 
     def wait(self) -> None:
-        """Serve until Ctrl-C, then close."""
         try:
             while not self._closed.wait(1.0):
                 pass
@@ -48,48 +45,42 @@ class Studio:
             self.close()
 
     def close(self) -> None:
-        """End it; what is not saved is kept in the scene's folder for the next time."""
+        """Close the studio. An unsaved scene is autosaved for the next time."""
         if self._closed.is_set():
             return
         self._closed.set()
         self.session.worker.close()
         try:
-            with ExitStack() as rest:  # all of it is done, the last line first, whatever fails
+            with ExitStack() as rest:  # runs all callbacks, the last one first, whatever fails
                 rest.callback(self._gallery.close)
                 rest.callback(self.session.close)
                 rest.callback(self.server.stop)
-                rest.callback(self._keep_at_the_end)
-                self.session.interrupt()  # what there is of a painting is kept, too
+                rest.callback(self._autosave_at_the_end)
+                self.session.interrupt()  # which keeps the result of a painting so far
         except Exception as error:
             say(f"Closing the studio failed, and something may be lost: {error!r}")
             raise
 
-    def _keep_at_the_end(self) -> None:
-        if self._keep():
-            say(
-                f"Kept what was not saved in {self.place.folder}: `stylesplat studio` goes on "
-                "with it."
-            )
+    def _autosave_at_the_end(self) -> None:
+        if self._autosave():
+            say(f"Autosaved {self.store.folder}: `stylesplat studio` recovers what is not saved.")
 
     def _autosaves(self) -> None:
         while not self._closed.wait(AUTOSAVE_SECONDS):
             self.session.ask(self.autosave, kind="autosave", patient=True)
 
     def autosave(self) -> None:
-        """In the worker's thread: keep what is not saved, unless something is painted now.
-
-        What is painted is kept as soon as it is done.
-        """
+        """Autosave in the worker's thread, unless an object is being painted."""
         if not self.session.painting:
-            self._keep()
+            self._autosave()
 
-    def _keep(self) -> bool:
+    def _autosave(self) -> bool:
         try:
-            return self.place.autosave(self.session)
+            return self.store.autosave(self.session)
         except StyleSplatError as error:
-            if not self._complained or self._closed.is_set():
-                self._complained = True  # once is enough
-                say(f"Nothing is kept against crashes: {error}")
+            if not self._has_warned or self._closed.is_set():
+                self._has_warned = True
+                say(f"Cannot autosave the scene: {error}")
             return False
 
 
@@ -102,7 +93,7 @@ def studio(
     host: str = ADDRESS,
     block: bool = True,
     **options: Any,
-) -> Studio:
+) -> StudioServer:
     """Choose objects, paint them and compare in a browser.
 
     Args:
@@ -129,26 +120,25 @@ def studio(
     private = private_server(port, "StyleSplat studio", host=host)
     server = private.server
     session = Session(scene, folder=scene.path)
-    place = Place(scene.path)
-    _recover(session, place)
-    page = Page(server, session, Easel(session, **options), gallery, place)
-    bound_uploads(server, MOST_BYTES, lambda size: session.tell(too_large(size), failure=True))
-    warm_up_for_the_first(server, session.worker, **options)
-    opened = Studio(private, page, place, gallery)
+    store = SceneStore(scene.path)
+    _recover(session, store)
+    page = Page(server, session, PaintQueue(session, **options), gallery, store)
+    limit_uploads(server, MOST_BYTES, lambda size: session.tell(too_large(size), failure=True))
+    warm_up_at_first_client(server, session.worker, **options)
+    opened = StudioServer(private, page, store, gallery)
     if host != ADDRESS:
-        say(f"{host} is open to the network: who has the token sees and changes the scene.")
+        say(f"{host} is open to the network: anybody with the token sees and changes the scene.")
     if block:
         opened.wait()
     return opened
 
 
-def _recover(session: Session, place: Place) -> None:
-    """Go on with what an earlier run left unsaved."""
+def _recover(session: Session, store: SceneStore) -> None:
     try:
-        kept = place.recovered(session.state)
+        kept = store.recover(session.state)
     except StyleSplatError as error:
-        say(f"Nothing of the last time is recovered. {error}")
+        say(f"Cannot recover the autosave of the last time. {error}")
         return
     if kept is not None:
         session.history.add(kept)
-        say("Recovered what was not saved the last time. Undo goes back to what was saved.")
+        say("Recovered what was not saved the last time. Undo goes back to the saved scene.")

@@ -11,10 +11,10 @@ from studio_balls import QUICK, stripes
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.studio_app.keeping import AUTOSAVE, exported
-from stylesplat.studio_app.opening import studio
-from stylesplat.studio_app.picking import pick_names, renamed
-from stylesplat.studio_app.studio_state import with_scene
+from stylesplat.studio_app.autosave import AUTOSAVE, export_bytes
+from stylesplat.studio_app.history import replace_scene
+from stylesplat.studio_app.picking import pick_names, rename_picked
+from stylesplat.studio_app.studio import studio
 from stylesplat.stylization.style import Style
 from unprivileged import as_nobody, public_folder
 
@@ -29,10 +29,10 @@ def folder(tmp_path: Path) -> Path:
 
 def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Path, said: list[str]):
     opened = studio(folder, port=0, block=False)
-    opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
     assert opened.session.worker.settle()
     opened.close()
-    assert "Kept what was not saved" in said[-1]
+    assert "Autosaved" in said[-1]
     assert not open(folder).objects, "the scene itself is as it was"
     again = studio(folder, port=0, block=False)
     try:
@@ -53,8 +53,8 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
         if opened.session.progress is not None and opened.session.progress.share > 0:
             strokes.set()
 
-    opened.session.on_change(look)
-    opened.page.paint.easel.paint(("3",), Style(stripes(), config=LONG), "stripes")
+    opened.session.on_change.append(look)
+    opened.page.paint.queue.paint(("3",), Style(stripes(), config=LONG), "stripes")
     assert strokes.wait(60)
     opened.close()
     kept = open(folder / AUTOSAVE)
@@ -72,9 +72,9 @@ def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(fo
             kept.append((folder / AUTOSAVE).exists())
 
     try:
-        opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
-        opened.session.on_change(look)
-        opened.page.paint.easel.paint(("red",), Style(stripes(), config=QUICK), "stripes")
+        opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
+        opened.session.on_change.append(look)
+        opened.page.paint.queue.paint(("red",), Style(stripes(), config=QUICK), "stripes")
         assert opened.session.worker.settle()
         assert kept and not any(kept)
         assert open(folder / AUTOSAVE).painted_objects == ("red",)
@@ -86,7 +86,7 @@ def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, sai
     opened = studio(folder, port=0, block=False)
     number, no_json = opened.server.get_port(), {"how": object()}
     opened.session.do(
-        lambda state: with_scene(
+        lambda state: replace_scene(
             state,
             replace(state.scene, objects={"red": SceneObject(SPLATS.means[:, 0] > 0, no_json)}),
             "an object that no file can hold",
@@ -102,14 +102,14 @@ def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, sai
 
 def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[str]):
     opened = studio(folder, port=0, block=False)
-    opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+    opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
     assert opened.session.worker.settle()
     opened.close()
     (folder / AUTOSAVE / "splats.ply").write_bytes(b"ply")
     again = studio(folder, port=0, block=False)
     try:
         assert not again.session.unsaved
-        assert "Nothing of the last time is recovered" in said[-1] and "splats.ply" in said[-1]
+        assert "Cannot recover" in said[-1] and "splats.ply" in said[-1]
     finally:
         again.close()
 
@@ -120,21 +120,21 @@ def test_where_nothing_can_be_written_save_says_so_and_all_else_works(said: list
         (public / "balls").chmod(0o555)
         with as_nobody():
             opened = studio(public / "balls", port=0, block=False)
-            opened.session.do(lambda state: renamed(pick_names(state, ["3"]), "red"))
+            opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
             assert opened.session.worker.settle()
             assert [*opened.session.state.scene.objects] == ["red"]
             with pytest.raises(StyleSplatError, match="Cannot write"):
-                opened.place.save(opened.session)
+                opened.store.save(opened.session)
             with pytest.raises(StyleSplatError, match="Cannot write"):
-                opened.place.save_as(opened.session, "other")
-            assert exported(opened.session.state.scene, ".splat")
+                opened.store.save_as(opened.session, "other")
+            assert export_bytes(opened.session.state.scene, ".splat")
             opened.close()
-        assert "Nothing is kept against crashes" in said[-1]
+        assert "Cannot autosave" in said[-1]
         assert not open(public / "balls").objects
 
 
 def test_of_what_is_thinned_every_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("stylesplat.studio_app.viewing.MOST", 100)
+    monkeypatch.setattr("stylesplat.studio_app.viewport.MOST", 100)
     opened = studio(folder, port=0, block=False)
     opened.close()
     (line,) = opened.session.greetings
