@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
+from stylesplat.figures.grid import MARGIN
 
 from balls import CAMERAS
 from command_line import QUICK, complaint, run
@@ -14,9 +15,8 @@ from stylesplat.cli.batch_verbs import batch_verbs
 from stylesplat.cli.sheet import VARIED
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CAPTION, HEAD
-from stylesplat.figures.object_sheet import MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
-from stylesplat.io.captures.photos import read_image
+from stylesplat.io.images import read_image
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.stylization.style_config import PRESETS
 from stylesplat.verbs.sheet import CELL

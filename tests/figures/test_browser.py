@@ -15,6 +15,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 import torch
+from stylesplat.studio_app.viewing import pose_of
 
 from balls import CAMERAS, SPLATS
 from chromium import launched, needs_chromium
@@ -24,7 +25,6 @@ from stylesplat.figures.live_splats import browser_camera, covariances, weightie
 from stylesplat.figures.private_server import private_server
 from stylesplat.scene.cameras import Cameras
 from stylesplat.signals import Terminated
-from stylesplat.studio_app.viewing import pose_of
 from stylesplat.work import Worker
 
 

@@ -18,7 +18,8 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import MOST_BYTES
-from stylesplat.studio_app.page import MANY, TITLE
+from stylesplat.studio_app.page import MANY
+from stylesplat.studio_app.paint_panel import TITLE
 from stylesplat.studio_app.studio import StudioServer, studio
 
 pytestmark = needs_chromium

@@ -14,7 +14,8 @@ from PIL import Image
 
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_process import JobRecord
-from stylesplat.io.files import atomic_path, is_file
+from stylesplat.io.atomic import atomic_path
+from stylesplat.io.files import is_file
 
 PAGE = "jobs.html"
 TEMPLATE = Path(__file__).with_name(PAGE)

@@ -22,8 +22,7 @@ from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
 from stylesplat.errors import StyleSplatError, printable
-from stylesplat.io.files import copy_file
-from stylesplat.io.folders import PARTIAL
+from stylesplat.io.atomic import PARTIAL
 
 LOGS = "logs"  # in the batch's folder: what each job has printed
 PATIENCE = 60.0  # seconds for a process to save what it has after SIGTERM
@@ -149,7 +148,7 @@ def ended_job(job: Job, status: Literal["done", "failed", "skipped"], reason: st
 def _copy_capture(source: Path, target: Path) -> None:
     shutil.rmtree(target, ignore_errors=True)
     hidden = shutil.ignore_patterns(".*", f"*{PARTIAL}")
-    shutil.copytree(source, target, ignore=hidden, copy_function=copy_file)
+    shutil.copytree(source, target, ignore=hidden)
 
 
 def process_command(job: Job, output: Path) -> list[str]:

@@ -20,11 +20,10 @@ from stylesplat.batch_jobs.job_page import PAGE, write_job_page
 from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, local_executor
 from stylesplat.batch_jobs.option_values import refuse_address
 from stylesplat.errors import StyleSplatError, some, within
-from stylesplat.io.files import atomic_path, cannot_write
-from stylesplat.io.folders import PARTIAL, refuse_occupied
+from stylesplat.io.atomic import PARTIAL, atomic_path, changing, refuse_occupied
+from stylesplat.io.files import cannot_write
 from stylesplat.io.json_files import strict_json
 from stylesplat.io.kinds import SOG_META
-from stylesplat.io.recovery import changing
 from stylesplat.progress import say, task
 
 RECORDS = "jobs.jsonl"  # in the batch's folder: a line of JSON for each job that has ended

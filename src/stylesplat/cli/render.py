@@ -129,7 +129,7 @@ class Render:
         from stylesplat.io.video import GIF_FPS as GIF_FPS
         from stylesplat.io.view_files import is_gif
         from stylesplat.scene.framing import frame_count
-        from stylesplat.studio_app.keeping import FRAMES
+        from stylesplat.studio_app.autosave import FRAMES
         from stylesplat.verbs.orbit import FPS
 
         gif = is_gif(self.output)

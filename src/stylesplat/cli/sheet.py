@@ -8,19 +8,12 @@ from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import pasted, unused
-from stylesplat.cli.options import (
-    Device,
-    Json,
-    Output,
-    Overwrite,
-    Verbose,
-    given,
-    refuse_picture,
-)
+from stylesplat.cli.next_steps import unused
+from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given, refuse_picture
 from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.scene.arguments import pasted
 from stylesplat.stylization.style_config import Network
 
 VARIED = (  # options of `stylize`
@@ -73,7 +66,7 @@ class Sheet:
 
     def run(self) -> dict[str, Any]:
         """Draw the sheet, or tell the command of a cell."""
-        from stylesplat.io.recovery import changing
+        from stylesplat.io.atomic import changing
 
         variations = self._variations()
         commands = self._commands(variations)

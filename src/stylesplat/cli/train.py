@@ -27,7 +27,7 @@ from stylesplat.cli.scene_pictures import look
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there
 from stylesplat.signals import WHOLE
-from stylesplat.studio_app.wire import MARK
+from stylesplat.io.atomic import MARK
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
 if TYPE_CHECKING:

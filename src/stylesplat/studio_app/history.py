@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.scene.compose import family
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
@@ -64,13 +64,13 @@ def object_names(scene: Scene) -> list[str]:
     return [*(str(id) for id in ids if not names_of(scene, id)), *scene.objects]
 
 
-def display_of(state: StudioState, masks: ObjectMasks) -> Shown:
+def display_of(state: StudioState, masks: ObjectMasks) -> ViewerSplats:
     """What browsers display of a state."""
     scene, picked = state.scene, masks.together(state.scene, state.picked)
     hidden = masks.together(scene, state.hidden)
     if state.alone and picked is not None:
         hidden = ~picked
-    return Shown(scene.splats, picked if state.glow else None, none_if_all(hidden))
+    return ViewerSplats(scene.splats, picked if state.glow else None, none_if_all(hidden))
 
 
 def none_if_all(hidden: Bool[Tensor, " N"] | None) -> Bool[Tensor, " N"] | None:

@@ -7,7 +7,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.studio_app.gallery import Gallery, StylePicture
 from stylesplat.studio_app.paint_queue import PaintQueue, make_style
 from stylesplat.studio_app.session import Session

@@ -11,12 +11,13 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Silence, observed
+from stylesplat.stylization.style_images import Picture
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
-from stylesplat.scene.ring import ring_cameras
+from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.history import (
@@ -28,7 +29,7 @@ from stylesplat.studio_app.history import (
 )
 from stylesplat.studio_app.session import Progress, Session, Stopped
 from stylesplat.stylization.color import color_map, map_colors
-from stylesplat.stylization.style import Picture, Style
+from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.stylize_live import Live, stylize_live
 from stylesplat.work import Worker
@@ -185,7 +186,7 @@ class PaintQueue:
         what = f"{job.name}: {job.title}, step {step} of {steps}"
         self.session.progress = Progress(what, step / steps, left)
         scene = live.scene()
-        self.session.preview = Shown(scene.splats, hidden=self._hidden(scene))
+        self.session.preview = ViewerSplats(scene.splats, hidden=self._hidden(scene))
         self.session.on_change.call()
 
     def _hidden(self, scene: Scene) -> Bool[Tensor, " N"] | None:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from stylesplat.figures.at_rest import camera_of
+from stylesplat.figures.browser import camera_of
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, extent_of
 from stylesplat.studio_app.history import StudioState, object_names

@@ -14,9 +14,9 @@ from stylesplat.rendering.shares import AT_ONCE, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, depths_of
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.detector import CHECKPOINT
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.shapes import surface_point
+from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import (
     ObjectMasks,
     StudioState,

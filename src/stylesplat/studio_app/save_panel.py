@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.at_rest import camera_of
+from stylesplat.figures.browser import camera_of
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.layer import Layer
-from stylesplat.scene.pasted import pasted
 from stylesplat.studio_app.autosave import (
     FORMATS,
     FRAMES,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Observer, Silence, Task, observed
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.history import History, ObjectMasks, StudioState, display_of
@@ -51,7 +51,7 @@ class Session:
         """Where Save writes."""
         self.saved = self.history.now
         """The state that was saved last, or opened."""
-        self.preview: Shown | None = None
+        self.preview: ViewerSplats | None = None
         """What browsers display in place of the state during a painting."""
         self.progress: Progress | None = None
         self.painting = False
@@ -74,7 +74,7 @@ class Session:
         return self.history.now
 
     @property
-    def display(self) -> Shown:
+    def display(self) -> ViewerSplats:
         """What browsers display now."""
         return self.preview or display_of(self.state, self.masks)
 

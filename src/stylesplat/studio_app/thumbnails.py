@@ -11,8 +11,9 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.compositing import to_uint8
-from stylesplat.figures.object_sheet import CARD, close_up
+from stylesplat.figures.best_views import close_up
+from stylesplat.figures.grid import CARD
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

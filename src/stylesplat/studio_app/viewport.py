@@ -10,11 +10,10 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from stylesplat.figures.at_rest import AtRest
-from stylesplat.figures.browser import place_camera
-from stylesplat.figures.first_view import first_view
+from stylesplat.figures.browser import AtRest, place_camera
 from stylesplat.figures.live_splats import MOST, LiveSplats
-from stylesplat.figures.shown import Shown
+from stylesplat.figures.orbits import first_view
+from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, extent_of
 from stylesplat.scene.scene import Scene
@@ -112,7 +111,7 @@ class Viewport:
                 f"The browser moves {MOST:,} of {count:,} Gaussians; at rest the picture is of all."
             )
 
-    def display(self) -> Shown:
+    def display(self) -> ViewerSplats:
         seen = self.session.display
         before = self.compared == "before" or self._holding
         if before and self.session.preview is None:
@@ -231,10 +230,10 @@ class Viewport:
         self.move(client, CameraPose(centre + away, centre, camera.up_direction, camera.fov))
 
 
-def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> Shown:
+def _before(scene: Scene, hidden: Bool[Tensor, " M"] | None) -> ViewerSplats:
     """The scene without its layers."""
     base = scene.unpainted
-    return Shown(base, hidden=None if hidden is None else hidden[: len(base)])
+    return ViewerSplats(base, hidden=None if hidden is None else hidden[: len(base)])
 
 
 def photo_pose(scene: Scene, camera: Cameras) -> CameraPose:

@@ -10,13 +10,14 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.figures.compositing import to_uint8
+from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import draw_grid
-from stylesplat.figures.object_sheet import close_up
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.style_sheet import captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.one_view import render
+from stylesplat.stylization.style_images import Picture
+from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.one_line import counted, one_line
@@ -24,7 +25,6 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.paint_objects import check_jobs
-from stylesplat.stylization.style import Picture
 from stylesplat.stylization.style_config import Network
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.verbs.stylize import stylize_unmeasured
