@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
-from stylesplat.figures.grid import MARGIN
 
 from balls import CAMERAS
 from command_line import QUICK, complaint, run
 from stylesplat.cli.batch_verbs import batch_verbs
 from stylesplat.cli.sheet import VARIED
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.grid import CAPTION, HEAD
+from stylesplat.figures.grid import CAPTION, HEAD, MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
 from stylesplat.io.images import read_image
 from stylesplat.stylization.recipe import parse_variation

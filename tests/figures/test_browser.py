@@ -15,7 +15,6 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 import torch
-from stylesplat.studio_app.viewing import pose_of
 
 from balls import CAMERAS, SPLATS
 from chromium import launched, needs_chromium
@@ -25,6 +24,7 @@ from stylesplat.figures.live_splats import browser_camera, covariances, weightie
 from stylesplat.figures.private_server import private_server
 from stylesplat.scene.cameras import Cameras
 from stylesplat.signals import Terminated
+from stylesplat.studio_app.viewport import viser_pose
 from stylesplat.work import Worker
 
 
@@ -201,7 +201,7 @@ def test_of_too_many_gaussians_those_that_show_most_are_sent():
 
 def test_a_browsers_camera_sees_what_ours_does():
     camera = CAMERAS[2]
-    wxyz, position, fov = pose_of(camera)
+    wxyz, position, fov = viser_pose(camera)
     found = browser_camera(wxyz, position, fov, camera.size)
     assert torch.allclose(found.viewmats, camera.viewmats, atol=1e-5)
     assert torch.allclose(found.Ks, camera.Ks, atol=1e-3) and found.size == camera.size

@@ -24,10 +24,9 @@ from stylesplat.cli.options import (
 from stylesplat.cli.posed import is_under_way, posed
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import look
-from stylesplat.io.atomic import partial_of
+from stylesplat.io.atomic import MARK, partial_of
 from stylesplat.io.files import is_there
 from stylesplat.signals import WHOLE
-from stylesplat.io.atomic import MARK
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
 if TYPE_CHECKING:

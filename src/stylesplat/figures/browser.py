@@ -12,8 +12,8 @@ from jaxtyping import UInt8
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.live_splats import PARENT, LiveSplats, ViewerSplats, browser_camera
 from stylesplat.figures.orbits import first_view
-from stylesplat.figures.private_server import PrivateServer, private_server
 from stylesplat.figures.pictures import BLACK
+from stylesplat.figures.private_server import PrivateServer, private_server
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

@@ -13,7 +13,6 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Silence, observed
-from stylesplat.stylization.style_images import Picture
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
@@ -31,6 +30,7 @@ from stylesplat.studio_app.session import Progress, Session, Stopped
 from stylesplat.stylization.color import color_map, map_colors
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.style_images import Picture
 from stylesplat.verbs.stylize_live import Live, stylize_live
 from stylesplat.work import Worker
 

@@ -11,9 +11,8 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.figures.browser import AtRest, place_camera
-from stylesplat.figures.live_splats import MOST, LiveSplats
+from stylesplat.figures.live_splats import MOST, LiveSplats, ViewerSplats
 from stylesplat.figures.orbits import first_view
-from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of, extent_of
 from stylesplat.scene.scene import Scene

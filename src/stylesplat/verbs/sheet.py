@@ -16,7 +16,6 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.style_sheet import captioned, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
-from stylesplat.stylization.style_images import Picture
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
@@ -26,6 +25,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.paint_objects import check_jobs
 from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_images import Picture
 from stylesplat.stylization.style_job import StyleJob
 from stylesplat.verbs.stylize import stylize_unmeasured
 
