@@ -31,7 +31,7 @@ WORK = (
     "stylesplat.verbs.evaluate.evaluate",
     "stylesplat.verbs.sfm.prepare",
     "stylesplat.figures.object_sheet.object_sheet",
-    "stylesplat.demo.demo_run.demo_capture",
+    "stylesplat.demo.demo_run.copy_capture",
 )
 CALLS = {
     "train": ("train", "{capture}", "-o", "{out}"),

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.demo.still_life import dome_cameras
+from still_life.photos import dome_cameras
 from stylesplat.scene.cameras import Cameras
 from stylesplat.structure_from_motion.centre import find_centre
 from stylesplat.structure_from_motion.coverage import Coverage, measure_coverage

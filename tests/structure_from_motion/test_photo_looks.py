@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 import torch
 
-from stylesplat.demo.cloud import surface_points
-from stylesplat.demo.still_life import dome_cameras, photograph
+from stylesplat.demo.demo_run import copy_capture
 from stylesplat.scene.capture import Capture
 from stylesplat.structure_from_motion.findings import on_looks
 from stylesplat.structure_from_motion.photo_looks import photo_looks
-
-CAMERAS = dome_cameras(12, 160, 120)
+from stylesplat.verbs.load import load
 
 
 @pytest.fixture(scope="module")
-def capture() -> Capture:
-    views = list(photograph(CAMERAS, 0))
-    points, colors = surface_points(CAMERAS, views, 3000)
-    photos = [view.photo for view in views]
-    return Capture(CAMERAS, photos, points=points, point_colors=colors)
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """Twelve photos of 160x120, of both rings around the demo's still life."""
+    whole = load(copy_capture(tmp_path_factory.mktemp("demo") / "still_life"), downscale=3.0)
+    rows = range(0, 48, 4)
+    photos = [whole.photos[row] for row in rows]
+    points, colors = whole.points, whole.point_colors
+    return Capture(whole.cameras[rows], photos, points=points, point_colors=colors)
 
 
 def changed(capture: Capture, row: int, photo: np.ndarray) -> Capture:
@@ -47,7 +47,7 @@ def test_exposure_is_told_in_steps(capture: Capture, gain: float):
     steps = float(after.stops[4] - before.stops[4])
     # The tracer's sRGB is a power of 2.2 but for its darkest part
     assert steps == pytest.approx(2.2 * np.log2(gain), abs=0.15)
-    others = torch.arange(len(CAMERAS)) != 4
+    others = torch.arange(len(capture)) != 4
     assert (after.stops - before.stops)[others].abs().max() < 0.1
 
 
@@ -63,14 +63,14 @@ def test_exposure_that_wanders_is_said(capture: Capture):
         photo = capture.photos[row].numpy() * np.linspace(0.6, 1, len(capture))[row]
         capture = changed(capture, row, photo)
     assert verdicts(capture)["exposure"] == "fair"
-    finding = on_looks(photo_looks(capture), CAMERAS.names)[1]
+    finding = on_looks(photo_looks(capture), capture.cameras.names)[1]
     assert "steps of exposure" in finding.says and "Colour correction" in finding.advice
 
 
 def test_a_blurred_photo_is_named(capture: Capture):
     blurred = cv2.GaussianBlur(capture.photos[4].numpy(), (0, 0), 4)
-    finding = on_looks(photo_looks(changed(capture, 4, blurred)), CAMERAS.names)[0]
-    assert finding.verdict == "fair" and finding.says == "blurred: 004.png"
+    finding = on_looks(photo_looks(changed(capture, 4, blurred)), capture.cameras.names)[0]
+    assert finding.verdict == "fair" and finding.says == "blurred: 016.jpg"
 
 
 def test_without_points_whole_photos_are_compared(capture: Capture):
@@ -81,7 +81,7 @@ def test_without_points_whole_photos_are_compared(capture: Capture):
     dark = changed(bare, 4, bare.photos[4].numpy() * 0.5)
     looks = photo_looks(dark)
     assert not looks.by_points and looks.stops[4] < -1.5
-    assert "going by whole photos" in on_looks(looks, CAMERAS.names)[1].says
+    assert "going by whole photos" in on_looks(looks, capture.cameras.names)[1].says
 
 
 def test_a_black_photo_tells_nothing_and_breaks_nothing(capture: Capture):
