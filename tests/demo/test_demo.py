@@ -92,7 +92,7 @@ def made(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         raise KeyboardInterrupt
 
     def run(**options: object) -> dict:
-        training = replace(TRAINING, steps=60)
+        training = replace(TRAINING, steps=30)
         return run_demo(out, archive=archive, training=training, styling=few, **options)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:

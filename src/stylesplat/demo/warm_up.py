@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import IDENTITY_SIZE, Splats
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.load import load
@@ -44,6 +44,7 @@ def stylize_noise(capture: Path, count: int = 400) -> None:
         sh0=torch.randn(count, 1, 3, generator=generator),
         shN=torch.zeros(count, 8, 3),
         identities=torch.randn(count, IDENTITY_SIZE, generator=generator),
+        classifier=Classifier(torch.eye(IDENTITY_SIZE)[:2], torch.zeros(2), ids=(0, 1)),
     )
     noise = {"noise": SceneObject(torch.ones(count, dtype=torch.bool), {})}
     scene = Scene(splats, cameras, held_out=cameras.names[:1], objects=noise)
