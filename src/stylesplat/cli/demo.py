@@ -11,7 +11,7 @@ from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite, Verbose
 
 @dataclass(frozen=True)
 class Demo:
-    """Make a still life, train it, repaint two of its objects and write a report.
+    """Train a still life, repaint two of its objects, and write a report.
 
     Example: stylesplat demo -o demo
     """
