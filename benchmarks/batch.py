@@ -19,12 +19,10 @@ import sys
 import time
 from pathlib import Path
 
-import torch
 from bench import OUT, STYLES, calibration_ms, machine, table
 
 import stylesplat
-from stylesplat.demo.demo_capture import STYLES as DEMO_STYLES
-from stylesplat.io.images import write_image
+from stylesplat.demo.demo_run import copy_capture
 
 PICTURES = 4
 SINGLE = 2  # results that are compared with single runs
@@ -33,11 +31,9 @@ FOLDER = OUT / "batch"
 
 
 def pictures() -> list[str]:
-    """Four style pictures: the demo's two, and two paintings."""
-    made = [FOLDER / f"{name}.png" for name in DEMO_STYLES]
-    for path, draw in zip(made, DEMO_STYLES.values(), strict=True):
-        write_image(torch.from_numpy(draw()), path)
-    found = [*made, *sorted(STYLES.glob("*.jpg"))]
+    """Four style pictures: the demo's three, and a painting."""
+    shipped = copy_capture(FOLDER / "still_life") / "styles"
+    found = [*sorted(shipped.iterdir()), *sorted(STYLES.glob("*.jpg"))]
     if len(found) < PICTURES:
         raise SystemExit(f"This benchmark needs the pictures in {STYLES}, which are not here.")
     return [str(path) for path in found[:PICTURES]]

@@ -6,6 +6,7 @@ import math
 import platform
 import re
 import resource
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,6 +25,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import load_vgg
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "scripts"))  # still_life is there
 ABOVE = Path(__file__).resolve().parents[2:]  # of the repository, which may be a worktree
 DATA = next(
     (p for p in (up / "shared" / "data" for up in ABOVE) if p.is_dir()),

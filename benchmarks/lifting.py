@@ -27,8 +27,8 @@ from bench import (
 )
 
 import stylesplat as ss
-from stylesplat.demo.demo_capture import demo_capture
-from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.demo.demo_run import copy_capture
+from stylesplat.evaluation.photo_metrics import evaluate_views
 from stylesplat.io.splats.splat_ply import write_splat_ply
 from stylesplat.scene.splats import Splats
 from stylesplat.training.lifting import lift
@@ -56,7 +56,7 @@ def speed() -> str:
 
 def quality() -> str:
     """IoU of the demo's held-out views, trained jointly and lifted."""
-    folder = demo_capture(OUT / "demo")
+    folder = copy_capture(OUT / "demo")
     given, exact = ss.load(folder), ss.load(folder, masks=folder / "object_mask_exact")
     rows, held_out = split_views(given, 8)
     joint, apart = (

@@ -7,8 +7,9 @@ capture with exact label maps; its object has label 1.
 
 from math import exp, sin, sqrt
 from pathlib import Path
-from typing import Literal, no_type_check
+from typing import Literal
 
+import bench  # noqa: F401  (still_life is found then)
 import cv2
 import numba
 import numpy as np
@@ -17,33 +18,32 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.demo.cloud import surface_points
-from stylesplat.demo.noise import fractal_noise, noise
-from stylesplat.demo.solids import smooth_max, smooth_min
-from stylesplat.demo.still_life import View
-from stylesplat.demo.surroundings import backdrop_albedo, hit_backdrop, hit_table, table_albedo
-from stylesplat.demo.tracer import AO_TAPS, BOUNCE, LIGHT, SKYLIGHT
-from stylesplat.demo.vectors import (
+from still_life.objects import smooth_max, smooth_min
+from still_life.photos import View, surface_points
+from still_life.surroundings import backdrop_albedo, hit_backdrop, hit_table, table_albedo
+from still_life.tracer import AO_TAPS, BOUNCE, LIGHT, SKYLIGHT
+from still_life.vectors import (
     FAST,
     Vec,
     along,
     dot,
+    fractal_noise,
     kernel,
     length,
     mix,
+    noise,
     product,
     saturate,
     scaled,
     smoothstep,
     unit,
 )
-from stylesplat.io.atomic import atomic_folder
 from stylesplat.io.captures.capture_folder import OBJECT_MASK
 from stylesplat.io.captures.transforms import write_transforms
+from stylesplat.io.folders import claim_directory
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.progress import track
-from stylesplat.rendering.kernels.jit import ONLY_PRANGE, cached
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import look_at
 
@@ -82,7 +82,6 @@ PAINT, LETTERS, STEEL, RED = (
 )
 
 
-@no_type_check
 @kernel
 def _ellipsoid(p: Vec, centre: Vec, axes: Vec) -> float:
     x, y, z = (
@@ -94,7 +93,6 @@ def _ellipsoid(p: Vec, centre: Vec, axes: Vec) -> float:
     return outside * (outside - 1) / (length((x / axes[0], y / axes[1], z / axes[2])) + 1e-9)
 
 
-@no_type_check
 @kernel
 def _rod(p: Vec, start: Vec, end: Vec, radius: float, end_radius: float) -> float:
     axis, offset = along(end, start, -1.0), along(p, start, -1.0)
@@ -102,7 +100,6 @@ def _rod(p: Vec, start: Vec, end: Vec, radius: float, end_radius: float) -> floa
     return length(along(offset, axis, -t)) - (radius + (end_radius - radius) * t)
 
 
-@no_type_check
 @kernel
 def _face(p: Vec) -> float:
     """A bust: the mirror image of its left half."""
@@ -124,7 +121,6 @@ def _face(p: Vec) -> float:
     return smooth_max(smooth_min(head, smooth_min(neck, bust, 0.12), 0.06), -p[2], 0.02)
 
 
-@no_type_check
 @kernel
 def _face_albedo(p: Vec) -> Vec:
     """Skin, hair and shirt; eyes, brows and mouth painted as seen from the front."""
@@ -156,7 +152,6 @@ def _face_albedo(p: Vec) -> Vec:
     return mix(SHIRT, color, smoothstep(0.262, 0.268, z + 0.16 * (p[0] > 0) * p[0] - 0.1 * side))
 
 
-@no_type_check
 @kernel
 def _eye(skin: Vec, u: float, v: float) -> Vec:
     """An almond with iris, pupil, glint and lashes; -1 to 1 from corner to corner."""
@@ -177,7 +172,6 @@ def _eye(skin: Vec, u: float, v: float) -> Vec:
     return mix(color, scaled(BLUSH, 0.55), 0.6 * fold)
 
 
-@no_type_check
 @kernel
 def _sign(p: Vec) -> float:
     """A plate with a rim on four thin legs with rungs."""
@@ -194,7 +188,6 @@ def _sign(p: Vec) -> float:
     return max(min(plate, frame), -p[2])
 
 
-@no_type_check
 @kernel
 def _sign_albedo(p: Vec, text: np.ndarray) -> Vec:
     """Letters on both sides of the plate; steel legs with red rungs."""
@@ -209,13 +202,11 @@ def _sign_albedo(p: Vec, text: np.ndarray) -> Vec:
     return RED if rung or (abs(z) > PLATE[1] + 0.018 and p[2] > 0.8) else STEEL
 
 
-@no_type_check
 @kernel
 def _distance(shape: int, p: Vec) -> float:
     return 0.9 * _face(p) if shape == FACE else _sign(p)
 
 
-@no_type_check
 @kernel
 def _march(origin: Vec, direction: Vec, shape: int, start: float) -> tuple[float, float]:
     """Where a ray hits the object, 1e9 if it does not; and how near to a shadow's edge it went."""
@@ -237,7 +228,6 @@ def _march(origin: Vec, direction: Vec, shape: int, start: float) -> tuple[float
     return 1e9, light
 
 
-@no_type_check
 @kernel
 def _normal(shape: int, p: Vec) -> Vec:
     n = (0.0, 0.0, 0.0)
@@ -247,7 +237,6 @@ def _normal(shape: int, p: Vec) -> Vec:
     return unit(n)
 
 
-@no_type_check
 @kernel
 def _look(origin: Vec, direction: Vec, shape: int, text: np.ndarray) -> tuple[float, int, Vec]:
     """How far a ray goes, whether it ends on the object, and the light that comes back."""
@@ -278,7 +267,6 @@ def _look(origin: Vec, direction: Vec, shape: int, text: np.ndarray) -> tuple[fl
     return t, hit, along(product(color, light), LIGHT, shine)
 
 
-@no_type_check
 @kernel
 def _film(x: float) -> float:
     """Linear light to display value: Narkowicz's fit of the ACES curve, then gamma."""
@@ -286,8 +274,7 @@ def _film(x: float) -> float:
     return saturate(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)) ** (1 / 2.2)
 
 
-@no_type_check
-@cached(**FAST, parallel=ONLY_PRANGE)
+@numba.njit(**FAST, parallel=True)
 def _photograph(
     shape: int,
     K: np.ndarray,
@@ -375,7 +362,7 @@ def letters() -> Float[Tensor, "H W"]:
 def write_traced_capture(shape: Shape, folder: Path) -> Path:
     """Photos, cameras, exact label maps and sparse points of an object, as a capture."""
     cameras = arc()
-    with atomic_folder(folder, overwrite=False, marker="transforms.json") as new:
+    with claim_directory(folder, overwrite=False, marker="transforms.json") as new:
         views = [photograph(shape, cameras[i]) for i in track(range(len(cameras)), shape)]
         for name, view in zip(cameras.names, views, strict=True):
             write_image(view.photo, new / "images" / name)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from stylesplat.demo.cloud import surface_points
-from stylesplat.demo.still_life import dome_cameras, photograph
+from still_life.photos import dome_cameras, photograph, surface_points
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.figures.grid import MARGIN, PAPER, TITLE_SIZE, write_line
 from stylesplat.io.atomic import atomic_path

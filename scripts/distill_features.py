@@ -24,7 +24,6 @@ from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
-from training_pictures import SIZE, training_pictures
 
 from stylesplat.rendering.linear import GREY
 from stylesplat.stylization.features.compact import (
@@ -38,6 +37,7 @@ from stylesplat.stylization.features.compact import (
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.precision import fastest_dtype
 from stylesplat.stylization.features.weights import PACKAGED, load_vgg
+from training_pictures import SIZE, training_pictures
 
 WIDTHS = (32, 64, 128)  # filters of a layer, block by block
 TEACHER_WIDTHS = (128, 256, 768)

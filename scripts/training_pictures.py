@@ -16,9 +16,9 @@ from jaxtyping import Float, UInt8
 from sklearn.datasets import load_sample_images
 from tqdm import tqdm
 
-from stylesplat.demo.brush import paint
-from stylesplat.demo.still_life import DISTANCE, TARGET, photograph
-from stylesplat.rendering.render import rasterize
+from still_life.paintings import paint
+from still_life.photos import DISTANCE, TARGET, photograph
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.poses import look_at
 from stylesplat.scene.splats import SH_C0, Splats

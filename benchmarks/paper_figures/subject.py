@@ -5,14 +5,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import torch
 from bench import VGG19, style_network
 from torch import Tensor
 
 import stylesplat as ss
-from stylesplat.demo.demo_capture import STYLES, demo_capture
-from stylesplat.demo.demo_run import TRAINING
+from stylesplat.demo.demo_run import TRAINING, copy_capture
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
@@ -198,7 +196,7 @@ def open_subject(given: str, output: Path, effort: Effort, features: str | None)
         scene=scene,
         capture=photos,
         exact=ss.load(scene.capture, downscale=scene.downscale, masks=truth) if truth else None,
-        styles=_styles(scene.capture),
+        styles=_styles(scene.capture, output),
         network=_network(features),
         effort=effort,
     )
@@ -213,33 +211,15 @@ def _network(features: str | None) -> FeatureNetwork:
 def _demo(output: Path) -> Path:
     folder = output / "demo-scene"
     if not (folder / "scene.json").is_file():
-        photos = demo_capture(output / "demo-capture")
+        photos = copy_capture(output / "demo-capture")
         ss.save(ss.train(ss.load(photos), JOINT_TRAINING, segment="joint"), folder)
     return folder
 
 
-def _styles(capture: Path) -> dict[str, Tensor]:
-    """The capture's own pictures, or the demo's; and tiles, so that there are three."""
+def _styles(capture: Path, output: Path) -> dict[str, Tensor]:
+    """The capture's own pictures, or the demo's; the scales, which are tiles, are the last."""
+    tiles = copy_capture(output / "demo-capture") / "styles" / "scales.jpg"
     folder = capture / "styles"
-    if folder.is_dir():
-        found = {path.stem: read_style(path) for path in sorted(folder.iterdir())}
-    else:
-        found = {name: torch.from_numpy(make(0)).float() / 255 for name, make in STYLES.items()}
-    return {name.replace("_", " "): image for name, image in found.items()} | {"scales": scales()}
-
-
-def scales(size: int = 576, across: int = 9) -> Tensor:
-    """A picture of overlapping scales in greens and ochres, as of a lizard: a tiling."""
-    y, x = np.indices((size, size), dtype=np.float32) * across / size
-    image = np.zeros((size, size, 3), np.float32)
-    colors = np.array([[0.10, 0.30, 0.16], [0.83, 0.64, 0.22], [0.20, 0.52, 0.34]], np.float32)
-    for row in range(-2, 2 * across + 2):  # lower rows lie over upper ones
-        shift = 0.5 * (row % 2)
-        column = np.floor(x - shift)
-        distance = np.hypot(x - shift - column - 0.5, y - 0.5 * row)
-        shade = np.clip(1.25 - 1.1 * distance, 0, 1)[..., None]
-        colour = colors[(column.astype(int) * 2 + row) % 3] * shade + 0.12 * (1 - shade)
-        ridge = (distance > 0.44)[..., None]
-        inside = (distance < 0.55) & (y >= 0.5 * row)
-        image = np.where(inside[..., None], np.where(ridge, 0.05, colour), image)
-    return torch.from_numpy(image.astype(np.float32)).clamp(0, 1)
+    found = sorted((folder if folder.is_dir() else tiles.parent).iterdir())
+    paths = [path for path in found if path.stem != tiles.stem] + [tiles]
+    return {path.stem.replace("_", " "): read_style(path) for path in paths}

@@ -18,7 +18,7 @@ from paper_figures.story import (
     html_page,
     markdown_page,
 )
-from paper_figures.subject import cut, scales
+from paper_figures.subject import cut
 
 from stylesplat.figures.grid import CELL
 from stylesplat.io.images import write_image
@@ -138,10 +138,3 @@ def test_a_cut_holds_the_mask_and_some_around():
     mask = torch.zeros(30, 40, dtype=torch.bool)
     mask[10:14, 20:28] = True
     assert torch.equal(cut(PICTURE, mask), PICTURE[8:16, 18:30]), "a quarter of 8 pixels"
-
-
-def test_scales_are_a_tiling_in_three_colours():
-    tiles = scales(180, across=6)  # of 30 pixels; colours repeat after three
-    assert tiles.shape == (180, 180, 3) and 0 <= tiles.min() and tiles.max() <= 1
-    assert torch.allclose(tiles[60:120, :90], tiles[60:120, 90:], atol=0.02)
-    assert tiles.std(dim=(0, 1)).min() > 0.1

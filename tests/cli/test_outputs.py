@@ -13,7 +13,7 @@ from balls import CAMERAS
 from command_line import complaint, run
 from small_files import no_room
 from stylesplat.io import images
-from stylesplat.io.kinds import SCENE
+from stylesplat.io.scene_folder import SCENE
 from unprivileged import as_nobody, public_folder
 
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
@@ -30,8 +30,8 @@ WORK = (
     "stylesplat.verbs.export.export",
     "stylesplat.verbs.evaluate.evaluate",
     "stylesplat.verbs.sfm.prepare",
-    "stylesplat.figures.sheets.object_sheet",
-    "stylesplat.demo.demo_run.demo_capture",
+    "stylesplat.figures.object_sheet.object_sheet",
+    "stylesplat.demo.demo_run.copy_capture",
 )
 CALLS = {
     "train": ("train", "{capture}", "-o", "{out}"),

@@ -1,84 +1,101 @@
-"""Kills: what is on disk is the old or the new, and the next one who comes cleans up."""
+"""A command that is killed leaves what was there, or what it was to write, and no half of it.
+
+A kill ends a process between two calls to the file system: the folder is copied at each change.
+"""
 
 import os
-import subprocess
+import shutil
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-import stylesplat
-from full_scenes import full_scene
-from killing import WRITERS, faults, kills
-from stylesplat.cli.select import Select
-from stylesplat.io import atomic
-from stylesplat.io.scene_folder import open, save
-from stylesplat.progress import Silence, observed
+import stylesplat as ss
+from ball_photos import write_ball_capture
+from balls import CAMERAS
+from command_line import run
+from full_scenes import full_scene, plain_scene
 
-LEAST = {"export": 6, "checkpoint": 3, "views": 15}  # calls at which a writer can be killed
-USUAL = 20  # of the others
+CHANGES = {"os.rename", "os.link", "os.symlink", "os.mkdir", "os.rmdir", "os.remove"}
+FOR_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+SELECT = ("--name", "x", "--id", "7", "--no-picture")
+TRAIN = ("--steps", "2", "--test-every", "0", "--device", "cpu", "--overwrite")
 
-
-@pytest.fixture
-def no_fsync(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It takes long, and only power cuts need it."""
-    monkeypatch.setattr(os, "fsync", lambda file: None)
+_recorders: list[Callable[[Path | None], None]] = []
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_kill_leaves_the_old_or_the_new(name: str, tmp_path: Path, no_fsync: None):
-    writer, folder = WRITERS[name], tmp_path / "work"
-    folder.mkdir()
-    writer.prepare(folder)
-    whole = [writer.read(folder)]
-    left = kills(writer.write, folder, tmp_path / "kills")
-    whole.append(writer.read(folder))
-    assert whole[0] != whole[1]
-    assert len(left) >= LEAST.get(name, USUAL), "the calls were not seen"
-    wrong = {place.name: found for place in left if (found := faults(writer, place, whole))}
-    assert not wrong
+@cache
+def listen() -> None:
+    """Call the recorder at each change, from now on: an audit hook cannot be removed."""
+
+    def hook(event: str, arguments: tuple) -> None:
+        flags = arguments[2] if event == "open" and isinstance(arguments[2], int) else 0
+        if _recorders and (event in CHANGES or flags & FOR_WRITING):
+            recorder = _recorders.pop()  # whose own calls do not count
+            recorder(Path(os.fsdecode(arguments[0])) if flags & os.O_TRUNC else None)
+            _recorders.append(recorder)
+
+    sys.addaudithook(hook)
 
 
-SELECT = """
-import sys
-from pathlib import Path
-from stylesplat.cli.select import Select
-from stylesplat.io import scene_folder
+def kills(write: Callable[[], object], folder: Path, copies: Path) -> list[Path]:
+    """Copies of a folder as kills before each change, or once a file is opened, leave it."""
+    made: list[Path] = []
 
-def late(*arguments, revise=scene_folder.revise):
-    print("opened", flush=True)
-    input()
-    revise(*arguments)
+    def copy(emptied: Path | None) -> None:
+        made.append(copies / str(len(made)))
+        shutil.copytree(folder, made[-1], symlinks=True)
+        if emptied and emptied.is_relative_to(folder):
+            (made[-1] / emptied.relative_to(folder)).write_bytes(b"")
 
-scene_folder.revise = late
-Select._draw = lambda self, scene, target: None  # which takes long
-Select(Path(sys.argv[1]), "one", sphere=("0,0,0,9",)).run()
-"""
+    listen()
+    _recorders.append(copy)
+    try:
+        write()
+    finally:
+        _recorders.clear()
+    return made
 
 
-def test_two_selections_at_once_are_both_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(atomic, "PATIENCE", 100.0)  # this machine may be busy
-    save(full_scene(), tmp_path / "scene")
-    first = subprocess.Popen(
-        [sys.executable, "-c", SELECT, tmp_path / "scene"],
-        env={**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    told: list[str] = []
+def scene_of(folder: Path) -> object:
+    """What readers find of a scene; None if there is none."""
+    try:
+        scene = ss.open(folder)
+    except ss.StyleSplatError as error:
+        assert "There is no scene" in str(error)
+        return None
+    strengths = [(layer.object, layer.strength) for layer in scene.layers]
+    return sorted(scene.objects), strengths, scene.splats.means.tolist(), len(scene.metrics)
 
-    class Listener(Silence):
-        def say(self, line: str) -> None:
-            if line.startswith("Waiting for another stylesplat that chan"):
-                told.append(line)
-                first.communicate("go\n")
 
-    assert first.stdout is not None and first.stdout.readline() == "opened\n"
-    with observed(Listener()):
-        Select(tmp_path / "scene", "other", sphere=("0,0,0,9",)).run()
-    first.communicate("go\n" if not told else None)
-    assert first.returncode == 0
-    assert {"one", "other"} <= open(tmp_path / "scene").objects.keys()
-    assert len(told) == 1
-    assert {path.name for path in tmp_path.iterdir()} == {"scene"}
+def read(folder: Path) -> object:
+    """What readers find of all that commands write."""
+    scene, trained = scene_of(folder / "scene"), scene_of(folder / "trained")
+    return scene, (folder / "a.ply").read_bytes(), trained is not None
+
+
+COMMANDS: dict[str, Callable[[Path], object]] = {
+    "save": lambda folder: ss.save(plain_scene(), folder / "scene", overwrite=True),
+    "adjust": lambda folder: run("adjust", folder / "scene", "--intensity", "0.5"),
+    "select": lambda folder: run("select", folder / "scene", *SELECT),
+    "export": lambda folder: ss.export(plain_scene(), folder / "a.ply", overwrite=True),
+    "train": lambda folder: run("train", folder / "capture", "-o", folder / "trained", *TRAIN),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_kill_leaves_the_old_or_the_new(name: str, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda file: None)  # it takes long; only power cuts need it
+    command, folder = COMMANDS[name], tmp_path / "work"
+    ss.save(full_scene(), folder / "scene")
+    ss.export(plain_scene().splats[:3], folder / "a.ply")
+    write_ball_capture(folder / "capture", CAMERAS[:3])
+    old = read(folder)
+    left = kills(lambda: command(folder), folder, tmp_path / "kills")
+    new = read(folder)
+    assert old != new and len(left) > 3, "nothing was changed, or the calls were not seen"
+    assert all(read(each) in (old, new) for each in left)
+    command(left[-1])
+    assert read(left[-1]) == new, "what a kill left must not disturb the next command"

@@ -1,64 +1,202 @@
-"""Whatever a file holds, its reader gives something usable or says in one line what is wrong.
+"""Whatever a file holds, its reader gives something usable or says in one line what is wrong."""
 
-A mutant that fails is printed with its seed and file: `mutants.mutant` makes it again.
-"""
-
-from collections.abc import Iterator
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+from damage import damaged
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
 
-from mutants import mutant
-from readers import READERS
-from trials import GOOD, Trial, Worker, described
+import stylesplat as ss
+from ball_photos import write_ball_capture
+from balls import CAMERAS
+from full_scenes import COUNT, full_scene
+from job_files import VERBS, write_jobs
+from scenes import random_splats
+from stylesplat.batch_jobs.batch_plan import plan_batch
+from tiny_captures import save_noise, write_capture
 
-MUTANTS = 60  # of each reader; `benchmarks/faults.py` tries thousands
-
-
-@pytest.fixture(scope="module")
-def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
-    worker = Worker(tmp_path_factory.mktemp("mutants"))
-    yield worker
-    worker.close()
-
-
-def trials_of(worker: Worker, reader: str) -> list[Trial]:
-    return [*worker.trials(reader, 0, MUTANTS)]
-
-
-@pytest.mark.parametrize("reader", [*READERS])
-def test_a_mutant_is_read_or_refused_in_one_line(worker: Worker, reader: str):
-    trials = trials_of(worker, reader)
-    failed = [described(trial) for trial in trials if trial.outcome not in GOOD]
-    assert not failed, "\n".join(failed)
-    assert len(trials) == MUTANTS
-    assert any(trial.outcome == "refused" for trial in trials), "the mutants are too tame"
+LONGEST = 2000  # characters of a line that somebody is to read
 
 
-def test_a_seed_makes_the_same_mutant_again():
-    content = b'{"a": [1, 2, {"b": "c"}], "d": null}'
-    mutants = [mutant("a.json", content, seed) for seed in range(200)]
-    assert mutants == [mutant("a.json", content, seed) for seed in range(200)]
-    assert len({*mutants}) > 100
+@dataclass(frozen=True)
+class Format:
+    """A way into the program."""
+
+    write: Callable[[Path], object]
+    """Writes valid files into a folder that does not exist."""
+    damage: tuple[str, ...]
+    """Patterns of those that are damaged."""
+    read: Callable[[Path], object]
+    """Reads the folder, and looks at all that it has read."""
 
 
-SCRIPT = """
-import json, os, sys, time
-for line in sys.stdin:
-    _, first, count = json.loads(line)
-    for seed in range(first, first + count):
-        if seed == 1:
-            os.abort()
-        if seed == 2:
-            time.sleep(100)
-        print(json.dumps([seed, "file", "fine", "", 0.0]), flush=True)
+def write_splats(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    for suffix in ("ply", "compressed.ply", "spz", "splat", "sog", "glb", "gltf"):
+        ss.export(random_splats(COUNT), folder / f"a.{suffix}")
+
+
+def read_splats(folder: Path, suffix: str) -> None:
+    finite(ss.import_(folder / f"a.{suffix}", device="cpu").splats.means)
+
+
+def finite(*tensors: torch.Tensor | None) -> None:
+    """Raise an error, which is no answer, if something read is not finite."""
+    assert all(tensor is None or tensor.isfinite().all() for tensor in tensors)
+
+
+def read_scene(folder: Path) -> None:
+    scene = ss.open(folder / "scene")
+    finite(scene.splats.means, scene.cameras.viewmats, scene.cameras.Ks)
+    ss.save(scene, folder / "copy", overwrite=True)
+    if scene.layers:
+        ss.adjust(scene, 0.5)
+        ss.adjust(scene, undo=True)
+
+
+def write_colmap(folder: Path, *, text: bool = False) -> None:
+    write_capture(folder, "OPENCV", (60.0, 62.0, 31.0, 25.0, 0.1, 0.0, 0.0, 0.0), text=text)
+
+
+def read_capture(folder: Path) -> None:
+    for capture in (ss.load(folder), ss.load(folder, downscale=2.0)):
+        finite(capture.cameras.viewmats, capture.cameras.Ks, capture.points)
+        for row in range(len(capture)):
+            assert capture.photos[row].shape[2] == 3
+            _ = capture.label_maps[row] if capture.label_maps is not None else None
+
+
+RECIPE = """steps: 300
+preset: default
+objects:
+  vase: {style: wave.png, scale: 1.5}
+  pot: {style: [wave.png], color: keep, region: [0, 0, 40, 40]}
 """
 
 
-def test_crashes_and_hangs_are_told_and_the_next_mutant_follows(tmp_path: Path, monkeypatch):
-    (tmp_path / "script.py").write_text(SCRIPT)
-    monkeypatch.setattr("trials.STARTS", 6.0)
-    worker = Worker(tmp_path / "work", script=tmp_path / "script.py", patience=4.0)
-    outcomes = [trial.outcome for trial in worker.trials("any", 0, 4)]
-    worker.close()
-    assert outcomes == ["fine", "crash", "hang", "fine"]
+def write_recipe(folder: Path) -> None:
+    save_noise(folder / "wave.png")
+    (folder / "recipe.yaml").write_text(RECIPE)
+
+
+def read_recipe(folder: Path) -> None:
+    for painted in ss.read_recipe(folder / "recipe.yaml").objects:
+        painted.style.read()
+
+
+JOBS = """scenes: {garden: garden, desk: desk}
+jobs:
+  - stylize: {style: {vase: [wave.jpg, night.jpg]}, steps: [100, 200], seed: 3}
+    name: painted
+    needs: {cpus: 2, memory: 3.5}
+    then:
+      - export: {output: a.ply}
+"""
+
+
+def write_job_file(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    write_jobs(folder, JOBS)
+
+
+def write_labels(folder: Path) -> None:
+    """Labels of Gaussians and masks of another program."""
+    write_capture(folder / "capture")
+    labels = np.arange(COUNT) % 3
+    np.save(folder / "a.npy", labels)
+    np.savez(folder / "a.npz", labels=labels)
+    (folder / "a.json").write_text(json.dumps({"labels": labels.tolist()}))
+    mask = {"size": [48, 64], "counts": [1536, 1536]}
+    packed = {"size": [48, 64], "counts": "P`1P`1"}  # the same, 5 bits a letter
+    masks = [{"image_id": 0, "category_id": 1, "segmentation": each} for each in (mask, packed)]
+    coco = {"images": [{"id": 0, "file_name": "001.png"}], "annotations": masks}
+    coco["categories"] = [{"id": 1, "name": "vase"}]
+    (folder / "coco.json").write_text(json.dumps(coco))
+
+
+def read_labels(folder: Path) -> None:
+    for suffix in ("npy", "npz", "json"):
+        ss.import_(random_splats(COUNT), labels=folder / f"a.{suffix}", device="cpu")
+    maps = ss.mask(ss.load(folder / "capture"), source=folder / "coco.json").label_maps
+    assert maps is not None and all(labels is None or labels.min() >= 0 for labels in maps)
+
+
+def write_pictures(folder: Path) -> None:
+    for suffix in ("png", "jpg", "tif", "webp"):
+        save_noise(folder / f"wave.{suffix}")
+
+
+FORMATS = {
+    **{
+        suffix: Format(write_splats, (f"a.{suffix}",), partial(read_splats, suffix=suffix))
+        for suffix in ("ply", "compressed.ply", "spz", "splat", "sog", "glb", "gltf")
+    },
+    "scene": Format(
+        lambda folder: ss.save(full_scene(), folder / "scene"),
+        ("scene/*.*", "scene/layers/*"),
+        read_scene,
+    ),
+    "COLMAP": Format(write_colmap, ("sparse/0/*",), read_capture),
+    "COLMAP text": Format(
+        lambda folder: write_colmap(folder, text=True), ("sparse/0/*",), read_capture
+    ),
+    "transforms": Format(
+        partial(write_ball_capture, cameras=CAMERAS[:3]),
+        ("transforms.json", "points.ply", "images/0000.jpg", "object_mask/*"),
+        read_capture,
+    ),
+    "recipe": Format(write_recipe, ("recipe.yaml", "wave.png"), read_recipe),
+    "jobs": Format(
+        write_job_file, ("jobs.yaml",), lambda folder: plan_batch(folder / "jobs.yaml", VERBS)
+    ),
+    "labels": Format(write_labels, ("a.*", "coco.json"), read_labels),
+    "pictures": Format(
+        write_pictures, ("*",), lambda folder: ss.Style(*sorted(folder.iterdir())).read()
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_file_is_read_or_refused_in_one_line(name: str, tmp_path: Path):
+    tried, folder = FORMATS[name], tmp_path / "given"
+    tried.write(folder)
+    tried.read(folder)
+    found = {path for each in tried.damage for path in folder.glob(each)}
+    files = sorted(path for path in found if path.is_file())
+    refused = []
+
+    @settings(
+        max_examples=80,
+        deadline=None,
+        derandomize=True,
+        phases=[Phase.generate],  # to shrink what fails takes longer than a test may
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+    @given(st.data())
+    def read(data: st.DataObject) -> None:
+        path = data.draw(st.sampled_from(files), label="file")
+        content = path.read_bytes()
+        path.write_bytes(data.draw(damaged(path), label="content"))
+        try:
+            tried.read(folder)
+        except (ss.StyleSplatError, TypeCheckError) as error:
+            refusal: BaseException | None = error
+            while isinstance(refusal, TypeCheckError):  # it looked into a list of label maps
+                refusal = refusal.__cause__ or refusal.__context__
+            assert isinstance(refusal, ss.StyleSplatError), error
+            assert str(refusal).isprintable() and len(str(refusal)) <= LONGEST
+            refused.append(path)
+        finally:
+            path.write_bytes(content)
+
+    read()
+    assert refused, "the damage is too tame"

@@ -1,14 +1,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-import distill_features as distill
 import pytest
 import torch
-from training_pictures import SIZE, shipped_photos, training_pictures
 
+import distill_features as distill
 from stylesplat.stylization.features.compact import compact_from
 from stylesplat.stylization.features.network import Convolution
 from stylesplat.stylization.features.vgg import Vgg, layer_widths
+from training_pictures import SIZE, shipped_photos, training_pictures
 
 OPTIONS = distill.Options(teacher=Path(), steps=20, batch=1, crop=96)
 

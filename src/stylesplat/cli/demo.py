@@ -12,7 +12,7 @@ from stylesplat.scene.arguments import pasted
 
 @dataclass(frozen=True)
 class Demo:
-    """Make a still life, train it, repaint two of its objects and write a report.
+    """Train a still life, repaint two of its objects, and write a report.
 
     Example: stylesplat demo -o demo
     """

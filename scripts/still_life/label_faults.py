@@ -1,11 +1,9 @@
 """The mistakes that a 2D segmenter makes, added to exact label maps.
 
-Segment-and-track tools draw ragged borders, lose an object in some views, take two neighbours
-for one, and leave scraps of one object on another; some take an object's shadow for a part of it.
-Training has to live with all of these.
+Segment-and-track tools draw ragged borders, lose an object in some views, take two neighbours for
+one, and leave scraps of one object on another. Training has to live with all of these.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -29,14 +27,11 @@ class FaultConfig:
     """Chance that, in a view, one object is taken for a neighbour."""
     fragments: float = 0.25
     """Chance that, in a view, a patch of one object carries another's id."""
-    shadows: float = 0.0
-    """Chance that, in a view, an object's shadow counts as a part of it. Not one of the demo's."""
 
 
 def corrupt_label_maps(
     label_maps: list[Int[Tensor, "H W"]],
     *,
-    shadows: Sequence[Int[Tensor, "H W"]] | None = None,
     seed: int = 0,
     config: FaultConfig | None = None,
 ) -> list[Int[Tensor, "H W"]]:
@@ -44,7 +39,6 @@ def corrupt_label_maps(
 
     Args:
         label_maps: One per view; 0 is background.
-        shadows: One per view, whose shadow lies where; 0 is no shadow, or not on the background.
         seed: Of all the chances.
         config: How many mistakes; the defaults are those of the demo.
 
@@ -53,11 +47,7 @@ def corrupt_label_maps(
     """
     config = config or FaultConfig()
     rng = np.random.default_rng(seed)
-    shaded = [m.numpy() for m in label_maps]
-    if shadows is not None and config.shadows:
-        pairs = zip(shaded, shadows, strict=True)
-        shaded = [_with_shadows(m, s.numpy(), config.shadows, rng) for m, s in pairs]
-    return [torch.from_numpy(_corrupt(m, config, rng)) for m in shaded]
+    return [torch.from_numpy(_corrupt(m.numpy(), config, rng)) for m in label_maps]
 
 
 def _corrupt(
@@ -70,17 +60,6 @@ def _corrupt(
     lost = [i for i in _ids(labels) if rng.random() < config.missing]
     labels = np.where(np.isin(labels, lost), 0, labels)
     return _fray(labels, config.border * labels.shape[1] / REFERENCE_WIDTH, rng)
-
-
-def _with_shadows(
-    labels: Int[np.ndarray, "H W"],
-    shadows: Int[np.ndarray, "H W"],
-    chance: float,
-    rng: np.random.Generator,
-) -> Int[np.ndarray, "H W"]:
-    """Take the shadows of some objects for parts of them."""
-    taken = [i for i in _ids(shadows) if rng.random() < chance]
-    return np.where((labels == 0) & np.isin(shadows, taken), shadows, labels)
 
 
 def _ids(labels: Int[np.ndarray, "H W"]) -> list[int]:

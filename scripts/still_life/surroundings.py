@@ -1,11 +1,21 @@
 """The round table with its cloth, and the painted backdrop around it."""
 
 from math import cos, floor, pi, sin, sqrt
-from typing import no_type_check
 
-from stylesplat.demo.materials import BARK, COBALT, CREAM, GOLD, SKY
-from stylesplat.demo.noise import fractal_noise, lattice, noise
-from stylesplat.demo.vectors import Vec, along, dot, kernel, mix, scaled, smoothstep, unit
+from .objects import BARK, COBALT, CREAM, GOLD, SKY
+from .vectors import (
+    Vec,
+    along,
+    dot,
+    fractal_noise,
+    kernel,
+    lattice,
+    mix,
+    noise,
+    scaled,
+    smoothstep,
+    unit,
+)
 
 TABLE_RADIUS = 2.05
 TABLE_THICKNESS = 0.13
@@ -22,7 +32,6 @@ PLASTER = (0.98, 0.86, 0.68)
 PLASTER_DARK = (0.22, 0.30, 0.30)
 
 
-@no_type_check
 @kernel
 def hit_backdrop(origin: Vec, direction: Vec) -> float:
     """Distance along a ray to the sphere around everything, seen from inside."""
@@ -30,7 +39,6 @@ def hit_backdrop(origin: Vec, direction: Vec) -> float:
     return -b + sqrt(b * b - dot(origin, origin) + BACKDROP_RADIUS**2)
 
 
-@no_type_check
 @kernel
 def hit_table(origin: Vec, direction: Vec) -> float:
     """Distance along a ray to the table's top or rim, `NOWHERE` if it misses."""
@@ -49,7 +57,6 @@ def hit_table(origin: Vec, direction: Vec) -> float:
     return NOWHERE
 
 
-@no_type_check
 @kernel
 def table_normal(p: Vec) -> Vec:
     """Up on the top, bending outwards at the rounded rim."""
@@ -58,7 +65,6 @@ def table_normal(p: Vec) -> Vec:
     return unit((bend * p[0] / radius, bend * p[1] / radius, 1.0 if p[2] > -1e-4 else 0.1))
 
 
-@no_type_check
 @kernel
 def backdrop_albedo(p: Vec) -> Vec:
     """A photographer's painted canvas: lighter above, softly mottled."""
@@ -68,7 +74,6 @@ def backdrop_albedo(p: Vec) -> Vec:
     return mix(PLASTER_DARK, PLASTER, height)
 
 
-@no_type_check
 @kernel
 def _planks(p: Vec, grain: float) -> Vec:
     row = floor(p[1] / PLANK_WIDTH)
@@ -87,7 +92,6 @@ def _planks(p: Vec, grain: float) -> Vec:
     return mix(scaled(BARK, 0.25), color, smoothstep(0.004, 0.012, joint))
 
 
-@no_type_check
 @kernel
 def _linen(u: float, v: float, grain: float) -> Vec:
     """Striped cloth with a coarse weave; `u` runs along it, `v` across."""
@@ -105,7 +109,6 @@ def _linen(u: float, v: float, grain: float) -> Vec:
     return scaled(color, 0.50 + 0.16 * weave + 0.24 * thread)
 
 
-@no_type_check
 @kernel
 def table_albedo(p: Vec, grain: float) -> Vec:
     """Oak planks, and the cloth that lies askew on them."""

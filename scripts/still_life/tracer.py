@@ -1,14 +1,12 @@
 """Sphere tracing of the still life: colour, exact label and exact depth of every pixel."""
 
 from math import sqrt
-from typing import no_type_check
 
 import numba
 import numpy as np
 
-from stylesplat.demo.materials import albedo, gloss
-from stylesplat.demo.solids import BOUNDS, NAMES, distance
-from stylesplat.demo.surroundings import (
+from .objects import BOUNDS, NAMES, albedo, distance, gloss
+from .surroundings import (
     NOWHERE,
     backdrop_albedo,
     hit_backdrop,
@@ -16,19 +14,7 @@ from stylesplat.demo.surroundings import (
     table_albedo,
     table_normal,
 )
-from stylesplat.demo.vectors import (
-    FAST,
-    Vec,
-    along,
-    dot,
-    kernel,
-    mix,
-    product,
-    saturate,
-    scaled,
-    unit,
-)
-from stylesplat.rendering.kernels.jit import ONLY_PRANGE, cached
+from .vectors import FAST, Vec, along, dot, kernel, mix, product, saturate, scaled, unit
 
 OBJECTS = len(NAMES)
 TABLE, BACKDROP = 0, -1  # both are label 0
@@ -48,7 +34,6 @@ BOUNCE = (0.42, 0.30, 0.20)
 EXPOSURE = 0.92
 
 
-@no_type_check
 @kernel
 def _to_object(p: Vec, placed: np.ndarray) -> Vec:
     """From the world to the frame of an object placed at (x, y, cosine, sine)."""
@@ -56,9 +41,10 @@ def _to_object(p: Vec, placed: np.ndarray) -> Vec:
     return placed[2] * x + placed[3] * y, placed[2] * y - placed[3] * x, p[2]
 
 
-@no_type_check
 @kernel
-def _clip(origin: Vec, direction: Vec, layout: np.ndarray, i: int, margin: float) -> Vec:
+def _clip(
+    origin: Vec, direction: Vec, layout: np.ndarray, i: int, margin: float
+) -> tuple[float, float]:
     """Where a ray enters and leaves the sphere around object `i`; empty if enter > leave."""
     centre = (layout[i, 0], layout[i, 1], BOUNDS[i, 0])
     offset = along(origin, centre, -1.0)
@@ -69,7 +55,6 @@ def _clip(origin: Vec, direction: Vec, layout: np.ndarray, i: int, margin: float
     return max(-b - sqrt(root), 0.0), -b + sqrt(root)
 
 
-@no_type_check
 @kernel
 def trace(
     origin: Vec, direction: Vec, layout: np.ndarray, starts: np.ndarray, cone: float
@@ -100,7 +85,6 @@ def trace(
     return nearest, hit
 
 
-@no_type_check
 @kernel
 def _normal(hit: int, p: Vec, layout: np.ndarray) -> Vec:
     """Surface normal in the world, from four samples at the corners of a tetrahedron."""
@@ -112,7 +96,6 @@ def _normal(hit: int, p: Vec, layout: np.ndarray) -> Vec:
     return unit(n)
 
 
-@no_type_check
 @kernel
 def _shadow(p: Vec, layout: np.ndarray) -> float:
     """How much of the key light arrives, with soft edges."""
@@ -129,7 +112,6 @@ def _shadow(p: Vec, layout: np.ndarray) -> float:
     return light * light * (3 - 2 * light)
 
 
-@no_type_check
 @kernel
 def _openness(p: Vec, n: Vec, layout: np.ndarray) -> float:
     """Ambient occlusion: how far the distance field stays behind free space."""
@@ -146,7 +128,6 @@ def _openness(p: Vec, n: Vec, layout: np.ndarray) -> float:
     return 1 - 0.82 * saturate(blocked / 3.36)
 
 
-@no_type_check
 @kernel
 def _arriving(p: Vec, hit: int, layout: np.ndarray) -> tuple[float, float]:
     """How much of the key light and of the sky's reaches a surface point: its costly part."""
@@ -157,7 +138,6 @@ def _arriving(p: Vec, hit: int, layout: np.ndarray) -> tuple[float, float]:
     return shadow, _openness(p, n, layout)
 
 
-@no_type_check
 @kernel
 def _shade(
     p: Vec, direction: Vec, hit: int, arriving: tuple[float, float], layout: np.ndarray
@@ -179,7 +159,6 @@ def _shade(
     return along(along(product(color, light), LIGHT, highlight), SKYLIGHT, sheen)
 
 
-@no_type_check
 @kernel
 def _film(x: float) -> float:
     """Linear light to display value: Narkowicz's fit of the ACES curve, then gamma."""
@@ -187,7 +166,6 @@ def _film(x: float) -> float:
     return saturate(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)) ** (1 / 2.2)
 
 
-@no_type_check
 @kernel
 def _ray(x: float, y: float, K: np.ndarray, c2w: np.ndarray) -> Vec:
     """World direction through a pixel position, of depth 1 in the camera."""
@@ -199,8 +177,7 @@ def _ray(x: float, y: float, K: np.ndarray, c2w: np.ndarray) -> Vec:
     )
 
 
-@no_type_check
-@cached(**FAST, parallel=ONLY_PRANGE)
+@numba.njit(**FAST, parallel=True)
 def render_view(
     K: np.ndarray, c2w: np.ndarray, layout: np.ndarray, photo: np.ndarray, geometry: np.ndarray
 ) -> None:

@@ -1,0 +1,164 @@
+"""The demo: the capture that ships, and the whole run on a few small photos of it."""
+
+import json
+import subprocess
+import zipfile
+from contextlib import nullcontext
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import stylesplat as ss
+from chromium import as_url, launched, needs_chromium
+from stylesplat.demo import demo_run
+from stylesplat.demo.demo_run import ARCHIVE, STYLES, TRAINING, copy_capture, run_demo
+from stylesplat.demo.warm_up import stylize_noise, warm_up
+from stylesplat.errors import StyleSplatError
+from stylesplat.stylization.style_config import StyleConfig
+
+ROWS = range(16, 48, 4)  # photos of the small capture; the first one, which is held out, is shown
+SMALLER = 4  # times
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return copy_capture(tmp_path_factory.mktemp("demo") / "capture")
+
+
+@pytest.fixture(scope="module")
+def archive(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The capture with few small photos."""
+    content = json.loads((capture / "transforms.json").read_text())
+    content["frames"] = [content["frames"][row] for row in ROWS]
+    for frame in content["frames"]:
+        frame |= {key: frame[key] / SMALLER for key in ("fl_x", "fl_y", "cx", "cy")}
+        frame |= {key: frame[key] // SMALLER for key in ("w", "h")}
+    path = tmp_path_factory.mktemp("small") / "small.zip"
+    with zipfile.ZipFile(path, "w") as bundle:
+        bundle.writestr("transforms.json", json.dumps(content))
+        for source in (
+            "points.ply",
+            "object_names.json",
+            *(f"styles/{s}.jpg" for s in STYLES.values()),
+        ):
+            bundle.write(capture / source, source)
+        for row in ROWS:
+            with (
+                Image.open(capture / f"images/{row:03d}.jpg") as photo,
+                bundle.open(f"images/{row:03d}.jpg", "w") as file,
+            ):
+                photo.reduce(SMALLER).save(file, "JPEG")
+            for maps in ("object_mask", "object_mask_exact"):
+                bundle.write(capture / maps / f"{row:03d}.png", f"{maps}/{row:03d}.png")
+    return path
+
+
+def test_the_shipped_capture_is_small_and_whole(capture: Path):
+    assert ARCHIVE.stat().st_size < 3e6
+    photos, exact = ss.load(capture), ss.load(capture, masks=capture / "object_mask_exact")
+    assert len(photos) == 48 and photos.cameras[0].size == (480, 360)
+    assert photos.points is not None and len(photos.points) == 40_000
+    assert photos.label_maps is not None and exact.label_maps is not None
+    agree = []
+    for row in range(0, 48, 8):
+        given, true = photos.label_maps[row], exact.label_maps[row]
+        assert given is not None and true is not None
+        agree.append(float((given == true).float().mean()))
+    assert 0.9 < sum(agree) / len(agree) < 0.999, "wrong here and there, on purpose"
+    names = json.loads((capture / "object_names.json").read_text())
+    assert names == {"1": "vase", "2": "teapot", "3": "pear", "4": "block", "5": "ball"}
+    for style in ("swirling_night", "burning_tide", "scales"):
+        with Image.open(capture / "styles" / f"{style}.jpg") as painting:
+            assert painting.size == (576, 576)
+
+
+def test_a_capture_that_is_there_is_kept(tmp_path: Path, archive: Path):
+    copy_capture(tmp_path / "capture", archive)
+    (tmp_path / "capture/transforms.json").write_text("mine")
+    copy_capture(tmp_path / "capture", archive)
+    assert (tmp_path / "capture/transforms.json").read_text() == "mine"
+
+
+@pytest.fixture(scope="module")
+def made(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A demo that was interrupted before it painted, and started again."""
+    out = tmp_path_factory.mktemp("demo") / "demo"
+    few = StyleConfig(steps=2, pattern="large", max_growth=1.0)
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    def run(**options: object) -> dict:
+        training = replace(TRAINING, steps=30)
+        return run_demo(out, archive=archive, training=training, styling=few, **options)  # type: ignore[arg-type]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo_run, "warm_up", lambda capture: nullcontext())  # it has its own test
+        patch.setattr("stylesplat.verbs.orbit.FRAMES", 3)
+        with patch.context() as interrupting:
+            interrupting.setattr(demo_run, "stylize", stop)
+            with pytest.raises(KeyboardInterrupt):
+                run()
+        trained = (out / "scene" / "splats.ply").stat().st_mtime_ns
+        result = run()
+    assert (out / "scene" / "splats.ply").stat().st_mtime_ns == trained, "it is not trained twice"
+    assert result.keys() == {"report", "splat", "page", "video", "seconds"}
+    assert all(result[what].stat().st_size > 0 for what in result.keys() - {"seconds"})
+    return out
+
+
+def test_scenes_and_pictures(made: Path):
+    assert not [*made.glob("*.partial")]
+    with Image.open(made / "after" / "016.png") as picture:
+        assert picture.size == (240, 180), "twice the photos' size"
+    scene, styled = ss.open(made / "scene"), ss.open(made / "styled")
+    assert {*scene.objects} >= {"vase", "teapot"}
+    assert styled.painted_objects == ("vase", "teapot")
+    assert len(ss.load(made / "capture")) == len(ROWS)
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        run_demo(made)
+
+
+def test_the_report_holds_everything_and_names_no_file(made: Path):
+    page = (made / "report.html").read_text()
+    assert "painted Gaussians</th>" in page and "of the way" in page
+    assert escape((made / "styled.html").read_text()) in page, "the splat to turn"
+    assert page.count("data:video/mp4;base64,") == 1
+    assert page.count("data:image/png;base64,") + page.count("data:image/jpeg;base64,") >= 10
+    assert str(made) not in page
+    without_splat = page.replace(escape((made / "styled.html").read_text()), "")
+    assert "$" not in without_splat, "every placeholder is filled"
+
+
+@needs_chromium
+def test_the_report_shows_the_splat_in_a_browser(made: Path):
+    with launched(500, 700) as browser:
+        browser.open(as_url(made / "report.html"))
+        browser.evaluate("document.querySelector('iframe').scrollIntoView()")
+        browser.until("document.querySelector('iframe').contentWindow.viewer")
+        box = browser.evaluate("document.querySelector('iframe').getBoundingClientRect().toJSON()")
+        left, top, right, bottom = (round(box[side]) for side in ("left", "top", "right", "bottom"))
+        shown = browser.screenshot()[top:bottom, left:right].astype(float)
+        assert shown.std() > 20, "not an empty frame"
+        assert browser.complaints() == []
+
+
+def test_warm_up_calls_every_kernel(capture: Path):
+    stylize_noise(capture)  # an error in it would only cost time, so nobody would notice
+
+
+def test_warm_up_ends_with_an_interruption(capture: Path, monkeypatch: pytest.MonkeyPatch):
+    started = []
+    popen = subprocess.Popen
+
+    def start(*arguments, **options):
+        started.append(popen(*arguments, **options))
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    with pytest.raises(KeyboardInterrupt), warm_up(capture):
+        raise KeyboardInterrupt
+    assert started[0].poll() is not None, "it has ended"
