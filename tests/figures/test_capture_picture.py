@@ -81,7 +81,7 @@ def test_photos_at_fault_stand_out():
     fine = check(capture)
     none, _ = drawn(capture, fine)
     assert not like(none, BLURRED, 30).any() and not like(none, WEAK, 30).any()
-    some, _ = drawn(capture, replace(fine, blurred=("003.png",), weak=("020.png", "003.png")))
+    some, _ = drawn(capture, replace(fine, blurred=("003.jpg",), weak=("020.jpg", "003.jpg")))
     assert like(some, BLURRED, 30).sum() > 20 and like(some, WEAK, 30).sum() > 20
 
 
