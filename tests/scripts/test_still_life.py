@@ -21,7 +21,6 @@ def test_a_tiny_capture(tmp_path: Path):
     write_capture(tmp_path / "made", views=6, width=48, height=36)
     capture = ss.load(tmp_path / "made", masks=tmp_path / "made/object_mask_exact")
     assert capture.label_maps is not None and capture.points is not None
-    assert capture.object_names[1] == "vase"
     labels = torch.stack([m for m in capture.label_maps if m is not None])
     assert labels.unique().tolist() == [0, 1, 2, 3, 4, 5]
     colors = torch.stack([*capture.photos]).float()
