@@ -43,14 +43,11 @@ def damaged(path: Path) -> st.SearchStrategy[bytes]:
 
 
 def cut(content: bytes) -> st.SearchStrategy[bytes]:
-    """The beginning of a file, or all of it with something behind."""
     beginnings = st.integers(0, max(len(content) - 1, 0)).map(lambda length: content[:length])
     return beginnings | st.binary(min_size=1, max_size=9).map(lambda more: content + more)
 
 
 def flipped(content: bytes) -> st.SearchStrategy[bytes]:
-    """A file with a few bits changed."""
-
     def flip(bits: list[int]) -> bytes:
         changed = bytearray(content)
         for bit in bits:
@@ -123,7 +120,6 @@ def _change(holder: Any, path: tuple, how: str, value: Any) -> None:
 
 
 def changed_lines(text: str) -> st.SearchStrategy[bytes]:
-    """YAML with another value on a line."""
     lines = text.splitlines()
 
     def change(row: int, value: str, whole: bool) -> bytes:

@@ -60,7 +60,6 @@ def kills(write: Callable[[], object], folder: Path, copies: Path) -> list[Path]
 
 
 def scene_of(folder: Path) -> object:
-    """What readers find of a scene; None if there is none."""
     try:
         scene = ss.open(folder)
     except ss.StyleSplatError as error:
