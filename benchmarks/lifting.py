@@ -28,7 +28,7 @@ from bench import (
 
 import stylesplat as ss
 from stylesplat.demo.demo_run import copy_capture
-from stylesplat.evaluation.photo_metrics import evaluate_views
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.splats.splat_ply import write_splat_ply
 from stylesplat.scene.splats import Splats
 from stylesplat.training.lifting import lift

@@ -38,9 +38,9 @@ from still_life.vectors import (
     smoothstep,
     unit,
 )
+from stylesplat.io.atomic import atomic_folder
 from stylesplat.io.captures.capture_folder import OBJECT_MASK
 from stylesplat.io.captures.transforms import write_transforms
-from stylesplat.io.folders import claim_directory
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.progress import track
@@ -362,7 +362,7 @@ def letters() -> Float[Tensor, "H W"]:
 def write_traced_capture(shape: Shape, folder: Path) -> Path:
     """Photos, cameras, exact label maps and sparse points of an object, as a capture."""
     cameras = arc()
-    with claim_directory(folder, overwrite=False, marker="transforms.json") as new:
+    with atomic_folder(folder, overwrite=False, marker="transforms.json") as new:
         views = [photograph(shape, cameras[i]) for i in track(range(len(cameras)), shape)]
         for name, view in zip(cameras.names, views, strict=True):
             write_image(view.photo, new / "images" / name)

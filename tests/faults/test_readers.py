@@ -21,7 +21,7 @@ from balls import CAMERAS
 from full_scenes import COUNT, full_scene
 from job_files import VERBS, write_jobs
 from scenes import random_splats
-from stylesplat.batch_jobs.batch_plan import plan_batch
+from stylesplat.batch_jobs.job_file import plan_batch
 from tiny_captures import save_noise, write_capture
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")

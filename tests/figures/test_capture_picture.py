@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.demo.still_life import dome_cameras
+from still_life.photos import dome_cameras
 from stylesplat.figures.capture_picture import PANEL, SEEN, WEAK, capture_picture
 from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.demo.cloud import surface_points
-from stylesplat.demo.still_life import dome_cameras, photograph
+from still_life.photos import dome_cameras
+from stylesplat.demo.demo_run import copy_capture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.structure_from_motion.capture_statistics import (
@@ -25,9 +25,9 @@ from stylesplat.structure_from_motion.diagnostics import (
     diagnose_sides,
 )
 from stylesplat.structure_from_motion.world_frame import find_centre, working_frame
+from stylesplat.verbs.load import load
 
 DOME = dome_cameras(48, 480, 360)
-CAMERAS = dome_cameras(12, 160, 120)
 
 
 def covered(cameras: Cameras, points: Tensor | None = None) -> Coverage:
@@ -104,11 +104,13 @@ def test_elevations_in_words(low: float, high: float, words: str):
 
 
 @pytest.fixture(scope="module")
-def capture() -> Capture:
-    views = list(photograph(CAMERAS, 0))
-    points, colors = surface_points(CAMERAS, views, 3000)
-    photos = [view.photo for view in views]
-    return Capture(CAMERAS, photos, points=points, point_colors=colors)
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """Twelve photos of 160x120, of both rings around the demo's still life."""
+    whole = load(copy_capture(tmp_path_factory.mktemp("demo") / "still_life"), downscale=3.0)
+    rows = range(0, 48, 4)
+    photos = [whole.photos[row] for row in rows]
+    points, colors = whole.points, whole.point_colors
+    return Capture(whole.cameras[rows], photos, points=points, point_colors=colors)
 
 
 def changed(capture: Capture, row: int, photo: np.ndarray) -> Capture:
@@ -128,7 +130,7 @@ def test_exposure_is_measured_in_stops(capture: Capture, gain: float):
     after = measure_photos(changed(capture, 4, capture.photos[4].numpy() * gain))
     # The tracer's sRGB is a power of 2.2 but for its darkest part
     assert after.stops[4] - before.stops[4] == pytest.approx(2.2 * np.log2(gain), abs=0.15)
-    others = torch.arange(len(CAMERAS)) != 4
+    others = torch.arange(len(capture)) != 4
     assert (after.stops - before.stops)[others].abs().max() < 0.1
 
 
@@ -143,7 +145,7 @@ def test_verdicts_on_photos(capture: Capture):
     assert set(verdicts(capture).values()) == {"good"}
     blurred = changed(capture, 4, cv2.GaussianBlur(capture.photos[4].numpy(), (0, 0), 4))
     assert verdicts(blurred)["sharpness"] == "fair"
-    assert "004.png" in diagnose_photos(measure_photos(blurred), CAMERAS.names)[0].says
+    assert "016.jpg" in diagnose_photos(measure_photos(blurred), capture.cameras.names)[0].says
     for row in range(len(capture)):
         photo = capture.photos[row].numpy() * np.linspace(0.6, 1, len(capture))[row]
         capture = changed(capture, row, photo)

@@ -9,10 +9,10 @@ from typing import Any
 
 from stylesplat.demo.report import REPORT, SHEET, write_report
 from stylesplat.demo.warm_up import warm_up
-from stylesplat.figures.object_sheet import object_sheet
+from stylesplat.figures.sheets import object_sheet
+from stylesplat.io.atomic import atomic_folder, refuse_occupied
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.captures.transforms import TRANSFORMS
-from stylesplat.io.folders import claim_directory, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.scene_folder import SCENE, open, save
 from stylesplat.io.view_files import write_views
@@ -85,7 +85,7 @@ def run_demo(
 def copy_capture(folder: Path, archive: Path = ARCHIVE) -> Path:
     """Copy the still life into a folder, unless it is there: a capture with three paintings."""
     if not (folder / TRANSFORMS).is_file():
-        with claim_directory(folder, overwrite=True, marker=TRANSFORMS) as draft:
+        with atomic_folder(folder, overwrite=True, marker=TRANSFORMS) as draft:
             zipfile.ZipFile(archive).extractall(draft)
     return folder
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from stylesplat.evaluation.in_words import painted_gaussians, style_lines
-from stylesplat.figures.page_parts import Figure, Section, file_url, page_style, section_html
+from stylesplat.evaluation.summary import painted_gaussians, style_lines
+from stylesplat.figures.best_views import quiet_cut
+from stylesplat.figures.html_page import Figure, Section, file_url, page_style, section_html
 from stylesplat.figures.pictures import label_colors
-from stylesplat.figures.quiet_cut import quiet_cut
-from stylesplat.io.files import atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.scene.scene import Scene
