@@ -4,12 +4,12 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
 
 from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.batch_jobs.job_verbs import Content, JobOption, JobVerb
-from stylesplat.cli.arguments import CALLED, known, read_command
+from stylesplat.cli.arguments import WrongUsage, parse_command, without_none
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
@@ -18,18 +18,16 @@ from stylesplat.cli.select import Select
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
-from stylesplat.cli.wrong_usage import WrongUsage
 
-# What a batch itself says
+# Options that a batch itself gives
 OURS = ("json", "verbose", "overwrite", "restart", "finish", "output", "file")
-WITHIN = ("cells", "workers")  # what would make a batch of a job
-PLACES = {  # what is made in the job's folder
+WITHIN = ("cells", "workers")  # options that would make a batch of a job
+PLACES = {  # options that say what is made in the job's folder
     Export: ("output", "each"),
     Render: ("output",),
     Sheet: ("output",),
 }
-NAMED = (Export, Sheet)  # what makes a file there, whose name says of what kind
-PATH, _ = CALLED[Path]
+NAMED = (Export, Sheet)  # verbs that make a file there, whose name says of what kind
 WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "train": (Train, ("capture",), "scene"),
     "import": (Import, ("splat",), "scene"),
@@ -40,6 +38,7 @@ WORKS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "render": (Render, ("scene",), "files"),
     "export": (Export, ("scene",), "files"),
 }
+POSITIONAL, REPEATED = (get_args(each)[1] for each in (Positional[int], UseAppendAction[int]))
 
 
 def batch_verbs() -> dict[str, JobVerb]:
@@ -59,29 +58,47 @@ def batch_verbs() -> dict[str, JobVerb]:
 
 def _options(command: type) -> Iterator[tuple[str, JobOption]]:
     """The options of a command but for what it works on, which comes first."""
+    kinds = get_type_hints(command, include_extras=True)
     places = PLACES.get(command, ())
-    _, *fields = zip(dataclasses.fields(command), known(command), strict=True)
-    for field, option in fields:
-        if field.name in (*OURS, *WITHIN) and field.name not in places:
-            continue
-        marks = get_args(field.type)
-        found = JobOption(
-            count=option.count,
-            repeated=UseAppendAction in marks,
-            is_path=option.placeholder == PATH and field.name not in places,
-            is_place=field.name in places,
-            is_word=Positional in marks,
-        )
-        for each in option.names:
-            name = each.removeprefix("--").lower()
-            if not name.startswith("-"):  # one letter, which nobody writes into a job file
-                yield f"no-{name}" if field.default is True else name, found
+    _, *fields = (each for each in dataclasses.fields(command) if not each.kw_only)
+    for field in fields:
+        if field.name not in (*OURS, *WITHIN) or field.name in places:
+            kind = kinds[field.name]
+            yield from _option(field.name, kind, field.default, is_place=field.name in places)
+
+
+def _option(
+    field: str, kind: Any, default: object = None, *, is_place: bool = False
+) -> Iterator[tuple[str, JobOption]]:
+    """An option by each of its names; or those of settings, by theirs."""
+    kind, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    for settings in filter(is_typeddict, marks):
+        for name, each in get_type_hints(settings, include_extras=True).items():
+            yield from _option(name, each)
+        return
+    configs = [mark for mark in marks if hasattr(mark, "aliases")]
+    kind = without_none(kind)
+    if REPEATED in marks:
+        kind, *_ = get_args(kind)
+    parts = get_args(kind) if get_origin(kind) is tuple else (kind,)
+    found = JobOption(
+        count=0 if kind is bool else "*" if Ellipsis in parts else len(parts),
+        repeated=REPEATED in marks,
+        is_path=parts[0] is Path and not is_place,
+        is_place=is_place,
+        is_word=POSITIONAL in marks,
+    )
+    names = [next((each.name for each in configs if each.name), field)]
+    names += [alias[2:] for each in configs for alias in each.aliases or () if alias[1] == "-"]
+    for name in names:
+        spelled = name.replace("_", "-")
+        yield f"no-{spelled}" if default is True else spelled, found
 
 
 def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
-    """What is wrong with words behind a verb."""
+    """The error in the words after a verb, if there is one."""
     try:
-        read_command(command, words, f"stylesplat {name}")
+        parse_command(command, name, words)
     except WrongUsage as error:
         return str(error)
     return None

@@ -13,7 +13,7 @@ import torch
 import stylesplat
 from command_line import complaint
 from stylesplat.cli import main
-from stylesplat.cli.ending import BUG, OUT_OF_MEMORY
+from stylesplat.cli.exit_status import BUG, OUT_OF_MEMORY
 from stylesplat.cli.objects import Objects
 from stylesplat.cli.train import Train
 
