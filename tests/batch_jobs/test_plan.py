@@ -173,7 +173,7 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("stylize: {style: {a: gs://b/wave.jpg}}"), "line 3: 'gs://b/wave.jpg' is an address"),
         (jobs("stylize: {recipe: no.yaml}"), "line 3: recipe: there is no "),
         (jobs("stylize: {style: a=wave.jpg}"), "line 3: style is a map"),
-        (jobs("stylize: {scale: fast}"), "line 3: --stroke-size: expected a number"),
+        (jobs("stylize: {scale: fast}"), "line 3: Error parsing --scale/--stroke-size"),
         (jobs("stylize: {scale: [[1, 2]]}"), "line 3: scale takes one value"),
         (jobs("stylize: {region: [0, 0, 9, 9]}"), "line 3: region takes 4 values: write [[x, "),
         (jobs("stylize: {scale: []}"), "scale lists nothing"),
@@ -189,7 +189,7 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("render: {}") + "  - render: {what: depth}\n", "line 3, 4"),
         (jobs("render: {downscale: [2, 2]}"), "take out what is listed twice"),
         (jobs("render: {max_a: 1, max-a: 2}"), "there is no key 'max_a'"),
-        (jobs("stylize: {max_memory: 1, max-memory: 2}"), "max-memory is listed twice"),
+        (jobs("stylize: {stroke_size: 1, stroke-size: 2}"), "stroke-size is listed twice"),
         (
             jobs(f"stylize: {{seed: {[*range(200)]}, steps: {[*range(1, 200)]}}}"),
             "multiply to 39,800 jobs",

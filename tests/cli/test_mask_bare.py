@@ -51,7 +51,7 @@ def test_a_picture_that_there_is_no_memory_for(tmp_path: Path, monkeypatch, caps
     monkeypatch.setattr("stylesplat.figures.preview.mask_preview", fail)
     assert run("mask", tmp_path / "scene", "--box", BOX, "--device", "cpu") == 0
     said = capsys.readouterr().err
-    assert "There is no picture: Out of memory." in said and "it has red now." in said
+    assert "There is no picture: Out of memory." in said and "its objects are red." in said
     assert "Picture:" not in said
     assert scene_folder.open(tmp_path / "scene").objects.keys() == {"red"}
 

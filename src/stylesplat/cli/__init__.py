@@ -23,7 +23,7 @@ from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
-from stylesplat.cli.view import Studio, View
+from stylesplat.cli.view import StudioCommand, ViewCommand
 from stylesplat.progress import observed, write_lines
 
 VERBS: dict[str, type] = {
@@ -44,8 +44,8 @@ VERBS: dict[str, type] = {
     "export": Export,
     "evaluate": Evaluate,
     "batch": Batch,
-    "view": View,
-    "studio": Studio,
+    "view": ViewCommand,
+    "studio": StudioCommand,
 }
 
 

@@ -54,6 +54,10 @@ From photos to a painted splat:
 class WrongUsage(Exception):
     """Arguments that tyro does not understand; the message is one line."""
 
+    def __init__(self, prog: str, fact: str) -> None:
+        super().__init__(f"{prog}: {fact}. See `{prog} --help`.")
+        self.fact = fact
+
 
 def help_texts(config: type) -> dict[str, str]:
     """The first paragraphs of the strings under the fields of a dataclass."""
@@ -157,7 +161,7 @@ def _parse(kind: Any, prog: str, arguments: Sequence[str], **options: Any) -> An
             return tyro.cli(kind, args=arguments, **options)
     except SystemExit as stop:
         if stop.code:
-            raise WrongUsage(_one_line(box.getvalue(), prog)) from None
+            raise WrongUsage(prog, _one_line(box.getvalue())) from None
         raise
 
 
@@ -174,7 +178,7 @@ def _wide_terminal() -> Iterator[None]:
             os.environ["COLUMNS"] = before
 
 
-def _one_line(box: str, prog: str) -> str:
+def _one_line(box: str) -> str:
     """The error in tyro's box, without its frame and title, and without the help of options."""
     rows = [row.strip("│").removeprefix(" ").rstrip() for row in box.splitlines()[1:]]
     line = ""
@@ -184,4 +188,4 @@ def _one_line(box: str, prog: str) -> str:
             break
         if text and not row.startswith(DETAILS):
             line += text + (" " if text.endswith(":") else "; ")
-    return f"{prog}: {line.strip('.; ')}. See `{prog} --help`."
+    return line.strip(".; ")

@@ -100,5 +100,5 @@ def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
     try:
         parse_command(command, name, words)
     except WrongUsage as error:
-        return str(error)
+        return f"{error.fact}."
     return None

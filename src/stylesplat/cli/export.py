@@ -8,7 +8,7 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, pasted, size_of, unused
+from stylesplat.cli.next_steps import file_size, next_lines, pasted, unused
 from stylesplat.cli.options import Command, Flag, OptionalOutput
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.places import refuse_file
@@ -91,7 +91,7 @@ class Export(Command):
             return
         file, suffix = result["file"], result["file"].suffix.lower()
         if "objects" in result:
-            yield f"{file}: {counted(result['objects'], 'object')}, {size_of(file)}."
+            yield f"{file}: {counted(result['objects'], 'object')}, {file_size(file)}."
             return
         opened_by = "SuperSplat opens it"
         if suffix in (".glb", ".gltf"):
@@ -102,7 +102,7 @@ class Export(Command):
             opened_by = "Any browser opens it, without a network"
         elif suffix == ".ply" and ".compressed" not in file.name and self.sh_degree is None:
             opened_by = "SuperSplat, Blender and other programs open it"
-        yield f"{file}: {result['gaussians']:,} Gaussians, {size_of(file)}. {opened_by}."
+        yield f"{file}: {result['gaussians']:,} Gaussians, {file_size(file)}. {opened_by}."
         if self.sidecar:
             yield f"Objects: {file}.objects.npz, for `import --labels`."
         video = unused(self.scene, ".mp4")

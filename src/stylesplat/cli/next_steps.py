@@ -26,7 +26,7 @@ def next_lines(*commands: str) -> list[str]:
     return [f"{LATER if number else 'Next: '}{command}" for number, command in enumerate(commands)]
 
 
-def size_of(file: Path) -> str:
+def file_size(file: Path) -> str:
     """The size of a file."""
     return f"{file.stat().st_size / 1e6:.1f} MB"
 

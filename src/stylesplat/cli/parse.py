@@ -10,11 +10,11 @@ from stylesplat.io.files import is_file
 MOST_PIXELS = 16_384  # along a picture's side
 
 
-Place = tuple[str, tuple[float, ...]]
+_Place = tuple[str, tuple[float, ...]]
 """A view's name, which is empty in the world, and numbers."""
 
 
-def parse_point(text: str) -> Place:
+def parse_point(text: str) -> _Place:
     """A view and a pixel.
 
     Example:
@@ -27,7 +27,7 @@ def parse_point(text: str) -> Place:
     return view, numbers
 
 
-def parse_box(text: str) -> Place:
+def parse_box(text: str) -> _Place:
     """A view and a rectangle of pixels.
 
     Example:
@@ -40,7 +40,7 @@ def parse_box(text: str) -> Place:
     return view, numbers
 
 
-def parse_named_box(text: str) -> tuple[str, Place]:
+def parse_named_box(text: str) -> tuple[str, _Place]:
     """An object's name, which may be left out, with a box.
 
     Example:
@@ -73,7 +73,7 @@ def parse_box3d(text: str) -> tuple[float, ...]:
     return numbers
 
 
-def parse_sphere(text: str) -> Place:
+def parse_sphere(text: str) -> _Place:
     """A centre and a radius; the centre in the world, or as the pixel of a view that shows it.
 
     Example:
@@ -127,7 +127,7 @@ def _split_name(text: str) -> tuple[str, str]:
     return (name, place) if equals else ("object", text)
 
 
-def _split_place(text: str) -> Place:
+def _split_place(text: str) -> _Place:
     view, _, numbers = text.rpartition(":")
     try:
         return view, tuple(map(float, numbers.split(",")))

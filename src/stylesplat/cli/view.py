@@ -14,7 +14,7 @@ from stylesplat.progress import say
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Look at a scene in the browser.
 
     Example: stylesplat view garden-wave
@@ -37,7 +37,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Studio:
+class StudioCommand:
     """Choose objects, paint them and compare, in the browser.
 
     Example: stylesplat studio garden-scene --styles Paintings
