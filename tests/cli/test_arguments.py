@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from stylesplat.cli import VERBS, main
-from stylesplat.cli.arguments import help_texts, parse_command
+from stylesplat.cli.arguments import help_texts, read_command
 from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.training.train_config import TrainConfig
 
@@ -15,7 +15,7 @@ STYLIZE = ("stylize", "garden", "-o", "wave")
 
 
 def parsed(verb: str, *arguments: str) -> Any:
-    return parse_command(VERBS[verb], verb, arguments)
+    return read_command(VERBS[verb], arguments, f"stylesplat {verb}")
 
 
 def printed(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 0) -> str:

@@ -219,7 +219,7 @@ def test_contradictions_are_refused_before_photos_are_read(
         raise AssertionError("photos are read")
 
     monkeypatch.setattr("stylesplat.verbs.sfm.sfm", fail)
-    monkeypatch.setattr("stylesplat.verbs.load.load", fail)
+    monkeypatch.setattr("stylesplat.load", fail)
     complaint(capsys, "mask", nouns / "photos", *(part.format(at=nouns) for part in options))
 
 

@@ -6,7 +6,7 @@ from contextlib import closing
 from typing import Any
 
 from stylesplat.cli.adjust import Adjust
-from stylesplat.cli.arguments import WRONG_USAGE, WrongUsage, read_command
+from stylesplat.cli.arguments import WRONG_USAGE, WrongUsage, read_arguments
 from stylesplat.cli.batch import Batch
 from stylesplat.cli.check import Check
 from stylesplat.cli.demo import Demo
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after one line on stderr.
     """
     try:
-        command = read_command(VERBS, sys.argv[1:] if arguments is None else arguments)
+        command = read_arguments(VERBS, sys.argv[1:] if arguments is None else arguments)
     except WrongUsage as error:
         write_lines(str(error))
         raise SystemExit(WRONG_USAGE) from None

@@ -116,7 +116,7 @@ def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(info.type, tuple(options))
 
 
-def read_command(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
+def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
     """The command that the user typed.
 
     Raises:
@@ -126,43 +126,39 @@ def read_command(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
     name = arguments[0] if arguments else ""
     verb = next((each for each in verbs if name in (each, *ALIASES.get(each, ()))), None)
     if verb is not None:
-        return parse_command(verbs[verb], verb, arguments[1:])
+        return read_command(verbs[verb], arguments[1:], f"{PROGRAM} {verb}")
     if name == "--version":
         print(PROGRAM, version(PROGRAM))
         raise SystemExit
     commands = reduce(or_, (_subcommand(name, command) for name, command in verbs.items()))
     if name:
-        return _parse(commands, PROGRAM, arguments, description=WAY)
+        return read_command(commands, arguments, PROGRAM, description=WAY)
     try:
         with redirect_stdout(sys.stderr):
-            return _parse(commands, PROGRAM, ["--help"], description=WAY)
+            return read_command(commands, ["--help"], PROGRAM, description=WAY)
     except SystemExit:
         raise SystemExit(WRONG_USAGE) from None
 
 
-def parse_command(command: type, verb: str, words: Sequence[str]) -> Any:
-    """A command with the options in the words after its verb; see `read_command`."""
-    return _parse(command, f"{PROGRAM} {verb}", words)
+def read_command(kind: Any, words: Sequence[str], prog: str, **options: Any) -> Any:
+    """A command, or one of a union of commands, with the options in the words after `prog`."""
+    options |= {"prog": prog, "args": words, "config": LOOK, "registry": REGISTRY}
+    if not {"-h", "--help"}.isdisjoint(words):
+        return tyro.cli(kind, **options)
+    box = StringIO()
+    try:
+        with redirect_stderr(box), _wide_terminal():
+            return tyro.cli(kind, **options)
+    except SystemExit as stop:
+        if stop.code:
+            raise WrongUsage(prog, _one_line(box.getvalue())) from None
+        raise
 
 
 def _subcommand(name: str, command: type) -> Any:
     summary = (getdoc(command) or "").partition("\n")[0]
     aliases = ALIASES.get(name)
     return Annotated[command, subcommand(name, description=summary, aliases=aliases)]
-
-
-def _parse(kind: Any, prog: str, arguments: Sequence[str], **options: Any) -> Any:
-    options |= {"prog": prog, "config": LOOK, "registry": REGISTRY}
-    if not {"-h", "--help"}.isdisjoint(arguments):
-        return tyro.cli(kind, args=arguments, **options)
-    box = StringIO()
-    try:
-        with redirect_stderr(box), _wide_terminal():
-            return tyro.cli(kind, args=arguments, **options)
-    except SystemExit as stop:
-        if stop.code:
-            raise WrongUsage(prog, _one_line(box.getvalue())) from None
-        raise
 
 
 @contextmanager

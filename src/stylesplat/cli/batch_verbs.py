@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_type
 from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.batch_jobs.job_verbs import Content, JobOption, JobVerb
-from stylesplat.cli.arguments import WrongUsage, parse_command, without_none
+from stylesplat.cli.arguments import WrongUsage, read_command, without_none
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
@@ -98,7 +98,7 @@ def _option(
 def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
     """The error in the words after a verb, if there is one."""
     try:
-        parse_command(command, name, words)
+        read_command(command, words, f"stylesplat {name}")
     except WrongUsage as error:
         return f"{error.fact}."
     return None

@@ -54,8 +54,8 @@ class Mask(Command):
     Or a scene that was imported without photos: views of it are masked, as `render` draws them,
     and the objects go into the scene."""
     method: Method | None = None
-    """files takes masks of another program and grabcut cuts out what boxes hold, by default what
-    the other options call for; the others find all objects with that model."""
+    """files takes masks of another program (--from, then the default), grabcut cuts out what the
+    boxes hold (otherwise the default), and the others find all objects with that model."""
     box: UseAppendAction[tuple[str, ...]] = ()
     """NAME=VIEW:x0,y0,x1,y1 around an object, in pixels of the photo itself, at its full size. May
     be repeated, for other objects and for other photos of the same; one photo often suffices."""

@@ -61,15 +61,11 @@ def write_or_rescue(
     try:
         return write(output, overwrite)
     except StyleSplatError as error:
-        try:
-            place = Path(tempfile.mkdtemp(prefix="stylesplat-"))
-        except OSError:
-            raise error from None
-        rescued = place / output.resolve().name
+        rescued = Path(tempfile.mkdtemp(prefix="stylesplat-")) / output.resolve().name
         try:
             write(rescued, False)
         except StyleSplatError:
-            shutil.rmtree(place, ignore_errors=True)
+            shutil.rmtree(rescued.parent, ignore_errors=True)
             raise error from None
         raise StyleSplatError(f"{error} {what} in {rescued}: move it from there.") from error
 
