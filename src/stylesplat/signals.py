@@ -14,7 +14,7 @@ from stylesplat.progress import write_lines
 TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others are ignored, so that clean-up goes on
 AGAIN = 0.05  # seconds until a signal is tried again
-FIRST = "stylesplat.io.locks"  # a module that is loaded before a verb writes anything
+FIRST = "stylesplat.cli.arguments"  # a module that is loaded before a verb writes anything
 WHOLE = "Every file is as it was, or done."
 _last_signal = [-PATIENCE]  # when it was raised
 

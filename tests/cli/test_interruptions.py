@@ -205,7 +205,7 @@ import pathlib, sys
 from stylesplat.signals import take_signals
 sys.path.insert(0, {folder!r})
 if {later}:
-    import stylesplat.io.locks
+    import stylesplat.cli.arguments
 pathlib.Path({folder!r}, "slow.py").write_text(
     "import signal\\nsignal.raise_signal(signal.SIGINT)\\nprint('loaded')"
 )

@@ -70,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if command.json:
             print(strict_json(result), flush=True)
         else:
-            write_lines(*_lines(command, result))
+            numbers = _numbers(result) if command.verbose else []
+            write_lines(*command.words(result), *numbers)
         if isinstance(result, Answer):
             with closing(Bars()) as bars, observed(bars):
                 result.rest()
@@ -80,14 +81,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return status
     return 0
-
-
-def _lines(command: Any, result: dict[Any, Any]) -> list[str]:
-    """The words for a result, and the numbers if the command has no words or is verbose."""
-    if not hasattr(command, "words"):
-        return _numbers(result)
-    words = [*command.words(result)]
-    return words + _numbers(result) if command.verbose else words
 
 
 def _numbers(result: Mapping[Any, Any], indent: str = "") -> list[str]:
