@@ -22,14 +22,9 @@ BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
 
 def exit_status(error: BaseException, command: object = None) -> int | None:
-    """Say why a command failed, and what to do about it.
+    """Say why a command failed, and what to do about it; return None if the error is a bug.
 
-    Args:
-        error: What it raised.
-        command: Its `after_interruption` says how to continue after Ctrl-C.
-
-    Returns:
-        The exit status; None if the error is a bug.
+    After Ctrl-C the command's `after_interruption` says how to continue.
     """
     if isinstance(error, KeyboardInterrupt):
         return report_interruption(error, getattr(command, "after_interruption", WHOLE))

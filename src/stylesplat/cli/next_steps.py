@@ -59,11 +59,7 @@ def object_commands(
 ) -> list[str]:
     """The way to an object to paint, which has a name, a label id, or neither.
 
-    Args:
-        scene: The scene's folder.
-        names: Of its objects.
-        labelled: Whether it has label ids.
-        photos: Whether it was made from photos; if not, its views can be masked.
+    Of a scene that was not made from photos, the views can be masked.
     """
     if names:
         return [stylize_command(scene, names[0])]

@@ -15,12 +15,7 @@ _Place = tuple[str, tuple[float, ...]]
 
 
 def parse_point(text: str) -> _Place:
-    """A view and a pixel.
-
-    Example:
-        >>> parse_point("IMG_0007.jpg:120,45.5")
-        ('IMG_0007.jpg', (120.0, 45.5))
-    """
+    """A view and a pixel."""
     view, numbers = _split_place(text)
     if not view or len(numbers) != 2:
         raise StyleSplatError(f"Expected VIEW:x,y with pixels of the photo, got {text!r}.")
@@ -28,12 +23,7 @@ def parse_point(text: str) -> _Place:
 
 
 def parse_box(text: str) -> _Place:
-    """A view and a rectangle of pixels.
-
-    Example:
-        >>> parse_box("IMG_0007.jpg:10,20,110,90")
-        ('IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0))
-    """
+    """A view and a rectangle of pixels."""
     view, numbers = _split_place(text)
     if not view or len(numbers) != 4:
         raise StyleSplatError(f"Expected VIEW:x0,y0,x1,y1 with pixels of the photo, got {text!r}.")
@@ -89,12 +79,7 @@ def parse_sphere(text: str) -> _Place:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """A width and a height in pixels.
-
-    Example:
-        >>> parse_size("1280x720")
-        (1280, 720)
-    """
+    """A width and a height in pixels."""
     found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
     width, height = map(int, found.groups()) if found else (0, 0)
     if not (2 <= width <= MOST_PIXELS and 2 <= height <= MOST_PIXELS):

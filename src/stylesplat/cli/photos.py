@@ -19,16 +19,7 @@ def find_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
     """The capture that was given, or that of the photos or the video that were.
 
     An earlier capture of the same photos is used if it lies beside them or beside `beside`;
-    otherwise `sfm` makes one beside `beside`.
-
-    Args:
-        given: A capture, photos or a video.
-        beside: Where a capture of photos is made.
-        drawn: Names of photos, and boxes in them, which are checked before poses are found.
-
-    Raises:
-        StyleSplatError: If poses cannot be found, a photo or box does not exist, the photos have
-            changed since their poses were found, or something else is where the capture would be.
+    otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked.
     """
     from stylesplat.io.captures.capture_folder import is_posed
     from stylesplat.io.kinds import kind_of, no_capture, refuse_other_than_photos
@@ -86,11 +77,7 @@ def capture_place(given: Path, *, beside: Path) -> Path:
 
 
 def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
-    """The capture that was made of photos or a video, if there is one.
-
-    Raises:
-        StyleSplatError: If there is one, but the photos have changed since.
-    """
+    """The capture that was made of photos or a video; an error if these have changed since."""
     from stylesplat.io.captures.sfm_file import read_sfm
     from stylesplat.verbs.sfm import digest_of
 
@@ -111,11 +98,7 @@ def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
 
 
 def view_of_photo(name: str, record: "SfmRecord | None") -> str:
-    """The name in a capture of a photo that the user knows by its own name.
-
-    Raises:
-        StyleSplatError: If the photo has no pose.
-    """
+    """The name in a capture of a photo that the user knows by its own name."""
     if record is None:
         return name
     unposed = record.left_out | record.unregistered

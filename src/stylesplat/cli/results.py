@@ -47,16 +47,9 @@ def save_or_rescue(scene: "ss.Scene", output: Path, *, overwrite: bool) -> None:
 def write_or_rescue(
     write: Callable[[Path, bool], T], output: Path, *, overwrite: bool, what: str
 ) -> T:
-    """Write a result, or if that fails write it to the temporary directory.
+    """Write a result, or if that fails write it to the temporary directory, and raise the error.
 
-    Args:
-        write: Writes the result to a path, which may exist if the second argument is true.
-        output: The path.
-        overwrite: Whether it may exist.
-        what: The result, to begin a sentence.
-
-    Raises:
-        StyleSplatError: If `output` cannot be written; the message says where the result is.
+    `write` takes a path, and whether it may exist; `what` is the result, to begin a sentence.
     """
     try:
         return write(output, overwrite)
@@ -78,15 +71,9 @@ def rewrite_scene(
     overwrite: bool,
     names_only: bool = False,
 ) -> "ss.Scene":
-    """Open a scene, change it, and save it.
+    """Open a scene, change it, and save it to another folder, or in its own without `output`.
 
-    Args:
-        source: Its folder.
-        output: The folder to save to; None changes the scene in its own folder.
-        change: Returns the changed scene.
-        overwrite: Whether `output` may exist.
-        names_only: Whether only names change and nothing is drawn, so that the higher bands of
-            colour need not be read.
+    With `names_only` the higher bands of colour are not read: nothing but names may change.
     """
     from stylesplat.io.folders import refuse_occupied
     from stylesplat.io.places import refuse_unwritable
