@@ -56,15 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
         after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after one line on stderr.
     """
+    command = None
     try:
         command = read_arguments(VERBS, sys.argv[1:] if arguments is None else arguments)
-    except WrongUsage as error:
-        write_lines(str(error))
-        raise SystemExit(WRONG_USAGE) from None
-    from stylesplat.cli.bars import Bars
-    from stylesplat.io.json_files import strict_json
+        from stylesplat.cli.bars import Bars
+        from stylesplat.io.json_files import strict_json
 
-    try:
         with closing(Bars()) as bars, observed(bars):
             result = command.run()
         if command.json:
@@ -75,6 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(result, Answer):
             with closing(Bars()) as bars, observed(bars):
                 result.rest()
+    except WrongUsage as error:
+        write_lines(str(error))
+        raise SystemExit(WRONG_USAGE) from None
     except (Exception, KeyboardInterrupt) as error:
         status = exit_status(error, command)
         if status is None:
