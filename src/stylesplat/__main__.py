@@ -1,16 +1,13 @@
-"""The process of the command line: whatever happens, signals end it in one line.
-
-They are taken before anything is loaded that takes long.
-"""
+"""The process of the command line. It takes signals before it loads anything that takes long."""
 
 import gc
 import sys
 
-from stylesplat.signals import ignore_signals, take_signals, told
+from stylesplat.signals import ignore_signals, report_interruption, take_signals
 
 
 def main() -> int:
-    """Run one verb, and let nothing interrupt Python's own end; see `cli.main`."""
+    """Run one verb, and ignore signals while Python shuts down; see `cli.main`."""
     try:
         try:
             take_signals()
@@ -21,7 +18,7 @@ def main() -> int:
             ignore_signals()
             gc.freeze()  # else Python looks for garbage in all modules once more: half a second
     except KeyboardInterrupt as error:
-        return told(error)
+        return report_interruption(error)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Arguments of the public verbs, checked for their kinds before anything is computed."""
+"""Arguments of the public verbs, whose types are checked before anything is computed."""
 
 import inspect
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from numbers import Integral, Real
 from os import PathLike
@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError, brief, some
 
 P = ParamSpec("P")
 T = TypeVar("T")
-WIDER = {Path: PathLike, float: Real, int: Integral}  # what counts as a kind, too
+WIDER = {Path: PathLike, float: Real, int: Integral}  # what is accepted for a type
 REMEDIES = {
     "Capture": "`load` reads posed photos from a folder; `sfm` finds the poses of others.",
     "Scene": "`open` reads one from a folder; `train` and `import_` make one.",
@@ -26,13 +26,13 @@ REMEDIES = {
 
 
 def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
-    """A verb that raises a StyleSplatError for arguments of other kinds than it declares."""
-    parameters = inspect.signature(verb)
+    """Make a verb raise a StyleSplatError for arguments of other types than it declares."""
+    signature = inspect.signature(verb)
 
     @wraps(verb)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
-        for name, value in parameters.bind(*args, **kwargs).arguments.items():
-            parameter = parameters.parameters[name]
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            parameter = signature.parameters[name]
             if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 continue
             if not _fits(value, parameter.annotation):
@@ -43,7 +43,7 @@ def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
 
 
 def _refuse(verb: str, name: str, value: Any, kind: Any) -> None:
-    names = [*dict.fromkeys(_names(kind))]
+    names = [*dict.fromkeys(_name(each) for each in _alternatives(kind))]
     given = type(value).__name__
     if isinstance(value, dict | list | tuple):
         items = value.values() if isinstance(value, dict) else value
@@ -56,40 +56,47 @@ def _refuse(verb: str, name: str, value: Any, kind: Any) -> None:
     )
 
 
+def _alternatives(kind: Any) -> Iterator[Any]:
+    """The types that an annotation allows, and the values of a Literal."""
+    if get_origin(kind) in (Union, types.UnionType, Literal):
+        for each in get_args(kind):
+            yield from _alternatives(each)
+    elif isinstance(kind, TypeVar):
+        for each in kind.__constraints__ or (Any,):
+            yield from _alternatives(each)
+    else:
+        yield kind
+
+
 def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value is of the kind that an annotation means; items of dicts and lists too."""
-    origin, choices = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        return any(_fits(value, each) for each in choices)
-    if origin is Literal:  # the verb says which there are
-        return any(isinstance(value, type(each)) for each in choices)
-    if isinstance(kind, TypeVar):
-        return any(_fits(value, each) for each in kind.__constraints__) or not kind.__constraints__
-    if kind is None:
-        return value is None
-    kind = getattr(origin or kind, "array_type", origin or kind)  # of jaxtyping
-    if kind in (Any, inspect.Parameter.empty) or not isinstance(kind, type):
-        return True
-    if isinstance(value, str) and kind is Sequence:
+    return any(_is_instance(value, each) for each in _alternatives(kind))
+
+
+def _is_instance(value: Any, kind: Any) -> bool:
+    """Whether a value, with the items of a dict or list, is of a type; or of that of a value."""
+    plain, items = _plain(kind), get_args(kind)
+    if kind in (None, Any, inspect.Parameter.empty):
+        return value is None or kind is not None
+    if not isinstance(plain, type):  # of a Literal: the verb says which values there are
+        return isinstance(value, type(plain)) if isinstance(plain, str | int) else True
+    if isinstance(value, str) and plain is Sequence:
         return False  # else its characters would be taken for what it names
-    if not isinstance(value, WIDER.get(kind, kind)):
+    if not isinstance(value, WIDER.get(plain, plain)):
         return False
-    if isinstance(value, dict) and len(choices) == 2:
-        return all(_fits(each, choices[1]) for each in value.values())
-    if isinstance(value, list | tuple) and len(choices) == 1:
-        return all(_fits(each, choices[0]) for each in value)
+    if isinstance(value, dict) and len(items) == 2:
+        return all(_fits(each, items[1]) for each in value.values())
+    if isinstance(value, list | tuple) and len(items) == 1:
+        return all(_fits(each, items[0]) for each in value)
     return True
 
 
-def _names(kind: Any) -> list[str]:
-    """What messages call a kind."""
-    origin, choices = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        return [name for each in choices for name in _names(each)]
-    if origin is Literal:
-        return [repr(each) for each in choices]
-    if isinstance(kind, TypeVar):
-        return [name for each in kind.__constraints__ for name in _names(each)]
-    if kind is None or kind is type(None):
-        return ["None"]
-    return [getattr(getattr(origin or kind, "array_type", origin or kind), "__name__", str(kind))]
+def _plain(kind: Any) -> Any:
+    """A type without its parameters; of jaxtyping's, that of the array."""
+    plain = get_origin(kind) or kind
+    return getattr(plain, "array_type", plain)
+
+
+def _name(kind: Any) -> str:
+    if kind in (None, types.NoneType):
+        return "None"
+    return repr(kind) if isinstance(kind, str) else getattr(_plain(kind), "__name__", str(kind))

@@ -1,21 +1,21 @@
-"""The one exception that users are meant to read."""
+"""The exception whose message users read."""
 
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-HEAD, TAIL = 1200, 600  # characters that are kept of a line that nobody would read
-LONGEST_NAME = 100  # characters of a name that a message holds
-NAMED = 3  # names that a line holds; the others are counted
+HEAD, TAIL = 1200, 600  # characters of a very long message that are kept
+LONGEST_NAME = 100  # characters of a name in a message
+NAMED = 3  # names in a message; the others are counted
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")
 
 
 class StyleSplatError(Exception):
-    """Something the user can fix.
+    """An error that the user can fix.
 
-    The message is one line: the call, the fact, the remedy. The command line prints it
-    without a traceback and exits with status 1. What names and values of files bring into it,
-    line ends, control characters or pages of text, is taken out.
+    The message is one line: the call, the fact, the remedy. The command line prints it without a
+    traceback and exits with status 1. Line ends, control characters and pages of text, which names
+    and values of files may bring, are removed.
     """
 
     def __init__(self, message: str) -> None:
@@ -25,29 +25,24 @@ class StyleSplatError(Exception):
 
 
 def check_choice(value: object, what: str, choices: Iterable[object]) -> None:
-    """Raise a StyleSplatError unless a value is one of some."""
+    """Raise a StyleSplatError unless a value is one of the choices."""
     known = [*choices]
     if value not in known:
         raise StyleSplatError(f"There is no {what} {value!r}. Use {', '.join(map(str, known))}.")
 
 
 def printable(text: str) -> str:
-    """A text in one line, as a terminal can show it."""
+    """A text in one line, without characters that a terminal would not show."""
     return UNPRINTABLE.sub(" ", text)
 
 
 def brief(name: str) -> str:
-    """A name as a message can hold it."""
+    """A name, shortened if it is too long for a message."""
     return name if len(name) <= LONGEST_NAME else f"{name[:20]}..."
 
 
 def some(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> str:
-    """The first of some names, and how many others there are.
-
-    Args:
-        names: What there is.
-        most: How many are named.
-        whole: Keep long names as they are, as paths that shall be typed.
+    """The first names, and how many others there are; `whole` keeps long names, as paths to type.
 
     Example:
         >>> some("abc"), some("abcde"), some("")
@@ -60,7 +55,7 @@ def some(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> 
 
 @contextmanager
 def within(place: str) -> Iterator[None]:
-    """Make errors say where they occurred."""
+    """Put the place where errors occur before their messages."""
     try:
         yield
     except StyleSplatError as error:

@@ -1,9 +1,9 @@
-"""How work tells that it goes on: silent unless somebody listens.
+"""How work reports its progress: to an `Observer`, and to nobody unless one is installed.
 
-The library reports what it does to an `Observer`; the command line installs one that draws bars, a
-program of your own installs another, or none.
+The command line installs one that draws bars; a program of your own installs another, or none.
 """
 
+import sys
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -17,17 +17,17 @@ class Task(Protocol):
     """Work that is under way."""
 
     def advance(self, amount: int | float = 1) -> None:
-        """So much more is done."""
+        """Count what is done."""
         ...
 
     def note(self, text: str) -> None:
-        """How it is going, in a few words."""
+        """Show a few words about the work, such as the loss."""
         ...
 
 
 @runtime_checkable
 class Observer(Protocol):
-    """Who is told."""
+    """Receives progress and messages."""
 
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
@@ -36,35 +36,35 @@ class Observer(Protocol):
 
         Args:
             what: What is done.
-            total: How much there is to do; None if nobody knows.
+            total: How much there is to do; None if that is unknown.
             unit: What is counted.
             done: How much of it an earlier run has done.
         """
         ...
 
     def say(self, line: str) -> None:
-        """Something that the user should know."""
+        """Receive a message for the user."""
         ...
 
 
 class Silence:
-    """The observer that there is if nobody listens."""
+    """The observer that ignores everything."""
 
     @contextmanager
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
     ) -> Iterator[Task]:
-        """Tell nobody."""
+        """Count nothing."""
         yield self
 
     def advance(self, amount: int | float = 1) -> None:
         """Count nothing."""
 
     def note(self, text: str) -> None:
-        """Tell nobody."""
+        """Show nothing."""
 
     def say(self, line: str) -> None:
-        """Tell nobody."""
+        """Say nothing."""
 
 
 _everywhere: list[Observer] = [Silence()]  # the one of the whole process
@@ -72,13 +72,13 @@ _here: ContextVar[Observer | None] = ContextVar("observer", default=None)
 
 
 def listen(observer: Observer) -> None:
-    """Tell an observer from now on, whichever thread works."""
+    """Install an observer for all threads."""
     _everywhere[:] = [observer]
 
 
 @contextmanager
 def observed(observer: Observer) -> Iterator[None]:
-    """Within the block tell this observer only; other threads keep theirs."""
+    """Install an observer within the block; other threads keep theirs."""
     token = _here.set(observer)
     try:
         yield
@@ -87,28 +87,21 @@ def observed(observer: Observer) -> Iterator[None]:
 
 
 def say(line: str) -> None:
-    """Tell the user something in one line."""
-    _observer().say(line)
+    """Send the user a message of one line."""
+    (_here.get() or _everywhere[0]).say(line)
 
 
 def task(
     what: str, total: int | float | None = None, *, unit: str = "step", done: int | float = 0
 ) -> AbstractContextManager[Task]:
-    """Announce work that is counted by hand; see `Observer.task`."""
-    return _observer().task(what, total, unit, done)
+    """Report work that is counted by hand; see `Observer.task`."""
+    return (_here.get() or _everywhere[0]).task(what, total, unit, done)
 
 
 def track(
     items: Iterable[T], what: str, *, unit: str = "view", total: int | None = None
 ) -> Iterator[T]:
-    """The same items, counted as they are asked for.
-
-    Args:
-        items: What is worked on.
-        what: What is done with them.
-        unit: What one of them is.
-        total: How many there are, if they do not know it themselves.
-    """
+    """Yield the items and count them; `total` is for items that have no length."""
     total = len(items) if isinstance(items, Sized) else total
     with task(what, total, unit=unit) as counted:
         for item in items:
@@ -116,5 +109,6 @@ def track(
             counted.advance()
 
 
-def _observer() -> Observer:
-    return _here.get() or _everywhere[0]
+def write_lines(*lines: str) -> None:
+    """Write lines to stderr in one piece: Ctrl-C leaves no half line."""
+    print("".join(f"{line}\n" for line in lines), end="", file=sys.stderr, flush=True)

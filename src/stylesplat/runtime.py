@@ -1,4 +1,4 @@
-"""Process-wide settings that make CPU steps several times faster. Set before torch is loaded."""
+"""Settings of the process that make CPU steps several times faster, before torch is loaded."""
 
 import ctypes
 import os
@@ -11,9 +11,9 @@ KEPT_BYTES = 2**30  # blocks up to this size are reused rather than given back
 def tune_runtime() -> None:
     """Let idle threads sleep and freed memory be reused, unless the environment says otherwise.
 
-    torch and numba each bring a pool of OpenMP threads; idle threads that spin take the cores
-    from the other pool. And glibc returns large blocks to the system at every free, so that each
-    step's images cost tens of thousands of page faults.
+    torch and numba each have a pool of OpenMP threads, and idle threads that spin take the cores
+    from the other pool. glibc returns large blocks to the system at every free, so that the images
+    of each step cost tens of thousands of page faults.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     if "MALLOC_MMAP_THRESHOLD_" not in os.environ:
@@ -26,9 +26,6 @@ def tune_runtime() -> None:
 
 
 def tidy_heap() -> None:
-    """Give freed memory back to the system, where that is glibc's; `tune_runtime` lets it be kept.
-
-    What is kept fits again only as long as nothing small has come to lie in it.
-    """
+    """Return freed memory to the system, which `tune_runtime` lets glibc keep."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

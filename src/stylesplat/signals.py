@@ -9,30 +9,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from stylesplat.stderr import write_lines
+from stylesplat.progress import write_lines
 
 TAKEN = (signal.SIGINT, signal.SIGTERM)
-PATIENCE = 2.0  # seconds after a signal in which others only repeat it: clean-up goes on
+PATIENCE = 2.0  # seconds after a signal in which others are ignored, so that clean-up goes on
 AGAIN = 0.05  # seconds until a signal is tried again
-FIRST = "stylesplat.io.atomic"  # what is loaded before a verb takes a lock or writes anything
+FIRST = "stylesplat.cli.arguments"  # a module that is loaded before a verb writes anything
 WHOLE = "Every file is as it was, or done."
+_last_signal = [-PATIENCE]  # when it was raised
 
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM, which batch systems, containers and spot machines send."""
 
 
-class _Last:
-    """The last signal that was raised."""
-
-    moment = -PATIENCE
-
-
 def take_signals() -> None:
     """From now on raise KeyboardInterrupt at Ctrl-C and Terminated at SIGTERM, and lose neither.
 
-    For the command line, whose process is its own. Signals that are ignored, as `nohup` and
-    scripts wish for what they start, stay so.
+    Signals that are ignored, as by `nohup`, stay ignored.
     """
     for number in TAKEN:
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
@@ -41,15 +35,15 @@ def take_signals() -> None:
 
 
 def ignore_signals() -> None:
-    """From now on let them pass: what was to be done is done, and Python shuts down."""
+    """From now on ignore them: the work is done, and Python shuts down."""
     for number in TAKEN:
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, signal.SIG_IGN)
     eval("None")  # else Python kills itself if Ctrl-C came while it ran a text, as dataclasses do
 
 
-def told(error: KeyboardInterrupt, advice: str = WHOLE) -> int:
-    """Say in one line that a command was interrupted; the exit status, as shells report it."""
+def report_interruption(error: KeyboardInterrupt, advice: str = WHOLE) -> int:
+    """Say in one line that a command was interrupted; return the exit status of shells."""
     terminated = isinstance(error, Terminated)
     write_lines(f"stylesplat: {'terminated' if terminated else 'interrupted'}. {advice}")
     return 128 + (signal.SIGTERM if terminated else signal.SIGINT)
@@ -57,7 +51,7 @@ def told(error: KeyboardInterrupt, advice: str = WHOLE) -> int:
 
 @contextmanager
 def kept_signals() -> Iterator[None]:
-    """Within the block a library may take signals; then Python's handlers are installed again."""
+    """Let a library replace the handlers of signals within the block; restore them after it."""
     handlers = {number: signal.getsignal(number) for number in TAKEN}
     try:
         yield
@@ -68,27 +62,22 @@ def kept_signals() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    if time.monotonic() - _Last.moment < PATIENCE:
+    if time.monotonic() - _last_signal[0] < PATIENCE:
         return
     error = Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
-    if _loads(frame):  # some modules crash if they are interrupted, or raise another error
+    while frame and frame.f_globals.get("__name__") != "importlib._bootstrap":
+        frame = frame.f_back
+    if frame:  # a module is being loaded: some crash if they are interrupted
         if FIRST not in sys.modules:
-            os._exit(told(error))  # there is nothing to clean up
+            os._exit(report_interruption(error))  # there is nothing to clean up
         _try_again(number)
         return
-    _Last.moment = time.monotonic()
+    _last_signal[0] = time.monotonic()
     raise error
 
 
-def _loads(frame: FrameType | None) -> bool:
-    """Whether a module is being loaded."""
-    while frame and frame.f_globals.get("__name__") != "importlib._bootstrap":
-        frame = frame.f_back
-    return frame is not None
-
-
 def _try_again(number: int) -> None:
-    """Let a signal come once more, a moment later: the alarm also wakes who sleeps."""
+    """Repeat a signal a moment later: the alarm also wakes a process that sleeps."""
     if sys.platform == "win32":
         _thread.interrupt_main(signal.Signals(number))
     else:
@@ -98,9 +87,9 @@ def _try_again(number: int) -> None:
 
 def _raise_again(unraisable: "sys.UnraisableHookArgs") -> None:
     """Python cannot raise in a `__del__`, or in what C has called."""
-    if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        _Last.moment = -PATIENCE
-        terminated = isinstance(unraisable.exc_value, Terminated)
-        _try_again(signal.SIGTERM if terminated else signal.SIGINT)
-    else:
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)
+        return
+    _last_signal[0] = -PATIENCE
+    terminated = isinstance(unraisable.exc_value, Terminated)
+    _try_again(signal.SIGTERM if terminated else signal.SIGINT)

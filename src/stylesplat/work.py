@@ -1,4 +1,4 @@
-"""One thread that does all computing of a program with an interface, so that this never waits.
+"""One thread that computes everything in a program with an interface, which never waits.
 
 Rendering in several threads at once is not safe with every threading layer of numba.
 """
@@ -12,14 +12,10 @@ Job = Callable[[], object]
 
 
 class Worker:
-    """Does what it is asked for in order, and between that goes on with one long piece of work."""
+    """Does jobs in order, and between them goes on with one long piece of work."""
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
-        """Start the thread.
-
-        Args:
-            failed: Is told, in that thread, what a job raises.
-        """
+        """Start the thread, which passes to `failed` what a job raises."""
         self._failed = failed
         self._changed = threading.Condition()
         self._soon, self._later = deque[tuple[str, Job]](), deque[tuple[str, Job]]()
@@ -29,12 +25,12 @@ class Worker:
         self._thread.start()
 
     def ask(self, job: Job, *, kind: str = "", patient: bool = False) -> None:
-        """Have something done, soon.
+        """Add a job.
 
         Args:
-            job: What to call.
-            kind: Takes the place of what was asked of that kind before and is not done yet.
-            patient: Whether everything else comes first, but for the long work.
+            job: The function to call.
+            kind: The job replaces those of this kind that have not begun.
+            patient: Whether all other jobs come first, but not the long work.
         """
         with self._changed:
             queue = self._later if patient else self._soon
@@ -45,22 +41,18 @@ class Worker:
             self._changed.notify_all()
 
     def go_on_with(self, steps: Iterator[object] | None) -> None:
-        """From now on ask these for the next one whenever there is nothing else to do.
-
-        Args:
-            steps: In place of what there was; None for nothing.
-        """
+        """Replace the long work: its next step is taken whenever there is no job; None ends it."""
         with self._changed:
             self._lengthy = steps
             self._changed.notify_all()
 
     @property
     def lengthy(self) -> Iterator[object] | None:
-        """What it goes on with."""
+        """The long work."""
         return self._lengthy
 
     def breathe(self) -> None:
-        """Within a long step, in the worker's thread: do what is asked for soon."""
+        """Within a long step, in the worker's thread: do the jobs that are not patient."""
         while threading.current_thread() is self._thread:
             with self._changed:
                 if not self._soon or self._closed:
@@ -69,7 +61,7 @@ class Worker:
             self._do(job)
 
     def settle(self, seconds: float = 60.0) -> bool:
-        """Wait until there is nothing more to do; whether that came about."""
+        """Wait until there is nothing more to do; return whether that was in time."""
         end = time.monotonic() + seconds
         with self._changed:
             while self._busy or self._soon or self._later or self._lengthy is not None:
@@ -78,7 +70,7 @@ class Worker:
         return True
 
     def close(self) -> None:
-        """Finish what is being done, and nothing else."""
+        """Finish the current job, and nothing else."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -90,16 +82,15 @@ class Worker:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
-                self._changed.wait_for(self._has_work)
+                self._changed.wait_for(
+                    lambda: self._closed or self._soon or self._later or self._lengthy is not None
+                )
                 if self._closed:
                     return
                 self._busy = True
                 queue = self._soon or self._later
                 job = queue.popleft()[1] if queue else self._step
             self._do(job)
-
-    def _has_work(self) -> bool:
-        return bool(self._closed or self._soon or self._later or self._lengthy is not None)
 
     def _do(self, job: Job) -> None:
         try:

@@ -188,7 +188,7 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("render: {}") + "  - render: {what: depth}\n", "line 3, 4"),
         (jobs("render: {downscale: [2, 2]}"), "remove what is listed twice"),
         (jobs("render: {max_a: 1, max-a: 2}"), "there is no key 'max_a'"),
-        (jobs("stylize: {max_memory: 1, max-memory: 2}"), "max-memory is listed twice"),
+        (jobs("stylize: {stroke_size: 1, stroke-size: 2}"), "stroke-size is listed twice"),
         (
             jobs(f"stylize: {{seed: {[*range(200)]}, steps: {[*range(1, 200)]}}}"),
             "multiply to 39,800 jobs",

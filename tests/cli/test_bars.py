@@ -1,25 +1,22 @@
+"""Progress and messages on stderr: bars in a terminal, lines elsewhere."""
+
+import re
 import sys
 from io import StringIO
 
 import pytest
 
-from stylesplat.cli import bars
+from stylesplat import cli
 from stylesplat.cli.bars import Bars
-from stylesplat.cli.log_lines import LogLines
+from stylesplat.cli.objects import Objects
 from stylesplat.progress import Observer, observed, say, task, track
 
 
-@pytest.fixture(autouse=True)
-def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bars, "DELAY", 0)
-
-
-def test_it_is_an_observer():
-    assert isinstance(Bars(), Observer)
-
-
-def test_all_goes_to_stderr(capsys: pytest.CaptureFixture[str]):
-    with observed(Bars()):
+@pytest.mark.parametrize("terminal", [True, False])
+def test_all_goes_to_stderr(terminal: bool, capsys: pytest.CaptureFixture[str]):
+    bars = Bars(terminal=terminal, delay=0)
+    assert isinstance(bars, Observer)
+    with observed(bars):
         assert list(track("abc", "spelling", unit="letter")) == ["a", "b", "c"]
         with task("reading", 2, done=1) as reading:
             say("No label maps.")
@@ -30,37 +27,56 @@ def test_all_goes_to_stderr(capsys: pytest.CaptureFixture[str]):
     assert "spelling" in shown.err and "3/3" in shown.err
     assert "No label maps.\n" in shown.err
     assert "2/2" in shown.err and "loss 0.5" in shown.err
+    assert terminal or not re.search(r"[\r\x1b\x08]|^\s*$", shown.err.rstrip(), re.MULTILINE)
 
 
+@pytest.mark.parametrize("terminal", [True, False])
 @pytest.mark.parametrize(
     ("unit", "total", "amount", "expected"),
     [
         ("s", 7.0, 3.4, "3/7 s ["),
         ("B", 5_000_000, 2_500_000, "2.50M/5.00M"),
-        ("view", None, 3, "3view"),
+        ("view", None, 3, "3"),
     ],
 )
 def test_units(
-    unit: str, total: float | None, amount: float, expected: str, capsys: pytest.CaptureFixture[str]
+    unit: str, total: float | None, amount: float, expected: str, terminal: bool, capsys
 ):
-    with observed(Bars()), task("work", total, unit=unit) as work:
+    with observed(Bars(terminal=terminal, delay=0)), task("work", total, unit=unit) as work:
         work.advance(amount)
     assert expected in capsys.readouterr().err
 
 
-def test_short_work_shows_no_bar(capsys: pytest.CaptureFixture[str], monkeypatch):
-    monkeypatch.setattr(bars, "DELAY", 60)
-    with observed(Bars()):
+@pytest.mark.parametrize("terminal", [True, False])
+def test_short_work_shows_nothing(terminal: bool, capsys: pytest.CaptureFixture[str]):
+    with observed(Bars(terminal=terminal, delay=60)):
         list(track(range(3), "a moment"))
     assert capsys.readouterr().err == ""
 
 
-def test_a_bar_that_a_line_has_drawn_is_ended(capsys: pytest.CaptureFixture[str], monkeypatch):
-    monkeypatch.setattr(bars, "DELAY", 60)
-    with observed(Bars()), task("outer", 9), task("inner", 7):
+def test_tasks_within_tasks_have_lines_of_their_own(capsys: pytest.CaptureFixture[str]):
+    with observed(Bars(terminal=False, delay=0)), task("outer", 2, unit="photo") as outer:
+        list(track(range(3), "inner"))
+        outer.advance()
+    lines = capsys.readouterr().err.splitlines()
+    assert all(re.match(r"(outer|inner): +\d+%\|\d/\d \[", line) for line in lines)
+    assert any("inner: 100%|3/3" in line for line in lines) and "outer:  50%|1/2" in lines[-1]
+
+
+def test_a_bar_that_a_line_has_drawn_is_ended(capsys: pytest.CaptureFixture[str]):
+    with observed(Bars(terminal=True, delay=60)), task("outer", 9), task("inner", 7):
         say("A line.")
     last = capsys.readouterr().err.rpartition("\n")[2]
     assert not last.strip("\r"), "what is written next begins a line"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_line_is_said_once(terminal: bool, capsys: pytest.CaptureFixture[str]):
+    with observed(Bars(terminal=terminal)):
+        say("2 photos are missing.")
+        say("3 photos have no pose.")
+        say("2 photos are missing.")
+    assert capsys.readouterr().err == "2 photos are missing.\n3 photos have no pose.\n"
 
 
 class InterruptedTerminal(StringIO):
@@ -71,12 +87,28 @@ class InterruptedTerminal(StringIO):
         raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("observer", [Bars, LogLines])
-def test_an_interruption_leaves_no_half_line(
-    observer: type[Observer], monkeypatch: pytest.MonkeyPatch
-):
-    terminal = InterruptedTerminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with observed(observer()), pytest.raises(KeyboardInterrupt):
+@pytest.mark.parametrize("terminal", [True, False])
+def test_an_interruption_leaves_no_half_line(terminal: bool, monkeypatch: pytest.MonkeyPatch):
+    stderr = InterruptedTerminal()
+    monkeypatch.setattr(sys, "stderr", stderr)
+    with observed(Bars(terminal=terminal)), pytest.raises(KeyboardInterrupt):
         say("A line.")
-    assert terminal.getvalue() == "A line.\n"
+    assert stderr.getvalue() == "A line.\n"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_bars_are_for_terminals(terminal: bool, monkeypatch: pytest.MonkeyPatch):
+    def work(_: Objects) -> dict[str, int]:
+        with task("work", 2) as half:
+            half.advance()
+            say("Half.")
+        return {"a": 1}
+
+    shown = StringIO()
+    monkeypatch.setattr(shown, "isatty", lambda: terminal)
+    monkeypatch.setattr(sys, "stderr", shown)
+    monkeypatch.setattr(Objects, "run", work)
+    monkeypatch.setattr(Objects, "words", lambda *_: ["Done."])
+    assert cli.main(["objects", "x"]) == 0
+    assert ("work:  50%" in shown.getvalue()) == terminal
+    assert terminal or shown.getvalue() == "Half.\nDone.\n"

@@ -91,7 +91,7 @@ def test_what_others_measured_meanwhile_is_kept(
         revise(before, replace(before, metrics={"psnr": 31.0, "other": 2.0}), scene)
         return {"psnr": 29.0}
 
-    monkeypatch.setattr("stylesplat.verbs.evaluate.evaluate", meanwhile)
+    monkeypatch.setattr("stylesplat.evaluate", meanwhile)
     assert run("evaluate", scene, "--capture", capture) == 0
     metrics = read_json(scene / "metrics.json")
     assert metrics == {"psnr": 31.0, "other": 2.0, "evaluate": {"psnr": 29.0}}

@@ -177,7 +177,7 @@ print(command_line.main())
 A_BUG_IN_CLEAN_UP = """
 import signal, sys
 import stylesplat.__main__ as command_line
-from stylesplat.cli.ending import status_after
+from stylesplat.cli.exit_status import exit_status
 def interrupted():
     try:
         signal.raise_signal(signal.SIGINT)
@@ -188,7 +188,7 @@ sys.modules["stylesplat.cli"].main = interrupted
 try:
     print(command_line.main())
 except ZeroDivisionError as error:
-    print(status_after(error))
+    print(exit_status(error))
 """
 
 IGNORED = """
@@ -205,7 +205,7 @@ import pathlib, sys
 from stylesplat.signals import take_signals
 sys.path.insert(0, {folder!r})
 if {later}:
-    import stylesplat.io.atomic
+    import stylesplat.cli.arguments
 pathlib.Path({folder!r}, "slow.py").write_text(
     "import signal\\nsignal.raise_signal(signal.SIGINT)\\nprint('loaded')"
 )

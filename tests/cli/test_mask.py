@@ -166,9 +166,9 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]):
 
 def test_places_with_names():
     box = (1.0, 2.0, 3.0, 4.5)
-    assert parse_named_box("vase=a:b.jpg:1,2,3,4.5") == ("vase", "a:b.jpg", box)
-    assert parse_named_box("a.jpg:1,2,3,4.5") == ("object", "a.jpg", box)
-    assert parse_named_box("vase=a=b.jpg:1,2,3,4.5") == ("vase", "a=b.jpg", box)
+    assert parse_named_box("vase=a:b.jpg:1,2,3,4.5") == ("vase", ("a:b.jpg", box))
+    assert parse_named_box("a.jpg:1,2,3,4.5") == ("object", ("a.jpg", box))
+    assert parse_named_box("vase=a=b.jpg:1,2,3,4.5") == ("vase", ("a=b.jpg", box))
 
 
 def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]):

@@ -51,14 +51,14 @@ def test_a_picture_that_there_is_no_memory_for(tmp_path: Path, monkeypatch, caps
     monkeypatch.setattr("stylesplat.figures.sheets.mask_preview", fail)
     assert run("mask", tmp_path / "scene", "--box", BOX, "--device", "cpu") == 0
     said = capsys.readouterr().err
-    assert "There is no picture: Out of memory." in said and "it has red now." in said
+    assert "There is no picture: Out of memory." in said and "its objects are red." in said
     assert "Picture:" not in said
     assert scene_folder.open(tmp_path / "scene").objects.keys() == {"red"}
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
 def test_scenes_of_others_are_refused_before_the_work(monkeypatch, capsys):
-    monkeypatch.setattr("stylesplat.verbs.mask.mask", lambda *_, **__: pytest.fail("works"))
+    monkeypatch.setattr("stylesplat.mask", lambda *_, **__: pytest.fail("works"))
     with public_folder() as folder:
         scene_folder.save(BARE, folder / "scene")
         with as_nobody():
@@ -76,7 +76,7 @@ def test_what_cannot_be_saved_is_rescued(tmp_path: Path, monkeypatch, capsys):
         out.touch()
         return scene
 
-    monkeypatch.setattr("stylesplat.verbs.mask.mask", taken_meanwhile)
+    monkeypatch.setattr("stylesplat.mask", taken_meanwhile)
     line = complaint(capsys, "mask", tmp_path / "scene", "--box", BOX, "-o", out)
     (made,) = (tmp_path / "elsewhere").glob("*/out")
     assert f"The scene is in {made}: move it from there." in line

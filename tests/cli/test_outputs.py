@@ -13,22 +13,22 @@ from balls import CAMERAS
 from command_line import complaint, run
 from small_files import no_room
 from stylesplat.io import images
-from stylesplat.io.scene_folder import SCENE
+from stylesplat.io.kinds import SCENE
 from unprivileged import as_nobody, public_folder
 
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
 WORK = (
-    "stylesplat.verbs.train.train",
-    "stylesplat.verbs.stylize.stylize",
-    "stylesplat.verbs.import_.import_",
-    "stylesplat.verbs.render.render",
+    "stylesplat.train",
+    "stylesplat.verbs.stylize.stylize_unmeasured",
+    "stylesplat.import_",
+    "stylesplat.render",
     "stylesplat.verbs.sheet.sheet",
-    "stylesplat.verbs.adjust.adjust",
-    "stylesplat.verbs.mask.mask",
-    "stylesplat.verbs.check.check",
-    "stylesplat.verbs.select.select",
-    "stylesplat.verbs.export.export",
-    "stylesplat.verbs.evaluate.evaluate",
+    "stylesplat.adjust",
+    "stylesplat.mask",
+    "stylesplat.check",
+    "stylesplat.select",
+    "stylesplat.export",
+    "stylesplat.evaluate",
     "stylesplat.verbs.sfm.prepare",
     "stylesplat.figures.object_sheet.object_sheet",
     "stylesplat.demo.demo_run.copy_capture",

@@ -9,8 +9,9 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from command_line import result, run
+from stylesplat.cli.objects import selection_file
 from stylesplat.cli.results import Answer
-from stylesplat.cli.select import Select, picture_of
+from stylesplat.cli.select import Select
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.images import read_image
@@ -25,15 +26,15 @@ def scene(tmp_path: Path) -> Path:
 
 def selected(folder: Path, name: str, *ids: int) -> dict[str, Any]:
     """What is answered; and then the rest is done."""
-    found = Select(folder, name, id=ids).run()
+    found = Select(folder, name, id=(ids,)).run()
     if isinstance(found, Answer):
         found.rest()
-    picture = picture_of(folder, name)
+    picture = selection_file(folder, name)
     return {**found, "picture": picture if picture.exists() else None}
 
 
 def test_the_answer_comes_before_the_picture(scene: Path, said: list[str]):
-    found = Select(scene, "red", id=(3,)).run()
+    found = Select(scene, "red", id=((3,),)).run()
     assert isinstance(found, Answer)
     assert scene_folder.open(scene).objects.keys() == {"red"}, "it is selected"
     picture = scene / "selections" / "red.png"
@@ -42,7 +43,7 @@ def test_the_answer_comes_before_the_picture(scene: Path, said: list[str]):
     assert not said
     found.rest()
     (line,) = said
-    assert line.startswith(f"Picture: {picture}, in colour what was picked")
+    assert line.startswith(f"Picture: {picture}, the selected Gaussians in colour")
     assert read_image(picture).shape[1] > 3 * 480
 
 
@@ -139,8 +140,8 @@ def test_a_picture_that_json_names_is_there(scene: Path, capsys):
 
 def test_verbose_numbers_name_a_picture_that_is_there(scene: Path, capsys):
     assert run("select", scene, "--name", "red", "--id", 3, "--verbose") == 0
-    assert f"picture: {picture_of(scene, 'red')}" in capsys.readouterr().err
-    assert picture_of(scene, "red").is_file()
+    assert f"picture: {selection_file(scene, 'red')}" in capsys.readouterr().err
+    assert selection_file(scene, "red").is_file()
 
 
 def test_a_picture_in_a_new_scene(scene: Path, tmp_path: Path, capsys):
@@ -148,13 +149,13 @@ def test_a_picture_in_a_new_scene(scene: Path, tmp_path: Path, capsys):
     first, new = selected(scene, "it", 7), tmp_path / "new"
     old = first["picture"].read_bytes()
     found = result(capsys, "select", scene, "--name", "it", "--id", 3, "-o", new)
-    assert found["scene"] == str(new) and found["picture"] == str(picture_of(new, "it"))
-    assert picture_of(new, "it").read_bytes() != old == first["picture"].read_bytes()
+    assert found["scene"] == str(new) and found["picture"] == str(selection_file(new, "it"))
+    assert selection_file(new, "it").read_bytes() != old == first["picture"].read_bytes()
     assert scene_folder.open(scene).objects["it"].how["ids"] == [7]
     assert scene_folder.open(new).objects["it"].how["ids"] == [3]
     late = ("--overwrite", "-o", new)
     assert run("select", scene, "--name", "it", "--id", 300, *late, "--no-picture") == 0
     assert f"stylize {new} --style it" in capsys.readouterr().err
-    assert not picture_of(new, "it").exists(), "that of an earlier scene would be wrong"
+    assert not selection_file(new, "it").exists(), "that of an earlier scene would be wrong"
     assert run("select", scene, "--name", "it", "--id", 300, *late) == 0
-    assert picture_of(new, "it").is_file(), "it is drawn after the answer"
+    assert selection_file(new, "it").is_file(), "it is drawn after the answer"

@@ -14,7 +14,6 @@ from painted_balls import TRAINED, painted, write_pictures
 from stylesplat.__main__ import main
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import strict_json
-from stylesplat.verbs import evaluate as verb
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 MEASURED = {"psnr": math.inf, "rmse": math.nan, "by": {"vase": -math.inf}, "all": [math.nan, 1.5]}
@@ -46,7 +45,7 @@ def test_what_commands_print(
 ):
     styled = painted(TRAINED, "red", write_pictures(tmp_path)[0])
     scene_folder.save(styled, tmp_path / "scene")
-    monkeypatch.setattr(verb, "evaluate", lambda *_, **__: MEASURED)
+    monkeypatch.setattr("stylesplat.evaluate", lambda *_, **__: MEASURED)
     assert main(["evaluate", str(tmp_path / "scene"), "--json"]) == 0
     assert strictly(capsys.readouterr().out) == WRITTEN
     assert scene_folder.open(tmp_path / "scene").metrics["evaluate"] == WRITTEN

@@ -47,7 +47,7 @@ def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
     assert len(scene.splats) == metrics["gaussians"]
     assert scene.splats.classifier is not None
     assert scene.splats.classifier.ids == (0, 3, 7, 300)
-    assert scene.held_out == ("0000.jpg",)
+    assert scene.info["settings"]["segment"] == "lift" and scene.held_out == ("0000.jpg",)
     assert torch.allclose(scene.cameras.viewmats, CAMERAS.viewmats, atol=1e-6)
     assert [*tmp_path.iterdir()] == [out], "nothing is left beside it"
 
@@ -64,16 +64,6 @@ def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):
     again = ss.evaluate(scene, ss.load(capture), device="cpu")
     for name in ("psnr", "ssim", "psnr_unfitted", "ssim_unfitted"):
         assert again[name] == pytest.approx(metrics[name], abs=1e-3), name
-
-
-def test_labels_lifted_after_training(capture: Path, tmp_path: Path, capsys):
-    out = tmp_path / "scene"
-    result(capsys, "train", capture, "-o", out, "--steps", 40, "--device", "cpu")
-    scene = ss.open(out)
-    assert scene.splats.classifier is not None
-    assert scene.splats.classifier.ids == (0, 3, 7, 300)
-    assert scene.info["settings"]["segment"] == "lift"
-    assert [*tmp_path.iterdir()] == [out]
 
 
 @pytest.mark.parametrize("options", [("--preset", "paper"), ("--segment", "joint")])

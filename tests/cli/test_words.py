@@ -57,7 +57,7 @@ def test_objects_are_a_line_each(scene: Path, said):
     assert f"Picture: {scene / 'objects.png'}" in lines
     assert lines[-1].startswith(f"Next: stylesplat stylize {scene} --style red=")
     assert said("rename", scene, "red", "ball")[0] == "red is called ball now."
-    assert said("delete", scene, "ball")[-1].endswith("nothing is called ball now. Names: none.")
+    assert said("delete", scene, "ball")[-1].endswith("deleted the name 'ball'. Names: none.")
 
 
 def test_objects_names_nothing_twice(scene: Path, said):

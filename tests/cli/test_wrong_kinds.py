@@ -27,6 +27,7 @@ SCENES = {
     "recipe.json": "is a file, not a scene: it has no scene.json. Give the folder",
     "picture.png": "is a picture, not a scene: it has no scene.json. Give the folder",
 }
+CAPTURE = {"capture": SCENES["capture"]}
 CAPTURES = {
     "missing": "There is no folder {at}/missing: nothing has that name. Check it",
     "scene": "scene is a scene, not a capture, which has the photos. It was made from {at}/capture",
@@ -93,26 +94,25 @@ FOREIGN = {
 BOX = "a=0001.jpg:6,8,23,24"
 CALLS = {
     ("objects", "{}"): SCENES,
-    ("select", "{}", "--name", "x", "--id", "3"): SCENES,
-    ("stylize", "{}", "--style", "3={at}/picture.png", "-o", "{at}/out"): SCENES,
-    ("adjust", "{}", "--intensity", "0.5"): SCENES,
-    ("sheet", "{}", "--style", "3={at}/picture.png", "-o", "{at}/out.png"): SCENES,
-    ("render", "{}", "-o", "{at}/out"): SCENES,
-    ("export", "{}", "{at}/out.ply"): SCENES,
-    ("evaluate", "{}"): SCENES,
-    ("view", "{}"): SCENES,
-    ("mask", "{at}/photos", "--box", BOX, "--scene", "{}"): SCENES,
+    ("select", "{}", "--name", "x", "--id", "3"): CAPTURE,
+    ("stylize", "{}", "--style", "3={at}/picture.png", "-o", "{at}/out"): CAPTURE,
+    ("adjust", "{}", "--intensity", "0.5"): CAPTURE,
+    ("sheet", "{}", "--style", "3={at}/picture.png", "-o", "{at}/out.png"): CAPTURE,
+    ("render", "{}", "-o", "{at}/out"): CAPTURE,
+    ("export", "{}", "{at}/out.ply"): CAPTURE,
+    ("view", "{}"): CAPTURE,
+    ("mask", "{at}/photos", "--box", BOX, "--scene", "{}"): CAPTURE,
     ("train", "{}", "-o", "{at}/out"): UNPOSED | RING,
-    ("mask", "{}", "--box", BOX): UNPOSED,
-    ("sfm", "{}", "-o", "{at}/out"): UNPOSED,
+    ("mask", "{}", "--box", BOX): {"splat.ply": UNPOSED["splat.ply"]},
+    ("sfm", "{}", "-o", "{at}/out"): {"scene": UNPOSED["scene"]},
     ("check", "{}"): POSED | RING,
-    ("import", "{at}/splat.ply", "{}", "-o", "{at}/out"): POSED,
-    ("evaluate", "{at}/scene", "--capture", "{}"): POSED,
+    ("import", "{at}/splat.ply", "{}", "-o", "{at}/out"): {"photos": POSED["photos"]},
+    ("evaluate", "{at}/scene", "--capture", "{}"): {"photos": POSED["photos"]},
     ("import", "{}", "-o", "{at}/out"): SPLAT_FILES,
     ("stylize", "{at}/scene", "--style", "3={}", "-o", "{at}/out"): PICTURES,
     ("stylize", "{at}/scene", "--recipe", "{}", "-o", "{at}/out"): RECIPES,
     ("train", "{at}/capture", "--masks", "{}", "-o", "{at}/out"): LABEL_MAPS,
-    ("evaluate", "{at}/scene", "--masks", "{}"): LABEL_MAPS,
+    ("evaluate", "{at}/scene", "--masks", "{}"): {"missing": LABEL_MAPS["missing"]},
     ("mask", "{at}/photos", "--from", "{}"): FOREIGN,
 }
 MATRIX = [(call, noun) for call, nouns in CALLS.items() for noun in nouns]
@@ -220,9 +220,8 @@ def test_contradictions_are_refused_before_photos_are_read(
         raise AssertionError("photos are read")
 
     monkeypatch.setattr("stylesplat.verbs.sfm.sfm", fail)
-    monkeypatch.setattr("stylesplat.verbs.load.load", fail)
-    for folder in ("photos", "capture"):
-        complaint(capsys, "mask", nouns / folder, *(part.format(at=nouns) for part in options))
+    monkeypatch.setattr("stylesplat.load", fail)
+    complaint(capsys, "mask", nouns / "photos", *(part.format(at=nouns) for part in options))
 
 
 def test_paths_with_blanks_can_be_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

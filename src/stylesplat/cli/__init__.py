@@ -1,40 +1,32 @@
-"""The command line: parse, call one verb, print."""
+"""The command line: read the arguments, call one verb, print its result."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from typing import Any
 
 from stylesplat.cli.adjust import Adjust
-from stylesplat.cli.bars import Bars
+from stylesplat.cli.arguments import WRONG_USAGE, WrongUsage, read_arguments
 from stylesplat.cli.batch import Batch
 from stylesplat.cli.check import Check
-from stylesplat.cli.delete import Delete
 from stylesplat.cli.demo import Demo
-from stylesplat.cli.ending import status_after
 from stylesplat.cli.evaluate import Evaluate
+from stylesplat.cli.exit_status import exit_status
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
-from stylesplat.cli.log_lines import LogLines
 from stylesplat.cli.mask import Mask
-from stylesplat.cli.objects import Objects
-from stylesplat.cli.rename import Rename
+from stylesplat.cli.objects import Delete, Objects, Rename
 from stylesplat.cli.render import Render
 from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
-from stylesplat.cli.studio import Studio
 from stylesplat.cli.stylize import Stylize
-from stylesplat.cli.telling import told
 from stylesplat.cli.train import Train
-from stylesplat.cli.usage import read
-from stylesplat.cli.view import View
-from stylesplat.progress import observed
-from stylesplat.signals import WHOLE
-from stylesplat.stderr import write_lines
+from stylesplat.cli.view import StudioCommand, ViewCommand
+from stylesplat.progress import observed, write_lines
 
-VERBS = {
+VERBS: dict[str, type] = {
     "demo": Demo,
     "check": Check,
     "sfm": Sfm,
@@ -52,8 +44,8 @@ VERBS = {
     "export": Export,
     "evaluate": Evaluate,
     "batch": Batch,
-    "view": View,
-    "studio": Studio,
+    "view": ViewCommand,
+    "studio": StudioCommand,
 }
 
 
@@ -62,33 +54,65 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
-        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2.
+        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after one line on stderr.
     """
-    command = read(VERBS, sys.argv[1:] if arguments is None else arguments)
+    command = None
     try:
-        _run(command)
+        command = read_arguments(VERBS, sys.argv[1:] if arguments is None else arguments)
+        from stylesplat.cli.bars import Bars
+        from stylesplat.io.json_files import strict_json
+
+        with closing(Bars()) as bars, observed(bars):
+            result = command.run()
+        if command.json:
+            print(strict_json(result), flush=True)
+        else:
+            numbers = _numbers(result) if command.verbose else []
+            write_lines(*command.words(result), *numbers)
+        if isinstance(result, Answer):
+            with closing(Bars()) as bars, observed(bars):
+                result.rest()
+    except WrongUsage as error:
+        write_lines(str(error))
+        raise SystemExit(WRONG_USAGE) from None
     except (Exception, KeyboardInterrupt) as error:
-        status = status_after(error, lambda: getattr(command, "after_interruption", WHOLE))
+        status = exit_status(error, command)
         if status is None:
             raise
         return status
     return 0
 
 
-def _run(command: Any) -> None:
-    """Do it, and print what came of it."""
-    from stylesplat.io.json_files import strict_json
+def _numbers(result: Mapping[Any, Any], indent: str = "") -> list[str]:
+    """A result as text, one value a line."""
+    lines = []
+    for name, value in result.items():
+        if isinstance(value, dict) and value:
+            lines += [f"{indent}{name}:", *_numbers(value, indent + "  ")]
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            rows = (_as_text({k: v for k, v in row.items() if v != []}) for row in value)
+            lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
+        else:
+            lines.append(f"{indent}{name}: {_as_text(value)}")
+    return lines
 
-    with closing(_observer()) as observer, observed(observer):
-        result = command.run()
-    if command.json:
-        print(strict_json(result), flush=True)
-    else:
-        write_lines(*told(command, result))
-    if isinstance(result, Answer):
-        with closing(_observer()) as observer, observed(observer):
-            result.rest()
 
+def _as_text(value: Any) -> str:
+    """A value without brackets, None or many digits.
 
-def _observer() -> Bars | LogLines:
-    return Bars() if sys.stderr.isatty() else LogLines()
+    Example:
+        >>> print(_as_text(["a.jpg", (1.0, 2.5)]), _as_text(None), _as_text(True), _as_text(()))
+        a.jpg 1, 2.5 none yes none
+    """
+    if value is None or value in ((), [], {}):
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_as_text(each)}" for key, each in value.items())
+    if isinstance(value, list | tuple):
+        nested = any(isinstance(each, list | tuple) for each in value)
+        return (" " if nested else ", ").join(_as_text(each) for each in value if each != "")
+    return str(value)

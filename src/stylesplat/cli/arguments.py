@@ -1,256 +1,187 @@
-"""From a command's dataclass to its options, their help and their values.
+"""From the dataclass of a command to its options, by tyro.
 
-A command's fields are its options, the strings under them their help. Positional arguments,
-required options and those that the command names in `first` come first in its help, all others
-under 'more options'. An option that holds a tuple of any length may be repeated, and appends.
+The fields of a command are its options, and the strings under them their help. Settings of a stage
+are declared in the stage's config only: a command takes them by `from_config`.
 """
 
-import ast
-import dataclasses
-import inspect
-import re
+import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import MISSING, fields, is_dataclass
+from functools import reduce
+from importlib.metadata import version
+from inspect import getdoc
 from io import StringIO
-from itertools import chain
-from pathlib import Path
-from shutil import get_terminal_size
-from textwrap import fill
+from operator import or_
 from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, TypedDict, get_args, get_type_hints, is_typeddict
 
 import tyro
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
-from tyro.constructors import PrimitiveConstructorSpec
+from docstring_parser import parse_from_object
+from tyro.conf import DisallowNone, OmitArgPrefixes, PositionalMetavarFromFieldName, arg, subcommand
+from tyro.constructors import (
+    ConstructorRegistry,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
-from stylesplat.cli.wrong_usage import Known, WrongUsage, what_is_wrong
+PROGRAM = "stylesplat"
+WRONG_USAGE = 2
+ALIASES = {"stylize": ("stylise",)}
+REGISTRY = ConstructorRegistry()
+LOOK = (DisallowNone, PositionalMetavarFromFieldName)
+WIDE = "10000"  # columns in which tyro wraps no error
+FRAME = "│╭╮╰╯─ "
+DETAILS = " " * 8  # in front of the help of single options, in errors
+ENDS = ("Argument helptext", "Got errors", "For full helptext")  # what a user need not read
+WAY = """\
+Repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 
-FIRST = "first"  # the class variable of commands that names options
-MORE = "more"  # tyro calls the group of what is nested here 'more options'
-TRAILING = re.compile(r" +$", re.MULTILINE)
-EMPTY_ROW = re.compile(r"^\n(?=  )", re.MULTILINE)  # tyro's, after a text that fills its line
-# What values are called: as placeholders, and where one is wrong
-CALLED = {
-    Path: ("PATH", "a path"),
-    str: ("TEXT", "a text"),
-    int: ("N", "a whole number"),
-    float: ("NUMBER", "a number"),
-}
+From photos to a painted splat:
+
+  stylesplat mask MyPhotos --box vase=1.jpg:500,300,800,700  where the vase is
+  stylesplat train MyPhotos -o scene                         photos to a splat
+  stylesplat stylize scene --style vase=wave.jpg -o painted  the vase in a style
+  stylesplat view painted                                    look at it
+  stylesplat export painted painted.ply                      for other programs
+
+`stylesplat VERB --help` explains a verb.
+"""
 
 
-def read_command(command: type, arguments: Sequence[str], prog: str) -> Any:
-    """A command with what the user typed.
+class WrongUsage(Exception):
+    """Arguments that tyro does not understand; the message is one line."""
+
+    def __init__(self, prog: str, fact: str) -> None:
+        super().__init__(f"{prog}: {fact}. See `{prog} --help`.")
+        self.fact = fact
+
+
+def help_texts(config: type) -> dict[str, str]:
+    """The first paragraphs of the strings under the fields of a dataclass."""
+    texts = {each.arg_name: each.description or "" for each in parse_from_object(config).params}
+    return {name: " ".join(text.partition("\n\n")[0].split()) for name, text in texts.items()}
+
+
+def from_config(config: type, *names: str, **called: Sequence[str]) -> Any:
+    """Annotates a dict as settings of a config, which holds only those that the user gave.
+
+    Args:
+        config: Declares their types, defaults and help.
+        names: Which of them are options.
+        called: Other names of options, by setting; the first is the one that help shows.
+    """
+    kinds, texts, defaults, options = get_type_hints(config), help_texts(config), config(), {}
+    for name in names:
+        default = getattr(defaults, name)
+        shown, *aliases = called.get(name, (name,))
+        options[name] = Annotated[
+            without_none(kinds[name]),
+            arg(
+                name=shown,
+                aliases=[f"--{each}" for each in aliases],
+                help=texts[name],
+                help_behavior_hint="" if default is None else f"(default: {default})",
+            ),
+        ]
+    return TypedDict(config.__name__, options, total=False)  # pyright: ignore
+
+
+def without_none(kind: Any) -> Any:
+    """The type T of `T | None`, or the type itself."""
+    types = [each for each in get_args(kind) if each is not NoneType]
+    return types[0] if NoneType in get_args(kind) else kind
+
+
+@REGISTRY.struct_rule
+def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Read a dataclass as tyro does, but join the lines of help, hide defaults such as None, and
+    put the options that all verbs share last.
+    """
+    if not is_dataclass(info.type) or info.type.__module__.startswith("tyro"):
+        return None
+    kinds, texts = get_type_hints(info.type, include_extras=True), help_texts(info.type)
+    options = []
+    for each in sorted(fields(info.type), key=lambda each: bool(each.kw_only)):
+        kind: Any = kinds[each.name]
+        default = tyro.MISSING_NONPROP if each.default is MISSING else each.default
+        if default in (None, ()) or isinstance(default, bool):
+            kind = Annotated[kind, arg(help_behavior_hint="")]
+        settings = next(filter(is_typeddict, get_args(kind)), None)
+        if settings is not None:
+            kind, default = OmitArgPrefixes[settings], {}
+        options.append(StructFieldSpec(each.name, kind, default, texts.get(each.name)))
+    return StructConstructorSpec(info.type, tuple(options))
+
+
+def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
+    """The command that the user typed.
 
     Raises:
-        WrongUsage: If the words make no command.
-        SystemExit: After help.
+        WrongUsage: If tyro does not understand the arguments.
+        SystemExit: After help, version or completion (0); or after help if there is no verb (2).
     """
+    name = arguments[0] if arguments else ""
+    verb = next((each for each in verbs if name in (each, *ALIASES.get(each, ()))), None)
+    if verb is not None:
+        return read_command(verbs[verb], arguments[1:], f"{PROGRAM} {verb}")
+    if name == "--version":
+        print(PROGRAM, version(PROGRAM))
+        raise SystemExit
+    commands = reduce(or_, (_subcommand(name, command) for name, command in verbs.items()))
+    if name:
+        return read_command(commands, arguments, PROGRAM, description=WAY)
     try:
-        with _tidied(), redirect_stderr(StringIO()):
-            parsed = tyro.cli(understood(command), prog=prog, args=arguments)
+        with redirect_stdout(sys.stderr):
+            return read_command(commands, ["--help"], PROGRAM, description=WAY)
+    except SystemExit:
+        raise SystemExit(WRONG_USAGE) from None
+
+
+def read_command(kind: Any, words: Sequence[str], prog: str, **options: Any) -> Any:
+    """A command, or one of a union of commands, with the options in the words after `prog`."""
+    options |= {"prog": prog, "args": words, "config": LOOK, "registry": REGISTRY}
+    if not {"-h", "--help"}.isdisjoint(words):
+        return tyro.cli(kind, **options)
+    box = StringIO()
+    try:
+        with redirect_stderr(box), _wide_terminal():
+            return tyro.cli(kind, **options)
     except SystemExit as stop:
-        if not stop.code:
-            raise
-        raise WrongUsage(what_is_wrong(known(command), arguments, prog)) from None
-    given = vars(parsed)
-    given |= vars(given.pop(MORE, None) or parsed)
-    return command(**{f.name: _joined(f, given[f.name]) for f in dataclasses.fields(command)})
+        if stop.code:
+            raise WrongUsage(prog, _one_line(box.getvalue())) from None
+        raise
+
+
+def _subcommand(name: str, command: type) -> Any:
+    summary = (getdoc(command) or "").partition("\n")[0]
+    aliases = ALIASES.get(name)
+    return Annotated[command, subcommand(name, description=summary, aliases=aliases)]
 
 
 @contextmanager
-def _tidied() -> Iterator[None]:
-    """Print help in one colour, without the rows and spaces that are left empty."""
-    page = StringIO()
+def _wide_terminal() -> Iterator[None]:
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = WIDE
     try:
-        with redirect_stdout(page):
-            yield
+        yield
     finally:
-        lines = EMPTY_ROW.sub("", TRAILING.sub("", page.getvalue())).splitlines(keepends=True)
-        if lines:  # even nothing cannot be written to a full disk
-            sys.stdout.write("".join(map(_filled, lines)))
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
 
 
-def _filled(line: str) -> str:
-    """A line of prose as wide as the terminal; examples are to be copied, tyro fills the rest."""
-    columns = get_terminal_size().columns
-    if len(line) <= columns or line.startswith(("Example:", "usage:")):
-        return line
-    return fill(line, columns) + "\n"
-
-
-def understood(command: type, *, choices: bool = False) -> type:
-    """What tyro sees of a command.
-
-    Args:
-        command: The dataclass.
-        choices: Tell tyro the values that an option can take, for shells to complete; its own
-            message about others would be Python's.
-    """
-    said = _docstrings(command)
-    shown: tuple[list[Any], list[Any]] = [], []
-    for field in dataclasses.fields(command):
-        option = field.name, _option(field, said.get(field.name), choices=choices), _default(field)
-        shown[not _comes_first(command, field)].append(option)
-    first, more = shown
-    if more:
-        nested = dataclasses.make_dataclass("More", more, kw_only=True, namespace={"__doc__": ""})
-        default = dataclasses.field(default_factory=nested)
-        first.append((MORE, OmitArgPrefixes[nested], default))
-    words = {"__doc__": inspect.getdoc(command)}
-    return dataclasses.make_dataclass(command.__name__, first, kw_only=True, namespace=words)
-
-
-def known(command: type) -> list[Known]:
-    """The options of a command, for a line about words that it cannot take."""
-    return [_known(field) for field in dataclasses.fields(command)]
-
-
-def _known(field: "dataclasses.Field[Any]") -> Known:
-    kind, markers = _plain(field.type)
-    flag = _flag(field, markers)
-    aliases = (getattr(marker, "aliases", None) for marker in markers if marker is not Positional)
-    names = (*chain.from_iterable(filter(None, aliases)), flag)
-    required = field.default is dataclasses.MISSING
-    if kind is bool:
-        return Known(names, "", "", 0, required)
-    if UseAppendAction in markers:
-        kind = get_args(kind)[0]
-    each, number = _each(kind)
-    return Known(names, *_called(each), number, required)
-
-
-def _comes_first(command: type, field: "dataclasses.Field[Any]") -> bool:
-    required = field.default is dataclasses.MISSING
-    named = field.name in getattr(command, FIRST, ())
-    return required or named or Positional in get_args(field.type)[1:]
-
-
-def _default(field: "dataclasses.Field[Any]") -> Any:
-    """The default of an option, to which nothing is appended."""
-    return dataclasses.field(default=() if _is_open(_plain(field.type)[0]) else field.default)
-
-
-def _option(field: "dataclasses.Field[Any]", said: str | None, *, choices: bool) -> Any:
-    """The type of an option, with all that tyro shall know of it."""
-    kind, markers = _plain(field.type)
-    name = _flag(field, markers)
-    config = arg(help=said, help_behavior_hint=_hint(field.default))
-    if kind is bool:
-        return Annotated[(bool, config, *markers)]
-    if not _is_open(kind):
-        return Annotated[(kind | None, _spec(kind, name, choices=choices), config, *markers)]
-    if Positional in markers:
-        return Annotated[(kind, _spec(kind, name, choices=choices), config, *markers)]
-    several = UseAppendAction not in markers  # of them at a time
-    element = kind if several else get_args(kind)[0]
-    each = Annotated[element, _spec(element, name, choices=choices)]
-    return Annotated[(tuple[each, ...], config, UseAppendAction, *markers)]
-
-
-def _plain(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type without None, and what it is annotated with."""
-    markers: tuple[Any, ...] = ()
-    if get_origin(kind) is Annotated:
-        kind, *rest = get_args(kind)
-        markers = tuple(rest)
-    if NoneType in get_args(kind):
-        (kind,) = (each for each in get_args(kind) if each is not NoneType)
-    return kind, markers
-
-
-def _flag(field: "dataclasses.Field[Any]", markers: tuple[Any, ...]) -> str:
-    """What messages call an option."""
-    given = (getattr(marker, "name", None) for marker in markers if marker is not Positional)
-    name = next(filter(None, given), field.name).replace("_", "-")
-    return name.upper() if Positional in markers else f"--{name}"
-
-
-def _is_open(kind: Any) -> bool:
-    """Whether values of a type are tuples of any length."""
-    return get_origin(kind) is tuple and Ellipsis in get_args(kind)
-
-
-def _hint(default: Any) -> str:
-    """What help says of a default that its text does not."""
-    plain = default is dataclasses.MISSING or default in (None, ()) or isinstance(default, bool)
-    return "" if plain else f"(default: {default})"
-
-
-def _spec(kind: Any, name: str, *, choices: bool) -> PrimitiveConstructorSpec[Any]:
-    """How texts become a value of a type."""
-    each, number = _each(kind)
-    placeholder, expected = _called(each)
-    convert = _converter(each)
-    if name[0] != "-":
-        placeholder = name
-    metavar = {"*": f"{placeholder} [{placeholder} ...]", 1: placeholder}.get(number)
-
-    def value_of(texts: list[str]) -> Any:
-        try:
-            values = tuple(convert(text) for text in texts)
-        except ValueError:
-            got = " ".join(texts)
-            raise WrongUsage(f"{name}: expected {expected}, got {got!r}.") from None
-        if not values:
-            raise WrongUsage(f"{name}: expected {expected}, got nothing.")
-        return values[0] if number == 1 else values
-
-    return PrimitiveConstructorSpec(
-        nargs=number,
-        metavar=metavar or " ".join([placeholder] * int(number)),
-        instance_from_str=value_of,
-        is_instance=lambda value: True,
-        str_from_instance=lambda value: [str(value)],
-        choices=tuple(map(str, get_args(each)))
-        if choices and get_origin(each) is Literal
-        else None,
-    )
-
-
-def _each(kind: Any) -> tuple[Any, int | Literal["*"]]:
-    """What one text of a value is, and how many there are."""
-    if get_origin(kind) is not tuple:
-        return kind, 1
-    kinds = get_args(kind)
-    return kinds[0], "*" if Ellipsis in kinds else len(kinds)
-
-
-def _called(kind: Any) -> tuple[str, str]:
-    """The placeholder of a value, and what is expected in its place."""
-    if get_origin(kind) is not Literal:
-        return CALLED[kind]
-    *others, last = choices = [*map(str, get_args(kind))]
-    return f"{{{','.join(choices)}}}", f"{', '.join(others)} or {last}"
-
-
-def _converter(kind: Any) -> Callable[[str], Any]:
-    if get_origin(kind) is not Literal:
-        return kind
-    choices = [*map(str, get_args(kind))]
-    return lambda text: get_args(kind)[choices.index(text)]
-
-
-def _joined(field: "dataclasses.Field[Any]", value: Any) -> Any:
-    """The value of a field, of what was given for its option."""
-    kind, markers = _plain(field.type)
-    if not _is_open(kind):
-        return value
-    if UseAppendAction not in markers and Positional not in markers:
-        value = tuple(each for several in value for each in several)
-    return value or field.default
-
-
-def _docstrings(command: type) -> dict[str, str]:
-    """The string under each field, without its line breaks."""
-    said: dict[str, str] = {}
-    for each in reversed(command.__mro__[:-1]):
-        (body,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(each))).body
-        assert isinstance(body, ast.ClassDef)
-        for before, after in zip(body.body, body.body[1:], strict=False):
-            if not isinstance(before, ast.AnnAssign) or not isinstance(after, ast.Expr):
-                continue
-            assert isinstance(before.target, ast.Name)
-            text = ast.literal_eval(after.value)
-            said[before.target.id] = " ".join(text.split())
-    return said
+def _one_line(box: str) -> str:
+    """The error in tyro's box, without its frame and title, and without the help of options."""
+    rows = [row.strip("│").removeprefix(" ").rstrip() for row in box.splitlines()[1:]]
+    line = ""
+    for row in rows:
+        text = row.strip(FRAME)
+        if text.startswith(ENDS):
+            break
+        if text and not row.startswith(DETAILS):
+            line += text + (" " if text.endswith(":") else "; ")
+    return line.strip(".; ")

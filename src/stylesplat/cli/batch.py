@@ -25,7 +25,6 @@ class Batch:
     Example: stylesplat batch jobs.yaml -o results --workers 2
     """
 
-    first: ClassVar = ("workers", "ray")
     jobs: Positional[Path]
     """YAML file with scenes and jobs; docs/batch.md describes it."""
     output: Output

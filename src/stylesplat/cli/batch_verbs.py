@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
 
 from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.batch_jobs.job import Content, JobOption, JobVerb
-from stylesplat.cli.arguments import read_command
+from stylesplat.cli.arguments import WrongUsage, read_command
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
@@ -19,7 +19,6 @@ from stylesplat.cli.select import Select
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train
-from stylesplat.cli.wrong_usage import WrongUsage
 
 HIDDEN = ("json", "verbose", "overwrite", "restart", "finish", "output", "file", "pick")
 OUTPUTS = {Export: ("output", "each"), Render: ("output",), Sheet: ("output",)}
@@ -55,17 +54,22 @@ def batch_verbs() -> dict[str, JobVerb]:
 def _options(command: type) -> Iterator[tuple[str, JobOption]]:
     """The options of a command, except for what it works on, which is its first field."""
     kinds, outputs = get_type_hints(command, include_extras=True), OUTPUTS.get(command, ())
-    for field in dataclasses.fields(command)[1:]:
+    _, *fields = (each for each in dataclasses.fields(command) if not each.kw_only)
+    for field in fields:
         if field.name in outputs or field.name not in HIDDEN:
             kind = kinds[field.name]
             yield from _option(field.name, kind, field.default, is_output=field.name in outputs)
 
 
 def _option(
-    field: str, kind: Any, default: object, *, is_output: bool
+    field: str, kind: Any, default: object = None, *, is_output: bool = False
 ) -> Iterator[tuple[str, JobOption]]:
-    """An option by each of its names."""
+    """An option by each of its names; or those of settings, by theirs."""
     kind, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    for settings in filter(is_typeddict, marks):
+        for name, each in get_type_hints(settings, include_extras=True).items():
+            yield from _option(name, each)
+        return
     configs = [mark for mark in marks if hasattr(mark, "aliases")]
     if NoneType in get_args(kind):
         kind = next(each for each in get_args(kind) if each is not NoneType)
@@ -90,5 +94,5 @@ def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
     try:
         read_command(command, words, f"stylesplat {name}")
     except WrongUsage as error:
-        return str(error)
+        return f"{error.fact}."
     return None

@@ -1,24 +1,27 @@
-"""`stylesplat evaluate`."""
+"""`stylesplat evaluate`: measure a scene, or compare several on a page."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Any
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import Positional
 
-from stylesplat.cli.next_steps import next_lines, unused
-from stylesplat.cli.options import Device, Json, OptionalOutput, Overwrite, Verbose
+import stylesplat as ss
+from stylesplat.cli.next_steps import next_lines, pasted, unused
+from stylesplat.cli.options import Command, Device, Flag, OptionalOutput
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import pasted
+from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
+from stylesplat.io.json_files import write_json
+from stylesplat.progress import say
 
-if TYPE_CHECKING:
-    from stylesplat.scene.capture import Capture
-    from stylesplat.scene.scene import Scene
+PAGE = ".html"
+COMPARED = (("psnr", "PSNR", 2), ("ssim", "SSIM", 3), ("miou", "IoU", 3))  # and how many digits
+EXAMPLE = "`stylesplat evaluate A B --compare -o page.html`"
 
 
 @dataclass(frozen=True)
-class Evaluate:
+class Evaluate(Command):
     """Measure a scene's held-out views: PSNR and SSIM, and IoU of the objects.
 
     Of a styled scene also what `stylize` measured: how close each object is to its style, what is
@@ -27,61 +30,53 @@ class Evaluate:
     Example: stylesplat evaluate garden-scene --masks exact-masks
     """
 
-    first: ClassVar = ("capture", "masks", "output", "compare")
     scene: Positional[Path]
     """Folder of the scene."""
     others: Positional[tuple[Path, ...]] = ()
     """Folders of scenes of the same photos, with --compare."""
-    compare: Annotated[
-        FlagCreatePairsOff[bool],
-        arg(
-            help="Put several scenes side by side on an HTML page, -o: the same views, the numbers "
-            "of each, the differences to the first. The scenes stay as they are."
-        ),
-    ] = False
+    output: OptionalOutput = None
+    """JSON file to make of the numbers; without it the scene keeps them, in its metrics.json. With
+    --compare the page to make."""
+    compare: Flag = False
+    """Compare several scenes on an HTML page, -o: the same views, the numbers of each, and the
+    differences to the first. The scenes stay as they are."""
     capture: Path | None = None
     """Folder of the photos; by default where they were when the scene was trained, or where they
     were moved to together with it."""
     masks: Path | None = None
     """Folder of label maps to compare with; by default the capture's object_mask_exact/ if it has
     one, else its object_mask/."""
-    output: OptionalOutput = None
-    """JSON file to make of the numbers; without it the scene keeps them, in its metrics.json. With
-    --compare the page to make."""
-    overwrite: Overwrite = False
     device: Device = "auto"
-    """Where to compute; auto takes an NVIDIA GPU where there is one."""
-    verbose: Verbose = False
-    json: Json = False
 
     def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.cli.side_by_side_page import refuse_wrong_mix, write_comparison
-        from stylesplat.io.atomic import refuse_file, refuse_unwritable
-        from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.evaluate import evaluate
+        if self.compare:
+            return self._compare()
+        if self.others:
+            raise StyleSplatError(
+                f"Cannot evaluate {1 + len(self.others)} scenes at once. Compare them: {EXAMPLE}."
+            )
+        from stylesplat.io.scene_folder import revise
 
-        page = refuse_wrong_mix(self.others, self.output, compare=self.compare)
-        if page is not None:
-            paths = (self.scene, *self.others)
-            refuse_file(page, overwrite=self.overwrite)
-            return write_comparison(paths, page, self._capture, device=self.device)
-        scene = open(self.scene)
+        scene = ss.open(self.scene)
         if self.output is None:
             refuse_unwritable(self.scene)
         else:
             refuse_file(self.output, overwrite=self.overwrite)
-        metrics = evaluate(scene, self._capture(scene, self.scene), device=self.device)
-        self._keep(metrics)
+        metrics = ss.evaluate(scene, self._photos(scene, self.scene), device=self.device)
+        with changing(self.output or self.scene):
+            if self.output is not None:
+                write_json(metrics, self.output)
+            else:
+                latest = ss.open(self.scene)  # measuring takes long
+                measured = {**latest.metrics, "evaluate": metrics}
+                revise(latest, replace(latest, metrics=measured), self.scene)
         return metrics
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What was made, and how to go on."""
-        from stylesplat.cli.side_by_side_page import comparison_lines
         from stylesplat.evaluation.summary import photo_lines, style_lines
 
         if self.compare:
-            yield from comparison_lines(result)
+            yield from _comparison_lines(result)
             return
         yield from photo_lines(result)
         if "changed_gaussians" in result:
@@ -90,15 +85,9 @@ class Evaluate:
         video = unused(self.scene, ".mp4")
         yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))
 
-    def _capture(self, scene: "Scene", path: Path) -> "Capture | None":
-        """The photos of a scene, if they are there.
-
-        Raises:
-            StyleSplatError: If they are not, and there is nothing else to measure.
-        """
+    def _photos(self, scene: "ss.Scene", path: Path) -> "ss.Capture | None":
+        """The photos of a scene; None if they are gone, but the scene has a style to measure."""
         from stylesplat.io.captures.capture_folder import exact_masks
-        from stylesplat.progress import say
-        from stylesplat.verbs.load import load
 
         source = self.capture or scene.capture
         if source is None and not scene.layers:
@@ -118,17 +107,61 @@ class Evaluate:
             )
         if gone or source is None:
             return None
-        return load(source, downscale=scene.downscale, masks=self.masks or exact_masks(source))
+        return ss.load(source, downscale=scene.downscale, masks=self.masks or exact_masks(source))
 
-    def _keep(self, metrics: dict[str, Any]) -> None:
-        from stylesplat.io.atomic import changing
-        from stylesplat.io.json_files import write_json
-        from stylesplat.io.scene_folder import open, revise
+    def _compare(self) -> dict[str, Any]:
+        from stylesplat.figures.html_page import comparison_page
+        from stylesplat.scene.scene import shared_views
 
-        with changing(self.output or self.scene):
-            if self.output is not None:
-                write_json(metrics, self.output)
-                return
-            latest = open(self.scene)  # measuring takes long
-            measured = {**latest.metrics, "evaluate": metrics}
-            revise(latest, replace(latest, metrics=measured), self.scene)
+        if not self.others:
+            raise StyleSplatError(f"--compare needs at least two scenes, got one. Call {EXAMPLE}.")
+        page = self.output
+        if page is None or page.suffix.lower() != PAGE:
+            raise StyleSplatError(
+                f"--compare makes an HTML page, got {page or 'none'} as its place. Pass -o with a "
+                f"name in {PAGE}."
+            )
+        refuse_file(page, overwrite=self.overwrite)
+        folders = _named((self.scene, *self.others))
+        scenes = {name: ss.open(folder) for name, folder in folders.items()}
+        shared_views(scenes)  # raises before photos are read
+        captures = {}
+        for name, folder in folders.items():
+            try:
+                capture = self._photos(scenes[name], folder)
+            except StyleSplatError as error:  # pictures and styles are compared all the same
+                say(str(error))
+                continue
+            if capture is not None:
+                captures[name] = capture
+        with changing(page):
+            found = ss.compare(scenes, captures, device=self.device)
+            text = comparison_page(
+                found.scenes, found.views, title="Scenes compared", notes=found.notes
+            )
+            with atomic_path(page) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        return {**found.summary(), "page": page}
+
+
+def _named(folders: tuple[Path, ...]) -> dict[str, Path]:
+    """Folders by their names; if two share one by all of the path, numbered if need be."""
+    short = [path.resolve().name for path in folders]
+    names = short if len(set(short)) == len(short) else [str(path) for path in folders]
+    return {
+        name if name not in names[:row] else f"{name} ({row + 1})": folders[row]
+        for row, name in enumerate(names)
+    }
+
+
+def _comparison_lines(result: dict[str, Any]) -> Iterator[str]:
+    for scene in result["scenes"]:
+        metrics, differences = scene["metrics"], scene["differences"]
+        parts = [
+            f"{label} {metrics[name]:.{digits}f} ({differences.get(name, 0):+.{digits}f})"
+            for name, label, digits in COMPARED
+            if name in metrics
+        ]
+        changed = 100 * scene["from_first"]["changed_share"]
+        yield f"{scene['name']}: {', '.join([*parts, f'{changed:.1f} % of its pixels differ'])}."
+    yield f"Page: {result['page']}, with all numbers and {len(result['views'])} views of each."

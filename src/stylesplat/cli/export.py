@@ -3,24 +3,24 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.next_steps import next_lines, size_of, unused
-from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose
+import stylesplat as ss
+from stylesplat.cli.next_steps import file_size, next_lines, pasted, unused
+from stylesplat.cli.options import Command, Flag, OptionalOutput
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import pasted
+from stylesplat.io.atomic import refuse_file
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Command):
     """Write a scene's splat for other programs, or as a web page that shows it.
 
     Example: stylesplat export garden-wave garden.html
     """
 
-    first: ClassVar = ("output", "object")
     scene: Positional[Path]
     """Folder of the scene."""
     file: Positional[Path | None] = None
@@ -36,35 +36,42 @@ class Export:
     each: Path | None = None
     """Folder to make instead of a file: each object in a .ply of its name, the rest in rest.ply."""
     selected: UseAppendAction[tuple[str, ...]] = ()
-    """In a .ply, have this object selected when SuperSplat opens it. May be repeated."""
-    columns: FlagCreatePairsOff[bool] = False
-    """In a .ply, have columns label and share: what object, and how much of each Gaussian it is."""
-    sidecar: FlagCreatePairsOff[bool] = False
+    """Select this object for SuperSplat, in a .ply. May be repeated."""
+    columns: Flag = False
+    """Add the columns label and share to a .ply: the object of each Gaussian, and how much of the
+    Gaussian belongs to it."""
+    sidecar: Flag = False
     """Write FILE.objects.npz beside it, for `import --labels`: the objects, by rows of the file."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
-    overwrite: Overwrite = False
-    verbose: Verbose = False
-    json: Json = False
 
     def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.io.atomic import refuse_file
         from stylesplat.io.gaussian_lists import SUFFIXES
-        from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.export import export, export_each, export_objects
+        from stylesplat.verbs.export import export_each, export_objects
 
-        file, options = self._place(), {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
+        places = [each for each in (self.file, self.output, self.each) if each is not None]
+        if len(places) != 1:
+            raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
+        (file,) = places
+        others = (self.without, self.selected, self.columns, self.sidecar)
+        options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
         if self.each is not None:
-            files = export_each(open(self.scene), self.each, **options)
-            return {"files": files}
+            if self.object or any(others):
+                raise StyleSplatError(
+                    "--each writes every object by itself. Leave --object, --without, --selected, "
+                    "--columns and --sidecar out."
+                )
+            return {"files": export_each(ss.open(self.scene), file, **options)}
         refuse_file(file, overwrite=self.overwrite)
-        scene = open(self.scene)
+        scene = ss.open(self.scene)
         if file.suffix.lower() in SUFFIXES:
-            self._refuse_idle(file)
-            objects = export_objects(scene, file, objects=self.object, overwrite=self.overwrite)
-            return {"file": file, "objects": objects}
-        count = export(
+            if any(others) or self.sh_degree is not None:
+                raise StyleSplatError(
+                    f"{file} lists objects. Of the options it takes --object alone."
+                )
+            count = export_objects(scene, file, objects=self.object, overwrite=self.overwrite)
+            return {"file": file, "objects": count}
+        count = ss.export(
             scene,
             file,
             objects=self.object,
@@ -76,46 +83,24 @@ class Export:
         )
         return {"file": file, "gaussians": count}
 
-    def _refuse_idle(self, file: Path) -> None:
-        """Raise a StyleSplatError for options that lists of objects have not."""
-        others = (self.without, self.selected, self.columns, self.sidecar)
-        if any(others) or self.sh_degree is not None:
-            raise StyleSplatError(f"{file} lists objects. Of the options it takes --object alone.")
-
-    def _place(self) -> Path:
-        """The file or the folder to make."""
-        places = [each for each in (self.file, self.output, self.each) if each is not None]
-        if len(places) != 1:
-            raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
-        idle = (self.object, self.without, self.selected, self.columns, self.sidecar)
-        if self.each is not None and any(idle):
-            raise StyleSplatError(
-                "--each writes every object by itself. Leave --object, --without, --selected, "
-                "--columns and --sidecar out."
-            )
-        return places[0]
-
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What was made, and how to go on."""
         from stylesplat.scene.one_line import counted
 
         if "files" in result:
             yield f"{self.each}: {', '.join(path.name for path in result['files'])}."
             return
-        file = result["file"]
+        file, suffix = result["file"], result["file"].suffix.lower()
         if "objects" in result:
-            yield f"{file}: {counted(result['objects'], 'object')}, {size_of(file)}."
+            yield f"{file}: {counted(result['objects'], 'object')}, {file_size(file)}."
             return
-        count = f"{result['gaussians']:,} Gaussians, {size_of(file)}"
-        plain = file.suffix == ".ply" and not file.name.endswith(".compressed.ply")
         opened_by = "SuperSplat opens it"
-        if file.suffix.lower() in (".glb", ".gltf"):
-            opened_by = "What knows KHR_gaussian_splatting opens it, the rest shows points"
-        if file.suffix.lower() == ".html":
+        if suffix in (".glb", ".gltf"):
+            opened_by = "Programs that know KHR_gaussian_splatting open it, others show points"
+        elif suffix == ".html":
             opened_by = "Any browser opens it, without a network"
-        if plain and self.sh_degree is None:
+        elif suffix == ".ply" and ".compressed" not in file.name and self.sh_degree is None:
             opened_by = "SuperSplat, Blender and other programs open it"
-        yield f"{file}: {count}. {opened_by}."
+        yield f"{file}: {result['gaussians']:,} Gaussians, {file_size(file)}. {opened_by}."
         if self.sidecar:
             yield f"Objects: {file}.objects.npz, for `import --labels`."
         video = unused(self.scene, ".mp4")

@@ -1,4 +1,4 @@
-"""What to do after a verb, as commands that can be pasted."""
+"""Lines at the end of a verb: results, and the next commands, which can be pasted."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ LATER = "      "  # in front of the second command, below the first
 
 
 def unused(near: Path, ending: str) -> Path:
-    """A name beside a file or folder, such as `garden-scene`, that nothing has yet."""
+    """A path beside a file or folder, such as `garden-scene`, that does not exist."""
     stem, dot, suffix = ending.partition(".")
     folder = near if near.name else near.resolve()  # `.` and `..` have no name of their own
     place, number = folder.with_name(f"{folder.name}{ending}"), 2
@@ -26,19 +26,18 @@ def next_lines(*commands: str) -> list[str]:
     return [f"{LATER if number else 'Next: '}{command}" for number, command in enumerate(commands)]
 
 
-def size_of(file: Path) -> str:
-    """How large a file is."""
+def file_size(file: Path) -> str:
+    """The size of a file."""
     return f"{file.stat().st_size / 1e6:.1f} MB"
 
 
 def stylize_command(scene: Path, name: str) -> str:
-    """How to paint an object of a scene."""
     style = f"{name}={PICTURE}"
     return pasted("stylize", scene, "--style", style, "-o", unused(scene, "-painted"))
 
 
 def painted_commands(scene: Path) -> list[str]:
-    """What to do with a scene that is painted."""
+    """Commands for a painted scene."""
     return [
         pasted("adjust", scene, "--intensity", 0.7, "-o", unused(scene, "-softer")),
         pasted("export", scene, unused(scene, ".ply")),
@@ -46,7 +45,6 @@ def painted_commands(scene: Path) -> list[str]:
 
 
 def mask_command(capture: Path) -> str:
-    """How to say what is what in photos."""
     return pasted("mask", capture, "--box", "NAME=PHOTO:x0,y0,x1,y1")
 
 
@@ -59,13 +57,9 @@ def look_lines(result: dict[str, Any]) -> list[str]:
 def object_commands(
     scene: Path, names: Sequence[str], *, labelled: bool, photos: bool = True
 ) -> list[str]:
-    """How to come to an object to paint: it has a name, an id, or nothing yet.
+    """The way to an object to paint, which has a name, a label id, or neither.
 
-    Args:
-        scene: The scene's folder.
-        names: Of its objects.
-        labelled: Whether it has label ids.
-        photos: Whether it was made from photos; else its views can be masked.
+    Of a scene that was not made from photos, the views can be masked.
     """
     if names:
         return [stylize_command(scene, names[0])]

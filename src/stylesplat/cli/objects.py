@@ -1,53 +1,60 @@
-"""`stylesplat objects`."""
+"""`stylesplat objects`, `rename` and `delete`: the objects of a scene, and their names."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from tyro.conf import Positional
 
-from stylesplat.cli.next_steps import next_lines, object_commands
-from stylesplat.cli.options import Json, OptionalOutput, Overwrite, Verbose, refuse_picture
+import stylesplat as ss
+from stylesplat.cli.next_steps import next_lines, object_commands, stylize_command
+from stylesplat.cli.options import Command, NewScene, OptionalOutput, refuse_picture
+from stylesplat.cli.results import rewrite_scene
+from stylesplat.io.atomic import atomic_path, changing, refuse_file
+from stylesplat.io.files import file_stem, inside, read_bytes
+from stylesplat.progress import say
 
 SHEET = "objects.png"
+PICTURES = "selections"  # the folder inside a scene
+
+
+def selection_file(scene: Path, name: str) -> Path:
+    """The picture of a selection.
+
+    Raises:
+        StyleSplatError: If the folder of pictures leads out of the scene.
+    """
+    return inside(scene, f"{PICTURES}/{file_stem(name)}.png")
 
 
 @dataclass(frozen=True)
-class Objects:
+class Objects(Command):
     """List the objects of a scene, say where they are, and draw a contact sheet of them.
 
     Example: stylesplat objects garden-scene
     """
 
-    first: ClassVar = ("output",)
     scene: Positional[Path]
     """Folder of the scene."""
     output: OptionalOutput = None
     """Picture of the sheet; by default objects.png in the scene, which is replaced."""
-    overwrite: Overwrite = False
-    verbose: Verbose = False
-    json: Json = False
 
     def run(self) -> dict[str, Any]:
-        """Do it."""
         from stylesplat.figures.sheets import object_sheet
-        from stylesplat.io.atomic import changing, refuse_file
         from stylesplat.io.images import write_image
-        from stylesplat.io.scene_folder import open
-        from stylesplat.progress import say
         from stylesplat.selection.identities import UNLABELLED
-        from stylesplat.verbs.objects import extents, objects
+        from stylesplat.verbs.objects import extents
 
         if self.output is not None:
             refuse_picture(self.output, overwrite=self.overwrite)
-        scene = open(self.scene)
+        scene = ss.open(self.scene)
         if scene.splats.classifier is None:
             say(f"No objects are known, so there is no sheet. {UNLABELLED}")
             return {"objects": [], "sheet": None, **extents(scene)}
         if self.output is None:
             refuse_file(self.scene / SHEET, overwrite=True)
-        found = objects(scene)
+        found = ss.objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
         sheet = object_sheet(scene.splats, scene.cameras, names=names)
         target = self.output or self.scene / SHEET
@@ -56,7 +63,6 @@ class Objects:
         return {"objects": found, "sheet": target, **extents(scene)}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What there is, a line each, and how to go on."""
         from stylesplat.scene.one_line import counted
 
         named, ids = result["named"], dict[str, int]()
@@ -71,20 +77,91 @@ class Objects:
             called = ", ".join([f"id {each['id']}", *same])
             sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
             own = f", {each['own']:,} its own"
-            yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{own}{sure}{_where(each)}"
+            yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{own}{sure}{_box(each)}"
         for name, place in named.items():  # unions, parts, and what a style has changed
             called = f"{name} (id {ids[name]})" if name in ids else name
-            yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_where(place)}"
-        yield f"all content{_where(result['content'])}"
+            yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_box(place)}"
+        yield f"all content{_box(result['content'])}"
         if result["sheet"]:
             yield f"Picture: {result['sheet']}"
-        if result["named"] or result["objects"]:  # else it was said how to make some
+        if result["named"] or result["objects"]:
             names = [*result["named"]]
             yield from next_lines(object_commands(self.scene, names, labelled=True)[-1])
 
 
-def _where(place: dict[str, Any]) -> str:
-    """Its box, as `--box3d` takes it."""
+def _box(place: dict[str, Any]) -> str:
     if "box" not in place:
         return ""
     return f", --box3d={','.join(f'{number:.3g}' for number in place['box'])}"
+
+
+@dataclass(frozen=True)
+class Rename(Command):
+    """Give an object of a scene another name.
+
+    Example: stylesplat rename garden-scene object vase
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    old: Positional[str]
+    """The object's name."""
+    new: Positional[str]
+    """Its new name."""
+    output: NewScene = None
+
+    def run(self) -> dict[str, Any]:
+        folder = self.output or self.scene
+        picture, target = selection_file(self.scene, self.old), selection_file(folder, self.new)
+        with changing(folder):
+            drawn = read_bytes(picture) if picture.is_file() else None
+            after = rewrite_scene(
+                self.scene,
+                self.output,
+                lambda scene: ss.rename(scene, self.old, self.new),
+                overwrite=self.overwrite,
+                names_only=True,
+            )
+            if drawn is not None:
+                with atomic_path(target) as file:
+                    file.write_bytes(drawn)
+            if self.output is None:
+                picture.unlink(missing_ok=True)
+        found = {"name": self.new, "was": self.old, **after.objects[self.new].how}
+        return found | {"scene": folder, "picture": None if drawn is None else target}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        yield f"{result['was']} is called {result['name']} now."
+        yield from next_lines(stylize_command(result["scene"], self.new))
+
+
+@dataclass(frozen=True)
+class Delete(Command):
+    """Delete the name of an object; its Gaussians stay, and so does their paint.
+
+    Example: stylesplat delete garden-scene lid
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    name: Positional[str]
+    """The object's name."""
+    output: NewScene = None
+
+    def run(self) -> dict[str, Any]:
+        folder = self.output or self.scene
+        picture = selection_file(folder, self.name)
+        with changing(folder):
+            after = rewrite_scene(
+                self.scene,
+                self.output,
+                lambda scene: ss.delete(scene, self.name),
+                overwrite=self.overwrite,
+                names_only=True,
+            )
+            picture.unlink(missing_ok=True)
+        return {"scene": folder, "deleted": self.name, "names": [*after.objects]}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        left = ", ".join(result["names"]) or "none"
+        yield f"{result['scene']}: deleted the name {result['deleted']!r}. Names: {left}."

@@ -1,34 +1,76 @@
-"""Options that several verbs share."""
+"""Options that several verbs share, and checks of options."""
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, arg
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import refuse_file
+from stylesplat.stylization.style_config import Network
 
-Device = Literal["auto", "cpu", "cuda"]
+Flag = FlagCreatePairsOff[bool]
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
-Json = Annotated[FlagCreatePairsOff[bool], arg(help="Print the result as JSON on stdout.")]
-Verbose = Annotated[FlagCreatePairsOff[bool], arg(help="Print the numbers as well.")]
-Overwrite = Annotated[FlagCreatePairsOff[bool], arg(help="Replace what the output holds.")]
+NewScene = Annotated[
+    Path | None,
+    arg(
+        aliases=["-o"],
+        help="Folder of a scene to make; without it the scene itself is changed.",
+    ),
+]
+Device = Annotated[
+    Literal["auto", "cpu", "cuda"],
+    arg(help="Where to compute; auto uses an NVIDIA GPU if there is one."),
+]
+Json = Annotated[Flag, arg(help="Print the result as JSON on stdout.")]
+Verbose = Annotated[Flag, arg(help="Print the numbers as well.")]
+Overwrite = Annotated[Flag, arg(help="Replace what the output holds.")]
+Features = Annotated[
+    Network | None,
+    arg(
+        help="Network whose features are matched: by default compact, which ships with the "
+        "package, or vgg16 with --preset paper."
+    ),
+]
+Weights = Annotated[
+    Path | None,
+    arg(
+        help="File of the network's weights (.safetensors, .pth); without it VGG's are downloaded "
+        "once."
+    ),
+]
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-CONTINUES = "The same command goes on where it stopped."  # said of verbs that do
+CONTINUES = "The same command goes on where it stopped."  # after Ctrl-C
 
 
-def given(command: object, names: tuple[str, ...]) -> dict[str, Any]:
-    """The options of a command that the user set."""
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """A verb of the command line: its fields are its options."""
+
+    overwrite: Overwrite = False
+    verbose: Verbose = False
+    json: Json = False
+
+    def run(self) -> dict[str, Any]:
+        """Run the verb, and return what `--json` prints."""
+        raise NotImplementedError
+
+    def words(self, result: dict[str, Any]) -> Iterable[str]:
+        """What was made, and how to go on, in lines."""
+        raise NotImplementedError
+
+
+def given(command: object, names: tuple[str, ...]) -> dict[str, object]:
+    """The options of a command that are not None."""
     values = {name: getattr(command, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 
 
 def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
-    """Refuse options that would change nothing.
-
-    Raises:
-        StyleSplatError: If one of them is set.
-    """
+    """Raise a StyleSplatError if an option is given that would change nothing."""
     for name in names:
         if getattr(command, name):
             option = {"source": "from"}.get(name, name).replace("_", "-")
@@ -36,13 +78,7 @@ def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
 
 
 def refuse_picture(output: Path, *, overwrite: bool) -> None:
-    """Refuse a place that no picture can be written to.
-
-    Raises:
-        StyleSplatError: If its name is that of no picture, or something is there.
-    """
-    from stylesplat.io.atomic import refuse_file
-
+    """Raise a StyleSplatError if no picture can be written to a file."""
     if output.suffix.lower() not in PICTURES:
         raise StyleSplatError(f"Cannot draw into {output}: use a name in {', '.join(PICTURES)}.")
     refuse_file(output, overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""Small texts on the command line: places in views and in the world, objects and pictures."""
+"""Short texts on the command line: places in views and in the world, objects and pictures."""
 
 import math
 import re
@@ -10,59 +10,39 @@ from stylesplat.io.files import is_file
 MOST_PIXELS = 16_384  # along a picture's side
 
 
-def parse_point(text: str) -> tuple[str, tuple[float, float]]:
-    """A view's name and a pixel.
+_Place = tuple[str, tuple[float, ...]]
+"""A view's name, which is empty in the world, and numbers."""
 
-    Raises:
-        StyleSplatError: If the text is anything else.
 
-    Example:
-        >>> parse_point("IMG_0007.jpg:120,45.5")
-        ('IMG_0007.jpg', (120.0, 45.5))
-    """
+def parse_point(text: str) -> _Place:
+    """A view and a pixel."""
     view, numbers = _split_place(text)
     if not view or len(numbers) != 2:
         raise StyleSplatError(f"Expected VIEW:x,y with pixels of the photo, got {text!r}.")
-    x, y = numbers
-    return view, (x, y)
+    return view, numbers
 
 
-def parse_box(text: str) -> tuple[str, tuple[float, float, float, float]]:
-    """A view's name and a rectangle of pixels.
-
-    Raises:
-        StyleSplatError: If the text is anything else.
-
-    Example:
-        >>> parse_box("IMG_0007.jpg:10,20,110,90")
-        ('IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0))
-    """
+def parse_box(text: str) -> _Place:
+    """A view and a rectangle of pixels."""
     view, numbers = _split_place(text)
     if not view or len(numbers) != 4:
         raise StyleSplatError(f"Expected VIEW:x0,y0,x1,y1 with pixels of the photo, got {text!r}.")
-    x0, y0, x1, y1 = numbers
-    return view, (x0, y0, x1, y1)
+    return view, numbers
 
 
-def parse_named_box(text: str) -> tuple[str, str, tuple[float, float, float, float]]:
-    """An object's name, a view's, and a rectangle of pixels; the name may be left out.
-
-    Raises:
-        StyleSplatError: If the text is anything else.
+def parse_named_box(text: str) -> tuple[str, _Place]:
+    """An object's name, which may be left out, with a box.
 
     Example:
         >>> parse_named_box("vase=IMG_0007.jpg:10,20,110,90")
-        ('vase', 'IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0))
+        ('vase', ('IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0)))
     """
     name, place = _split_name(text)
-    return name, *parse_box(place)
+    return name, parse_box(place)
 
 
 def parse_stroke(text: str) -> tuple[str, str, tuple[tuple[float, float], ...]]:
-    """An object's name, a view's, and the points of a line; the name may be left out.
-
-    Raises:
-        StyleSplatError: If the text is anything else.
+    """An object's name, which may be left out, a view, and the points of a line.
 
     Example:
         >>> parse_stroke("vase=IMG_0007.jpg:10,20,110,90")
@@ -76,26 +56,15 @@ def parse_stroke(text: str) -> tuple[str, str, tuple[tuple[float, float], ...]]:
 
 
 def parse_box3d(text: str) -> tuple[float, ...]:
-    """Two corners in the world.
-
-    Raises:
-        StyleSplatError: If the text is no six numbers.
-
-    Example:
-        >>> parse_box3d("-1,0,2,1,0.5,3")
-        (-1.0, 0.0, 2.0, 1.0, 0.5, 3.0)
-    """
+    """Two corners in the world."""
     view, numbers = _split_place(text)
     if view or len(numbers) != 6 or not all(map(math.isfinite, numbers)):
         raise StyleSplatError(f"Expected x0,y0,z0,x1,y1,z1 in world units, got {text!r}.")
-    return tuple(numbers)
+    return numbers
 
 
-def parse_sphere(text: str) -> tuple[str, tuple[float, ...]]:
+def parse_sphere(text: str) -> _Place:
     """A centre and a radius; the centre in the world, or as the pixel of a view that shows it.
-
-    Raises:
-        StyleSplatError: If the text is neither.
 
     Example:
         >>> parse_sphere("0,1.5,2,0.5"), parse_sphere("view_003.png:640,400,0.5")
@@ -106,19 +75,11 @@ def parse_sphere(text: str) -> tuple[str, tuple[float, ...]]:
         raise StyleSplatError(
             f"Expected x,y,z,RADIUS in world units, or VIEW:x,y,RADIUS, got {text!r}."
         )
-    return view, tuple(numbers)
+    return view, numbers
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """A width and a height in pixels.
-
-    Raises:
-        StyleSplatError: If the text is no `WIDTHxHEIGHT`, or one is below 2 or above 16,384.
-
-    Example:
-        >>> parse_size("1280x720")
-        (1280, 720)
-    """
+    """A width and a height in pixels."""
     found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
     width, height = map(int, found.groups()) if found else (0, 0)
     if not (2 <= width <= MOST_PIXELS and 2 <= height <= MOST_PIXELS):
@@ -129,12 +90,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:
-    """An object and its style pictures, one or several.
-
-    A comma belongs to the name if there is such a file.
-
-    Raises:
-        StyleSplatError: If the text is no `OBJECT=IMAGE` or `OBJECT=IMAGE,IMAGE`.
+    """An object and its style pictures. A comma belongs to a name if there is such a file.
 
     Example:
         >>> name, images = parse_style("vase=wave.jpg,night.jpg")
@@ -148,20 +104,17 @@ def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:
             f"Expected OBJECT=IMAGE or OBJECT=IMAGE,IMAGE, got {text!r}. "
             "OBJECT is a name that `select` gave, or an id."
         )
-    return name, tuple(Path(part) for part in parts)
+    return name, tuple(map(Path, parts))
 
 
 def _split_name(text: str) -> tuple[str, str]:
-    """What an object is to be called, and the rest."""
-    if "=" not in text:
-        return "object", text
-    name, _, place = text.partition("=")
-    return name, place
+    name, equals, place = text.partition("=")
+    return (name, place) if equals else ("object", text)
 
 
-def _split_place(text: str) -> tuple[str, list[float]]:
+def _split_place(text: str) -> _Place:
     view, _, numbers = text.rpartition(":")
     try:
-        return view, [float(number) for number in numbers.split(",")]
+        return view, tuple(map(float, numbers.split(",")))
     except ValueError:
-        return view, []
+        return view, ()

@@ -7,18 +7,18 @@ from typing import Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
+import stylesplat as ss
 from stylesplat.cli.next_steps import mask_command, next_lines
-from stylesplat.cli.options import CONTINUES, Json, Output, Overwrite, Verbose
+from stylesplat.cli.options import CONTINUES, Command, Output
 
 
 @dataclass(frozen=True)
-class Sfm:
+class Sfm(Command):
     """Find the cameras of photos or of a video: structure from motion with COLMAP.
 
     Example: stylesplat sfm MyPhotos -o garden
     """
 
-    first: ClassVar = ("frames",)
     source: Positional[Path]
     """Folder of photos (JPEG, PNG, TIFF, WebP, HEIC), sub-folders included; or a video."""
     output: Output
@@ -32,17 +32,12 @@ class Sfm:
     """One lens for all photos of a size and a camera, one for all of a size, or one for each."""
     seed: int = 0
     """The same seed and number of threads give the same poses."""
-    overwrite: Overwrite = False
-    verbose: Verbose = False
-    json: Json = False
     after_interruption: ClassVar[str] = CONTINUES
 
     def run(self) -> dict[str, Any]:
-        """Do it."""
         from stylesplat.io.captures.sfm_file import SFM_FILE, read_sfm
-        from stylesplat.verbs.sfm import sfm
 
-        sfm(
+        ss.sfm(
             self.source,
             self.output,
             frames=self.frames,
@@ -54,16 +49,15 @@ class Sfm:
         record = read_sfm(self.output)
         assert record is not None, SFM_FILE
         found = {"capture": self.output, "photos": record.given, "registered": record.registered}
-        if self.json:  # else they have been named
+        if self.json:  # else `sfm` has named them
             found |= {"left_out": record.left_out, "unregistered": record.unregistered}
         return dict(record.numbers) | found
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What was made, and how to go on."""
-        posed = f"{result['registered']} of {result['photos']} photos with their cameras"
-        yield f"{self.output}: {posed}."
         from stylesplat.verbs.sfm import PICTURE
 
+        posed = f"{result['registered']} of {result['photos']} photos with their cameras"
+        yield f"{self.output}: {posed}."
         if (picture := self.output / PICTURE).is_file():
             yield f"Picture: {picture}, the cameras and points from above and the side."
         yield from next_lines(mask_command(self.output))

@@ -1,20 +1,29 @@
 """`stylesplat sheet`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
+from stylesplat.cli.arguments import from_config
 from stylesplat.cli.next_steps import unused
-from stylesplat.cli.options import Device, Json, Output, Overwrite, Verbose, given, refuse_picture
+from stylesplat.cli.options import (
+    Command,
+    Device,
+    Features,
+    Output,
+    Weights,
+    given,
+    refuse_picture,
+)
 from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
-from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.style_config import StyleConfig
 
 VARIED = (  # options of `stylize`
     *("preset", "quality", "steps", "stroke_size", "rotate", "region", "intensity", "color"),
@@ -24,14 +33,13 @@ RENAMED = {"scale": "stroke_size"}  # the other name that `stylize` has for an o
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Sheet(Command):
     """Draw an object in a grid of styles and settings, to choose from.
 
     Example: stylesplat sheet garden-scene -o sheet.png --style vase=wave.jpg --vary
     stroke_size=1,2,4
     """
 
-    first: ClassVar = ("style", "vary", "pick")
     scene: Positional[Path]
     """Folder of the scene, which stays as it is."""
     output: Output
@@ -49,20 +57,12 @@ class Sheet:
     """Name of the photo to look from; by default the one that shows most of the object."""
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper is the method as published, with --features vgg16."""
-    steps: int | None = None
-    """Optimiser steps per cell."""
-    features: Network | None = None
-    """Network whose features are matched, by default compact, which ships with the package; vgg16
-    for --preset paper."""
-    weights: Path | None = None
-    """File of the network's weights (.safetensors, .pth); without it VGG's are downloaded once."""
-    seed: int | None = None
-    """The same seed and number of threads give the same result."""
+    settings: Annotated[dict[str, Any], from_config(StyleConfig, "steps", "seed")] = field(
+        default_factory=dict
+    )
+    features: Features = None
+    weights: Weights = None
     device: Device = "auto"
-    """Where to compute; auto uses an NVIDIA GPU if there is one."""
-    overwrite: Overwrite = False
-    verbose: Verbose = False
-    json: Json = False
 
     def run(self) -> dict[str, Any]:
         """Draw the sheet, or tell the command of a cell."""
@@ -102,7 +102,7 @@ class Sheet:
             weights=self.weights,
             device=self.device,
             preset=self.preset,
-            **given(self, ("steps", "seed")),
+            **self.settings,
         )
         write_or_rescue(
             lambda place, _: write_image(made.picture, place),
@@ -137,7 +137,7 @@ class Sheet:
 
     def _commands(self, variations: dict[str, tuple[Any, ...]]) -> list[list[str]]:
         """The command that paints each cell, by row and column."""
-        shared = given(self, ("preset", "steps", "features", "weights", "seed"))
+        shared = {**given(self, ("preset", "features", "weights")), **self.settings}
         axes = [[(key, value) for value in values] for key, values in variations.items()]
         columns, *others = axes or [[("preset", self.preset)]]
         return [

@@ -1,39 +1,32 @@
 """`stylesplat train`."""
 
+import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional
+from tyro.conf import Positional, arg
 
+import stylesplat as ss
+from stylesplat.cli.arguments import from_config, help_texts
 from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
-from stylesplat.cli.options import (
-    CONTINUES,
-    Device,
-    Json,
-    Output,
-    Overwrite,
-    Verbose,
-    given,
-    refuse_given,
-)
-from stylesplat.cli.posed import is_under_way, posed
-from stylesplat.cli.results import save_or_rescue
-from stylesplat.cli.scene_pictures import look
-from stylesplat.io.atomic import MARK, partial_of
+from stylesplat.cli.options import CONTINUES, Command, Device, Flag, Output, refuse_given
+from stylesplat.cli.photos import find_capture, is_sfm_unfinished
+from stylesplat.cli.results import describe_scene, save_or_rescue
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import MARK, changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_there
+from stylesplat.progress import Silence, observed
 from stylesplat.signals import WHOLE
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
-if TYPE_CHECKING:
-    from stylesplat.scene.capture import Capture
-    from stylesplat.scene.scene import Scene
-
-SETTINGS = (
+SETTINGS = from_config(
+    TrainConfig,
     "steps",
     "max_seconds",
     "max_gaussians",
@@ -44,89 +37,82 @@ SETTINGS = (
 )
 FINISHES = "`--finish` makes the scene of what there is."
 KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
+PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 
 
 @dataclass(frozen=True)
-class Train:
+class Train(Command):
     """Train a splat with objects from photos.
 
     Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
     """
 
-    first: ClassVar = ("downscale", "max_seconds", "steps", "masks")
     capture: Positional[Path]
     """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/. Of
     photos without poses, or a video, `sfm` makes a capture first, beside the scene."""
     output: Output
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
-    preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper takes 30,000 steps."""
-    steps: int | None = None
-    """Optimiser steps, one photo each."""
-    max_seconds: float | None = None
-    """Train for this long instead of for a number of steps."""
-    max_gaussians: int | None = None
-    """The number of Gaussians grows up to here."""
     downscale: float = 1.0
     """How many times smaller the photos are made."""
-    test_every: int | None = None
-    """Every this many photos one is held out to measure quality; 0 trains on all."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
+    settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
+    refine_poses: Annotated[Flag, arg(help=help_texts(TrainConfig)["refine_poses"])] = False
+    preset: Literal["default", "paper"] = "default"
+    """Settings to start from; paper takes 30,000 steps."""
     segment: Segment | None = None
     """How Gaussians learn their objects: with their colours, which `--preset paper` does, or by
     lifting the label maps afterwards, the default otherwise."""
-    color_correction: Literal["auto", "on", "off"] | None = None
-    """Learn each photo's exposure and white balance, and keep them out of the splat. auto, the
-    default, does where the photos differ in them; with `--preset paper` off is the default."""
-    refine_poses: FlagCreatePairsOff[bool] = False
-    """Turn and shift the training photos' cameras a little, where poses are not exact."""
-    seed: int | None = None
-    """The same seed and number of threads give the same result."""
-    device: Device = "auto"
-    """Where to compute; auto takes an NVIDIA GPU where there is one."""
-    max_memory: float | None = None
-    """GiB for photos and label maps, by default 0.25, for a GPU 1; what does not fit is read
-    again."""
-    overwrite: Overwrite = False
-    restart: FlagCreatePairsOff[bool] = False
+    restart: Flag = False
     """Forget an interrupted run."""
-    finish: FlagCreatePairsOff[bool] = False
+    finish: Flag = False
     """Take no more steps: make the scene of what an interrupted run has reached. `--steps` below
     those taken do the same."""
-    verbose: Verbose = False
-    json: Json = False
+    device: Device = "auto"
 
     @property
     def after_interruption(self) -> str:
         """How to go on."""
         if not is_there(self._checkpoint):
-            return CONTINUES if is_under_way(self.capture, beside=self.output) else WHOLE
+            return CONTINUES if is_sfm_unfinished(self.capture, beside=self.output) else WHOLE
         if self.restart:
             return f"Without `--restart` it goes on where it stopped. {FINISHES}"
         return f"{CONTINUES} {FINISHES}"
 
     @property
     def _checkpoint(self) -> Path:
-        return partial_of(self.output) / f"checkpoint_{self._segment}.pt"
-
-    @property
-    def _segment(self) -> Segment:
-        return self.segment or SEGMENTS[self.preset]
+        segment = self.segment or SEGMENTS[self.preset]
+        return partial_of(self.output) / f"checkpoint_{segment}.pt"
 
     def run(self) -> dict[str, Any]:
-        """Do it."""
-        from stylesplat.cli.joined import joined
-        from stylesplat.io.atomic import changing
+        from stylesplat.io.kinds import SCENE
+        from stylesplat.training.checkpoint import require_checkpoint
+        from stylesplat.training.state import Ranks
 
-        with joined(self.device) as first:
-            if not first:
-                self._help()
+        config = replace(PRESETS[self.preset], **self.settings)
+        config = replace(config, refine_poses=self.refine_poses)
+        with _torchrun(self.device) as is_first:
+            if not is_first:  # the first process prints and saves
+                with observed(Silence()):
+                    Ranks.here().meet()  # the first process has found the poses
+                    self._train(self._capture(), config)
+                sys.exit()
             with changing(self.output):
-                return self._train()
+                if self.finish:
+                    refuse_given(self, ("restart",), "--finish")
+                    require_checkpoint(self._checkpoint)
+                refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+                capture = self._capture()
+                if self.restart:
+                    self._delete_checkpoints()
+                Ranks.here().meet()
+                scene = self._train(capture, config)
+                save_or_rescue(scene, self.output, overwrite=self.overwrite)
+                self._delete_checkpoints()
+                described = describe_scene(scene, capture, self.output, device=self.device)
+        return {**scene.metrics, **described}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What was made, and how to go on."""
         where = f"{result['gaussians']:,} Gaussians after {result['steps']:,} steps"
         close = f", {result['psnr']:.1f} dB from photos held out" if "psnr" in result else ""
         yield f"{self.output}: {where}{close}."
@@ -135,64 +121,71 @@ class Train:
             *object_commands(self.output, result["objects"], labelled=result["labelled"])
         )
 
-    def _train(self) -> dict[str, Any]:
-        from stylesplat.io.atomic import refuse_occupied
-        from stylesplat.io.kinds import SCENE
-        from stylesplat.training.checkpoint import require_checkpoint
-        from stylesplat.training.state import Ranks
+    def _capture(self) -> "ss.Capture":
+        folder = find_capture(self.capture, beside=self.output)
+        return ss.load(folder, downscale=self.downscale, masks=self.masks)
 
-        config, partial = self._config(), self._checkpoint.parent
-        if self.finish:
-            refuse_given(self, ("restart",), "--finish")
-            require_checkpoint(self._checkpoint)
-        refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-        capture = self._loaded()
-        if self.restart:
-            _forget(partial)
-        Ranks.here().meet()
-        scene = self._trained(capture, config)
-        save_or_rescue(scene, self.output, overwrite=self.overwrite)
-        _forget(partial)
-        return {**scene.metrics, **look(scene, capture, self.output, device=self.device)}
-
-    def _help(self) -> NoReturn:
-        """Train with the process that tells and keeps what comes of it."""
-        from stylesplat.progress import Silence, observed
-        from stylesplat.training.state import Ranks
-
-        with observed(Silence()):
-            Ranks.here().meet()  # the poses are found by now
-            self._trained(self._loaded(), self._config())
-        sys.exit()
-
-    def _loaded(self) -> "Capture":
-        from stylesplat.verbs.load import load
-
-        folder = posed(self.capture, beside=self.output)
-        return load(folder, downscale=self.downscale, masks=self.masks)
-
-    def _config(self) -> TrainConfig:
-        config = replace(PRESETS[self.preset], **given(self, SETTINGS))
-        return replace(config, refine_poses=self.refine_poses)
-
-    def _trained(self, capture: "Capture", config: TrainConfig) -> "Scene":
-        from stylesplat.verbs.train import train
-
-        return train(
+    def _train(self, capture: "ss.Capture", config: TrainConfig) -> "ss.Scene":
+        return ss.train(
             capture,
             config,
-            segment=self._segment,
+            segment=self.segment or SEGMENTS[self.preset],
             device=self.device,
             checkpoint=self._checkpoint,
             finish=self.finish,
         )
 
+    def _delete_checkpoints(self) -> None:
+        """Delete what a run has left, and no other file in that folder."""
+        partial = self._checkpoint.parent
+        for file in partial.glob("*"):
+            if KEPT_IN_IT.fullmatch(file.name):
+                with suppress(OSError):
+                    file.unlink()
+        with suppress(OSError):  # there is none, or it is not empty
+            partial.rmdir()
 
-def _forget(partial: Path) -> None:
-    """Delete what a run has left, and nothing else that lies there."""
-    for file in partial.glob("*"):
-        if KEPT_IN_IT.fullmatch(file.name):
-            with suppress(OSError):
-                file.unlink()
-    with suppress(OSError):  # there is none, or it is not empty
-        partial.rmdir()
+
+@contextmanager
+def _torchrun(device: str) -> Iterator[bool]:
+    """Join the processes that `torchrun` started, if any; see `training.ranks`.
+
+    Yields:
+        Whether this is the first process, or the only one.
+
+    Raises:
+        StyleSplatError: If there are fewer GPUs than processes.
+    """
+    if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
+        yield True
+        return
+    import torch.distributed as dist
+
+    dist.init_process_group(_backend(device), timeout=PATIENCE)
+    try:
+        yield dist.get_rank() == 0
+    finally:
+        dist.destroy_process_group()
+
+
+def _backend(device: str) -> str:
+    """Give this process a GPU, or its share of the cores; return how processes communicate."""
+    import numba
+    import torch
+
+    from stylesplat.rendering.device import pick_device
+
+    number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
+    if pick_device(device).type == "cuda":
+        gpus = torch.cuda.device_count()
+        if count > gpus:
+            raise StyleSplatError(
+                f"There are {count} processes for {gpus} GPUs. Give torchrun "
+                f"`--nproc-per-node {gpus}`, or train with `--device cpu`."
+            )
+        torch.cuda.set_device(number)
+        return "nccl"
+    share = max(1, numba.get_num_threads() // count)
+    numba.set_num_threads(share)
+    torch.set_num_threads(share)
+    return "gloo"

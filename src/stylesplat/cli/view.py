@@ -1,38 +1,65 @@
-"""`stylesplat view`."""
+"""`stylesplat view` and `studio`: pages that are served until Ctrl-C."""
 
-from collections.abc import Callable
+import sys
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
 from tyro.conf import Positional
 
-from stylesplat.cli.options import Json
-from stylesplat.cli.serving import serve
+import stylesplat as ss
+from stylesplat.cli.options import Device, Json
+from stylesplat.progress import say
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Look at a scene in the browser.
 
     Example: stylesplat view garden-wave
     """
 
-    first: ClassVar = ("port",)
     scene: Positional[Path]
     """Folder of the scene."""
     port: int = 8080
     """Port on 127.0.0.1, or the next free one."""
     json: Json = False
-
     after_interruption: ClassVar[str] = "The viewer is closed."
 
     def run(self) -> NoReturn:
-        """Do it."""
-        from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.view import view
+        from stylesplat.figures.browser import until_interrupted
 
-        def start() -> Callable[[], None]:
-            return view(open(self.scene), port=self.port, block=False).stop
+        viewer = ss.view(ss.open(self.scene), port=self.port, block=False)
+        sys.stdout = StringIO()  # viser prints a line when it stops
+        say("Ctrl-C closes the viewer.")
+        until_interrupted(viewer.stop)
 
-        serve(start, "Ctrl-C closes the viewer.")
+
+@dataclass(frozen=True)
+class StudioCommand:
+    """Choose objects, paint them and compare, in the browser.
+
+    Example: stylesplat studio garden-scene --styles Paintings
+    """
+
+    scene: Positional[Path]
+    """Folder of the scene."""
+    styles: Path | None = None
+    """Folder of style pictures; more can be added in the browser."""
+    port: int = 8080
+    """Port, or the next free one."""
+    host: str = "127.0.0.1"
+    """Address to serve at; any other than 127.0.0.1 lets the network in."""
+    device: Device = "auto"
+    json: Json = False
+    after_interruption: ClassVar[str] = "The studio is closed."
+
+    def run(self) -> NoReturn:
+        from stylesplat.figures.browser import until_interrupted
+
+        options = {"port": self.port, "host": self.host, "device": self.device}
+        studio = ss.studio(self.scene, styles=self.styles, block=False, **options)
+        sys.stdout = StringIO()  # viser prints a line when it stops
+        say("Ctrl-C closes the studio; what is not saved is kept.")
+        until_interrupted(studio.close)

@@ -11,10 +11,9 @@ from stylesplat.demo.report import REPORT, SHEET, write_report
 from stylesplat.demo.warm_up import warm_up
 from stylesplat.figures.sheets import object_sheet
 from stylesplat.io.atomic import atomic_folder, refuse_occupied
-from stylesplat.io.captures.capture_folder import exact_masks
-from stylesplat.io.captures.transforms import TRANSFORMS
 from stylesplat.io.images import write_image
-from stylesplat.io.scene_folder import SCENE, open, save
+from stylesplat.io.kinds import SCENE, TRANSFORMS
+from stylesplat.io.scene_folder import open, save
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
@@ -65,7 +64,6 @@ def run_demo(
     styled = stylize(
         scene,
         {name: Style(path, config=styling) for name, path in paintings.items()},
-        capture=load(capture, masks=exact_masks(capture)),
     )
     save(styled, output / "styled", overwrite=True)
     _render(scene, styled, output)

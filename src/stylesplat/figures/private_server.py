@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stderr import write_lines
+from stylesplat.progress import write_lines
 
 if TYPE_CHECKING:
     import viser

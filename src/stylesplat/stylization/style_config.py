@@ -37,10 +37,10 @@ class StyleConfig:
     """How to repaint an object. The defaults are what looks best so far."""
 
     quality: Quality = "normal"
-    """How fine, and how many steps: draft takes few and lays no canvas, normal ends at the photos'
-    size, which gives strokes their edges, and high goes on there."""
+    """How fine the paint is: draft takes few steps and lays no canvas, normal ends at the photos'
+    size, which gives strokes their edges, and high takes more steps there."""
     steps: int | None = None
-    """Optimiser steps per object, one view each; None leaves it to quality."""
+    """Optimiser steps per object, one view each; by default as many as the quality needs."""
     layers: tuple[int, ...] = (3,)
     """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
     pattern: Pattern = "medium"
@@ -48,7 +48,7 @@ class StyleConfig:
     longer side has 224, 160 or 112 pixels at a scale of 2, fewer at first; or, photo, on renders
     as large as the photos."""
     scale: float = SCALE
-    """Longer side of the style image, in longer sides of the object: more makes larger strokes.
+    """Size of the strokes: the longer side of the style image, in longer sides of the object.
 
     These renders become smaller then, and larger for less; for more than 2, what is finer than
     the strokes is taken away in step.
@@ -56,12 +56,9 @@ class StyleConfig:
     rotate: float = 0.0
     """Degrees to turn the style image by, counter-clockwise."""
     region: tuple[int, int, int, int] | None = None
-    """The part of the style image to use: x0, y0, x1, y1 in its pixels; None takes it all."""
+    """The part of the style image to use, x0 y0 x1 y1 in its pixels; by default all of it."""
     intensity: float = 1.0
-    """How much of the style to blend in: 0 changes nothing, 1 takes all.
-
-    More, up to 1.5, exaggerates.
-    """
+    """How much of the style to blend in: 0 changes nothing, 1 takes all, 1.5 exaggerates."""
     color: ColorMode = "style"
     """Whose hues the object has: the style's, its own (keep), half of both (blend), or whatever
     matching features alone gives (free)."""
@@ -95,7 +92,7 @@ class StyleConfig:
     """Longer side of the object when features are matched, in pixels, at most; None leaves it to
     pattern."""
     seed: int = 0
-    """The same seed gives the same result."""
+    """The same seed and number of threads give the same result."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "scale", "lr", "final_lr", "object_size"):

@@ -1,33 +1,25 @@
-"""Photos or a video where a capture is asked for: their poses are found first, once."""
+"""Photos or a video in place of a capture: their poses are found first, once."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import is_file, is_there, real_path
+from stylesplat.progress import say
 
 if TYPE_CHECKING:
     from stylesplat.io.captures.sfm_file import SfmRecord
 
-SUFFIX = "-capture"  # what the capture of photos is called after their folder
+SUFFIX = "-capture"  # after the name of the photos' folder
+Drawn = Iterable[tuple[str, Sequence[float] | None]]
 
 
-def posed(
-    given: Path, *, beside: Path, drawn: Iterable[tuple[str, Sequence[float] | None]] = ()
-) -> Path:
+def find_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
     """The capture that was given, or that of the photos or the video that were.
 
-    A capture that an earlier command made of them is taken, where it lies beside them or beside
-    `beside`; else `sfm` makes one beside `beside`.
-
-    Args:
-        given: A capture, photos or a video.
-        beside: Where a capture of photos is made.
-        drawn: Names of photos, and boxes drawn in them: checked before poses are found.
-
-    Raises:
-        StyleSplatError: If poses cannot be found, what is drawn is in no photo, the photos have
-            changed since their poses were found, or the place of the capture is taken.
+    An earlier capture of the same photos is used if it lies beside them or beside `beside`;
+    otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked.
     """
     from stylesplat.io.kinds import is_posed, kind_of, no_capture, refuse_other_than_photos
 
@@ -36,16 +28,15 @@ def posed(
     refuse_other_than_photos(given)
     if kind_of(given) == "part of a capture":
         raise no_capture(given)
-    from stylesplat.progress import say
     from stylesplat.structure_from_motion.prepare import check_source
     from stylesplat.verbs.sfm import sfm
 
-    output = place_of(given, beside=beside)
+    output = capture_place(given, beside=beside)
     if output == beside.resolve():
         raise StyleSplatError(
             f"{beside} is where the capture of {given} is kept. Choose another name."
         )
-    found = earlier_capture(given, beside=beside)
+    found = find_earlier_capture(given, beside=beside)
     if found is not None:
         say(f"{given} has no camera poses: taking those in {found}.")
         return found
@@ -61,8 +52,8 @@ def posed(
     return output
 
 
-def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]]) -> None:
-    """Raise a StyleSplatError for what is drawn in no photo; frames of a video get names later."""
+def _check_drawn(given: Path, drawn: Drawn) -> None:
+    """Check names and boxes, except in a video, whose frames have no names yet."""
     from stylesplat.io.atomic import partial_of
     from stylesplat.io.images import image_sizes
     from stylesplat.scene.arguments import check_box
@@ -76,27 +67,21 @@ def _check_drawn(given: Path, drawn: Iterable[tuple[str, Sequence[float] | None]
             check_box(box, image_sizes(given / name)[1], name)
 
 
-def place_of(given: Path, *, beside: Path) -> Path:
-    """Where the capture of photos or a video is made; never among the photos."""
-    from stylesplat.io.files import is_file, real_path
-
+def capture_place(given: Path, *, beside: Path) -> Path:
+    """The folder for the capture of photos or a video, which is never among the photos."""
     own, folder = real_path(given), real_path(beside).parent
     if folder.is_relative_to(own):
         folder = own.parent
     return folder / f"{own.stem if is_file(own) else own.name}{SUFFIX}"
 
 
-def earlier_capture(given: Path, *, beside: Path) -> Path | None:
-    """The capture that was made of photos or a video, if there is one.
-
-    Raises:
-        StyleSplatError: If there is one, but they have changed since.
-    """
+def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
+    """The capture that was made of photos or a video; an error if these have changed since."""
     from stylesplat.io.captures.sfm_file import read_sfm
     from stylesplat.verbs.sfm import source_digest
 
     stale = None
-    for place in dict.fromkeys(place_of(given, beside=near) for near in (given, beside)):
+    for place in dict.fromkeys(capture_place(given, beside=near) for near in (given, beside)):
         record = read_sfm(place)
         if record is not None and Path(record.source) == given.resolve():
             if record.digest == source_digest(given):
@@ -111,12 +96,8 @@ def earlier_capture(given: Path, *, beside: Path) -> Path | None:
     )
 
 
-def view_called(name: str, record: "SfmRecord | None") -> str:
-    """What a photo is called in a capture of which the user knows its own name.
-
-    Raises:
-        StyleSplatError: If it has no pose.
-    """
+def view_of_photo(name: str, record: "SfmRecord | None") -> str:
+    """The name in a capture of a photo that the user knows by its own name."""
     if record is None:
         return name
     unposed = record.left_out | record.unregistered
@@ -129,10 +110,8 @@ def view_called(name: str, record: "SfmRecord | None") -> str:
     return views.get(name, name)
 
 
-def is_under_way(given: Path, *, beside: Path) -> bool:
-    """Whether poses are being found that `posed` would go on with."""
+def is_sfm_unfinished(given: Path, *, beside: Path) -> bool:
+    """Whether `find_capture` would continue an interrupted run."""
     from stylesplat.io.atomic import partial_of
-    from stylesplat.io.files import is_there
 
-    work = partial_of(place_of(given, beside=beside)) / "sfm"
-    return is_there(work)
+    return is_there(partial_of(capture_place(given, beside=beside)) / "sfm")

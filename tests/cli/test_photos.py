@@ -10,7 +10,13 @@ from PIL import Image
 from command_line import complaint, result, run
 from corner_photos import corner, write_photos
 from sfm_records import sfm_record
-from stylesplat.cli.posed import earlier_capture, is_under_way, place_of, posed, view_called
+from stylesplat.cli.photos import (
+    capture_place,
+    find_capture,
+    find_earlier_capture,
+    is_sfm_unfinished,
+    view_of_photo,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
@@ -41,13 +47,13 @@ def write_record(folder: Path, photos: Path) -> Path:
 
 def test_a_capture_is_taken_as_it_is(tmp_path: Path):
     folder = write_capture(tmp_path / "garden")
-    assert posed(folder, beside=tmp_path / "scene") == folder
+    assert find_capture(folder, beside=tmp_path / "scene") == folder
     assert [p.name for p in tmp_path.iterdir()] == ["garden"]
 
 
 def test_what_is_not_there_is_said(tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"There is no folder .*nothing: .* Check it"):
-        posed(tmp_path / "nothing", beside=tmp_path / "scene")
+        find_capture(tmp_path / "nothing", beside=tmp_path / "scene")
 
 
 @pytest.mark.parametrize("near", ["My photos", "elsewhere/scene"])
@@ -55,22 +61,22 @@ def test_an_earlier_capture_is_found_beside_the_photos_and_the_scene(
     near: str, photos: Path, tmp_path: Path
 ):
     scene = tmp_path / "elsewhere" / "scene"
-    place = place_of(photos, beside=tmp_path / near)
+    place = capture_place(photos, beside=tmp_path / near)
     assert place.name == "My photos-capture" and place.parent == (tmp_path / near).parent
     write_record(write_capture(place), photos)
-    assert posed(photos, beside=scene) == place
+    assert find_capture(photos, beside=scene) == place
 
 
 def test_of_a_video_it_is_called_without_the_extension(tmp_path: Path):
     (tmp_path / "walk.mp4").write_bytes(b"")
-    assert place_of(tmp_path / "walk.mp4", beside=tmp_path / "scene").name == "walk-capture"
+    assert capture_place(tmp_path / "walk.mp4", beside=tmp_path / "scene").name == "walk-capture"
 
 
 def test_photos_that_have_changed_since(photos: Path, tmp_path: Path):
-    place = write_record(write_capture(place_of(photos, beside=photos)), photos)
+    place = write_record(write_capture(capture_place(photos, beside=photos)), photos)
     save_noise(photos / "sub" / "4.png")
     with pytest.raises(StyleSplatError, match=r"have changed since .* sfm .* --overwrite`"):
-        earlier_capture(photos, beside=photos)
+        find_earlier_capture(photos, beside=photos)
     assert read_sfm(place) is not None
 
 
@@ -83,38 +89,38 @@ def test_hidden_files_are_no_change(photos: Path):
 def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
     others = tmp_path / "others" / photos.name
     shutil.copytree(photos, others)
-    write_record(write_capture(place_of(photos, beside=photos)), others)
-    assert earlier_capture(photos, beside=photos) is None
+    write_record(write_capture(capture_place(photos, beside=photos)), others)
+    assert find_earlier_capture(photos, beside=photos) is None
     with pytest.raises(StyleSplatError, match=r"something else\. Find them with .* -o CAPTURE`"):
-        posed(photos, beside=photos)
+        find_capture(photos, beside=photos)
 
 
 def test_a_scene_is_not_called_like_the_capture(photos: Path, tmp_path: Path):
     with pytest.raises(StyleSplatError, match="Choose another name"):
-        posed(photos, beside=tmp_path / "My photos-capture")
+        find_capture(photos, beside=tmp_path / "My photos-capture")
 
 
 def test_never_among_the_photos(photos: Path, tmp_path: Path):
-    assert place_of(photos, beside=photos / "sub" / "scene").parent == tmp_path
+    assert capture_place(photos, beside=photos / "sub" / "scene").parent == tmp_path
 
 
 def test_photos_by_the_names_that_the_user_knows(photos: Path, tmp_path: Path):
     record = read_sfm(write_record(write_capture(tmp_path / "capture"), photos))
     assert record is not None
     record.origins, record.left_out = {"a/1_png.png": "a/1.png"}, {"2.jpg": "blurred"}
-    assert view_called("a/1.png", record) == "a/1_png.png"
-    assert view_called("3.jpg", record) == view_called("3.jpg", None) == "3.jpg"
-    assert view_called("a/1", record) == "a/1_png.png", "suffixes may be left out"
+    assert view_of_photo("a/1.png", record) == "a/1_png.png"
+    assert view_of_photo("3.jpg", record) == view_of_photo("3.jpg", None) == "3.jpg"
+    assert view_of_photo("a/1", record) == "a/1_png.png", "suffixes may be left out"
     for name in ("2.jpg", "2"):
         with pytest.raises(StyleSplatError, match=r"2\.jpg has no pose: blurred"):
-            view_called(name, record)
+            view_of_photo(name, record)
 
 
 def test_a_damaged_record(photos: Path):
-    place = write_capture(place_of(photos, beside=photos))
+    place = write_capture(capture_place(photos, beside=photos))
     (place / "sfm.json").write_text('{"source": 3}')
     with pytest.raises(StyleSplatError, match=r"Cannot read .*sfm\.json"):
-        earlier_capture(photos, beside=photos)
+        find_earlier_capture(photos, beside=photos)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +141,7 @@ def test_boxes_in_no_photo_are_refused_before_poses_are_found(
 def test_photos_are_named_as_the_user_has_them(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    place = write_record(write_capture(place_of(photos, beside=photos)), photos)
+    place = write_record(write_capture(capture_place(photos, beside=photos)), photos)
     record = read_sfm(place)
     assert record is not None
     record.origins = {name: f"own {name}.png" for name in load(place).cameras.names}
@@ -145,9 +151,9 @@ def test_photos_are_named_as_the_user_has_them(
 
 
 def test_an_interrupted_run_is_known_by_its_folder(photos: Path):
-    assert not is_under_way(photos, beside=photos)
+    assert not is_sfm_unfinished(photos, beside=photos)
     (photos.parent / "My photos-capture.partial" / "sfm").mkdir(parents=True)
-    assert is_under_way(photos, beside=photos)
+    assert is_sfm_unfinished(photos, beside=photos)
 
 
 def save_ids(path: Path) -> None:

@@ -12,8 +12,8 @@ import torch
 
 import stylesplat
 from command_line import complaint
-from stylesplat.__main__ import main
-from stylesplat.cli.ending import BUG, OUT_OF_MEMORY
+from stylesplat.cli import main
+from stylesplat.cli.exit_status import BUG, OUT_OF_MEMORY
 from stylesplat.cli.objects import Objects
 from stylesplat.cli.train import Train
 
