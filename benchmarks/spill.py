@@ -29,11 +29,11 @@ from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.paint_objects import open_studio, paint_objects
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_images import read_style
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.paint import paint_context, paint_objects
+from stylesplat.stylization.style_image import read_style
+from stylesplat.stylization.target import PaintTarget
 
 RIM = 6.0  # pixels
 DEMO_REACH, FOX_REACH = 2.0, 6.0  # pixels: exact label maps, outlines by hand
@@ -83,8 +83,8 @@ def painted(scene: Scene, names: Sequence[str], style: Path, config: StyleConfig
     """The scene's Gaussians with some objects painted."""
     training, held_out = scene.working_views()
     picture, network = read_style(style), load_weights("compact", depth=3)
-    jobs = [StyleJob(name, find_object(scene, name), (picture,), config) for name in names]
-    studio = open_studio(scene.splats, training, network, held_out=held_out)
+    jobs = [PaintTarget(name, find_object(scene, name), (picture,), config) for name in names]
+    studio = paint_context(scene.splats, training, network, held_out=held_out)
     return paint_objects(studio, jobs)[0].splats
 
 

@@ -14,8 +14,8 @@ from stylesplat.figures.grid import CAPTION, HEAD
 from stylesplat.figures.object_sheet import CELL, MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
 from stylesplat.io.captures.photos import read_image
+from stylesplat.stylization.config import PRESETS
 from stylesplat.stylization.recipe import parse_variation
-from stylesplat.stylization.style_config import PRESETS
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"

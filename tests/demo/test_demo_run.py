@@ -14,7 +14,7 @@ from stylesplat.demo import demo_run as run
 from stylesplat.demo.demo_capture import MARKER, write_demo_capture
 from stylesplat.demo.demo_run import run_demo
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.verbs.train import train
 
 
@@ -32,7 +32,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "TRAINING", replace(run.TRAINING, steps=60))
     # Labels that are lifted are there after few steps
     monkeypatch.setattr(run, "train", partial(train, segment="lift"))
-    monkeypatch.setattr(run, "STYLING", StyleConfig(steps=2, pattern="large", max_growth=1.0))
+    monkeypatch.setattr(run, "STYLING", StyleConfig(steps=2, pattern="large", quality="draft"))
     monkeypatch.setattr("stylesplat.verbs.orbit.FRAMES", 3)
 
 

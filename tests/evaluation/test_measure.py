@@ -9,7 +9,7 @@ from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.views import ObjectView
 
 
 def test_evenly_spaced():

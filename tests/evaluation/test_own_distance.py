@@ -3,7 +3,7 @@ import torch
 
 from stylesplat.evaluation.own_distance import own_nnfm, share_of_way
 from stylesplat.stylization.features.vgg import Vgg
-from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.target import style_features
 
 

@@ -27,7 +27,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 from stylesplat.training.loop import fit
 
 TINY = 24  # pixels of a rendered side

@@ -23,8 +23,8 @@ from stylesplat.studio_app.keeping import AUTOSAVE, COMMANDS, FORMATS, Place, ex
 from stylesplat.studio_app.picking import pick_names, renamed
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.studio_app.studio_state import State, with_scene
-from stylesplat.stylization.paint_objects import paint
-from stylesplat.stylization.plain_settings import plain
+from stylesplat.stylization.config import plain_settings
+from stylesplat.stylization.paint import paint
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
     found = session.state.scene
     assert torch.equal(found.splats.sh0, wanted.sh0)
     (painting,) = found.layers
-    assert painting.settings == plain(QUICK) and painting.styles == quick_style().sources()
+    assert painting.settings == plain_settings(QUICK) and painting.styles == quick_style().sources()
     assert not torch.equal(seen[0], before.splats.sh0), "the colours are there at once"
     assert len(seen) > 2 and session.preview is None and session.progress is None
 

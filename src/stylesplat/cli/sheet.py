@@ -22,7 +22,7 @@ from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.signals import WHOLE
-from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.config import Network
 
 if TYPE_CHECKING:
     from stylesplat.verbs.sheet import Sheet as Drawn

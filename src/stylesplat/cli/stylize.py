@@ -13,7 +13,7 @@ from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.cli.scene_pictures import before_after_line, write_before_after
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.config import Network
 
 if TYPE_CHECKING:
     from stylesplat.scene.capture import Capture

@@ -23,8 +23,8 @@ from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.scene_folder import SCENE, open, save
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.scene import Scene
+from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import PRESETS as STYLE_PRESETS
 from stylesplat.training.train_config import PRESETS as TRAIN_PRESETS
 from stylesplat.verbs.export import export
 from stylesplat.verbs.load import load

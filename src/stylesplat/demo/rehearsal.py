@@ -14,8 +14,8 @@ import torch
 
 from stylesplat.demo.still_life import dome_cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.render import render
 from stylesplat.verbs.select import select

@@ -13,8 +13,8 @@ from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.matching import nnfm_loss
+from stylesplat.stylization.views import ObjectView
 
 RIM = 5  # pixels
 MAX_FEATURES = 8192  # of an object in a view that are measured: block 1 has one per pixel

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.target import resize, style_features
+from stylesplat.stylization.style_image import resize, style_features
 
 PLACES = 2048  # of all pictures that are looked up
 AT_ONCE = 256  # of them, as block 1 has a feature per pixel

@@ -15,7 +15,7 @@ from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.views import ObjectView
 
 TINY = 1e-12  # keeps 0 / 0 at 0: a style without any feature or any contrast
 

@@ -18,13 +18,18 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import object_colors
-from stylesplat.stylization.cut_scene import CutScene
-from stylesplat.stylization.looking import object_views, see_object
-from stylesplat.stylization.object_views import Box, ObjectView, find_boxes, typical_length
-from stylesplat.stylization.paint_objects import moved
-from stylesplat.stylization.repaint import target_features
-from stylesplat.stylization.style_job import Studio, StyleJob
+from stylesplat.stylization.colors import object_colors
+from stylesplat.stylization.crop_scene import SceneCrop
+from stylesplat.stylization.optimize import target_features
+from stylesplat.stylization.target import PaintContext, PaintTarget
+from stylesplat.stylization.views import (
+    Box,
+    ObjectView,
+    find_boxes,
+    object_views,
+    require_boxes,
+    typical_length,
+)
 
 LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever the pattern
 VIEWS = 4  # of the object, and of the scene
@@ -32,12 +37,12 @@ STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
 
 
 def measure_painted(
-    studio: Studio,
-    jobs: Sequence[StyleJob],
+    studio: PaintContext,
+    jobs: Sequence[PaintTarget],
     styled: Splats,
     *,
     held_out: Cameras | None = None,
-    cuts: Mapping[str, CutScene] | None = None,
+    cuts: Mapping[str, SceneCrop] | None = None,
     families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
     """What painting some objects did to them and to the scene.
@@ -56,24 +61,24 @@ def measure_painted(
     """
     base, training = studio.splats, studio.cameras
     measured = replace(studio, cameras=held_out or training)
-    jobs = [moved(job, base) for job in jobs]
+    jobs = [job.to(base) for job in jobs]
     objects = {}
     for job in jobs:
         if cuts and job.name in cuts:
             assert families is not None
-            rows, after = (cuts[job.name].among(each.to(base.device)) for each in families)
+            rows, after = (cuts[job.name].rows_in(each.to(base.device)) for each in families)
             cut = replace(cuts[job.name], rows=rows)
-            part, own, after = cut.studio(measured), cut.job(job), styled[after]
-            fallback = cut.showing(training)
+            part, own, after = cut.context(measured), cut.target(job), styled[after]
+            fallback = cut.cameras(training)
         else:
             part, own, after, fallback = measured, job, styled, training
         objects[job.name] = measure_object(part, own, after, fallback=fallback)
-    picked = torch.stack([job.picked for job in jobs]).any(dim=0)
+    picked = torch.stack([job.mask for job in jobs]).any(dim=0)
     return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
 
 
 def measure_object(
-    studio: Studio, job: StyleJob, styled: Splats, *, fallback: Cameras
+    studio: PaintContext, job: PaintTarget, styled: Splats, *, fallback: Cameras
 ) -> dict[str, float]:
     """How close an object is to its style, what is left of it, and whether views agree.
 
@@ -89,17 +94,17 @@ def measure_object(
         What `measure_style` and `measure_look` return.
     """
     base = studio.splats
-    cameras = showing(base, job.picked, studio.cameras, fallback=fallback)
+    cameras = showing(base, job.mask, studio.cameras, fallback=fallback)
     try:
         numbers = measure_style(replace(studio, cameras=cameras), job, styled)
     except StyleSplatError as error:  # the style is done all the same
         say(f"{job.name} is not compared with its style: {error}")
         numbers = {}
-    return numbers | measure_look(base, styled, cameras, job.picked)
+    return numbers | measure_look(base, styled, cameras, job.mask)
 
 
 @torch.no_grad()
-def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, float]:
+def measure_style(studio: PaintContext, job: PaintTarget, styled: Splats) -> dict[str, float]:
     """How close an object is to its style. Its views and all style features are in float32.
 
     Args:
@@ -113,7 +118,7 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
         `share_of_way` between what it was and that; where the colours are to be the style's, the
         share `off_palette` that is not, and `palette_distance`.
     """
-    layers, boxes = job.config.layers, see_object(studio, job, studio.cameras)
+    layers, boxes = job.config.layers, require_boxes(studio, job, studio.cameras)
     views, targets = _object_in_styles(studio, job, boxes, layers)
     rest = (views, targets, studio.network, layers)
     numbers = {
@@ -130,7 +135,7 @@ def measure_style(studio: Studio, job: StyleJob, styled: Splats) -> dict[str, fl
     }
 
 
-def _way(nnfm: Mapping[str, float], studio: Studio, job: StyleJob) -> dict[str, float]:
+def _way(nnfm: Mapping[str, float], studio: PaintContext, job: PaintTarget) -> dict[str, float]:
     """How far the style is from itself, and the share of the way there that is done."""
     length = job.config.scale * LENGTH
     own = own_nnfm(job.styles, studio.network, job.config.layers, length=length)
@@ -140,7 +145,7 @@ def _way(nnfm: Mapping[str, float], studio: Studio, job: StyleJob) -> dict[str, 
     return {"nnfm_of_style": own} | ({} if share is None else {"share_of_way": share})
 
 
-def _colors(views: Sequence[ObjectView], job: StyleJob, styled: Splats) -> dict[str, float]:
+def _colors(views: Sequence[ObjectView], job: PaintTarget, styled: Splats) -> dict[str, float]:
     """Whether the object's colours are the style's, if they are to be."""
     if job.config.color != "style":
         return {}
@@ -200,7 +205,7 @@ def showing(
 
 
 def _object_in_styles(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], layers: Sequence[int]
+    studio: PaintContext, job: PaintTarget, boxes: Sequence[Box], layers: Sequence[int]
 ) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the object, and the features of the style image, for some layer groups."""
     config = replace(job.config, layers=tuple(layers))

@@ -20,7 +20,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.in_images import in_images
-from stylesplat.stylization.object_views import SURVEY_SIZE
+from stylesplat.stylization.views import SURVEY_SIZE
 
 VIEWS = 3  # of an object
 SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image

@@ -30,7 +30,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.survey import survey
-from stylesplat.stylization.object_views import SURVEY_SIZE
+from stylesplat.stylization.views import SURVEY_SIZE
 
 CELL = 256  # pixels along a cut-out
 GAP = 8  # pixels between the cut-outs of one object

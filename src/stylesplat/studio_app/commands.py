@@ -9,8 +9,7 @@ import torch
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.pasted import pasted
 from stylesplat.studio_app.studio_state import State
-from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig, plain_settings
 
 # Of the settings, those that are no options of `stylize`
 NO_OPTIONS = frozenset({"intensity", "lr", "final_lr", "view_share", "object_size"})
@@ -79,7 +78,7 @@ def _placed(words: tuple[str, ...], folder: Path) -> str:
 def _options(layer: Layer) -> Iterator[str]:
     pictures = ",".join(str(source.path or "PICTURE") for source in layer.styles)
     yield from ("--style", f"{layer.object}={pictures}")
-    usual = plain(StyleConfig())
+    usual = plain_settings(StyleConfig())
     for field in fields(StyleConfig):
         value = layer.settings.get(field.name, usual[field.name])
         if field.name in NO_OPTIONS or value == usual[field.name]:

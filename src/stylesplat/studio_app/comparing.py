@@ -7,8 +7,7 @@ from stylesplat.scene.compose import strengths_of
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio_state import State
 from stylesplat.studio_app.thumbnails import Thumbnail, object_thumbnail, portrait_camera
-from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig, plain_settings
 from stylesplat.verbs.adjust import adjust
 
 
@@ -65,7 +64,7 @@ def variant_of(session: Session, name: str, title: str) -> Variant:
 
 def described(variants: Sequence[Variant]) -> str:
     """A line for each variant: its number, its title, and what of its settings is unusual."""
-    usual = plain(StyleConfig())
+    usual = plain_settings(StyleConfig())
     lines = list[str]()
     for number, variant in enumerate(variants, 1):
         other = {key: value for key, value in variant.settings.items() if value != usual.get(key)}

@@ -19,7 +19,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.session import Progress, Session, Stopped
 from stylesplat.studio_app.studio_state import State, names_in, shown, unless_all, with_scene
-from stylesplat.stylization.color import color_map, map_colors
+from stylesplat.stylization.colors import color_map, map_colors
 from stylesplat.stylization.style import Picture, Style
 from stylesplat.verbs.stylize_live import Live, stylize_live
 

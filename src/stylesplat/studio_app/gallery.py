@@ -9,7 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
 from stylesplat.studio_app.thumbnails import Thumbnail, picture_thumbnail
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 
 MOST_BYTES = 40 * 2**20  # of an upload
 MOST_PICTURES = 60  # in the gallery

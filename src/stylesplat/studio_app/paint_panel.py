@@ -8,7 +8,7 @@ from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.style_part import StylePart
 from stylesplat.studio_app.thumbnails import grid
 from stylesplat.studio_app.widgets import icon
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig
 
 if TYPE_CHECKING:
     import viser

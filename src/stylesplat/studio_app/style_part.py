@@ -11,7 +11,7 @@ from stylesplat.figures.compositing import to_uint8
 from stylesplat.studio_app.gallery import Exhibit, Gallery
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.wire import TITLE
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 
 if TYPE_CHECKING:
     import viser

@@ -8,8 +8,8 @@ from stylesplat.progress import Silence, observed
 from stylesplat.scene.ring import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.stylize_live import stylize_live
 from stylesplat.work import Worker
 
@@ -43,7 +43,7 @@ def warm_up(worker: Worker, **options: Any) -> None:
         worker: In whose thread this is; it does what it is asked for meanwhile.
         options: Of `stylize_live`.
     """
-    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
+    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, quality="draft"))
     with observed(_Breath(worker)):
         for _ in stylize_live(ball_of_noise(), NAME, style, **options):
             pass

@@ -27,12 +27,9 @@ from stylesplat.scene.frames import posed_as
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.paint_objects import moved, open_studio
-from stylesplat.stylization.paint_task import load_network
-from stylesplat.stylization.plain_settings import with_settings
+from stylesplat.stylization.config import StyleConfig, with_settings
 from stylesplat.stylization.style import Style, digest
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.target import PaintTarget, load_network, paint_context
 from stylesplat.verbs.stylize import flat_metrics
 
 SCHEMA = "stylesplat-evaluation-1"  # of what is measured; `compare` has it for each scene
@@ -120,8 +117,8 @@ def _closeness(
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
-        job = moved(StyleJob(layer.object, picked, style.read(), style.config), base)
-        return measure_style(open_studio(base, views, network), job, styled)
+        target = PaintTarget(layer.object, picked, style.read(), style.config).to(base)
+        return measure_style(paint_context(base, views, network), target, styled)
     except StyleSplatError as error:
         say(f"{layer.object} is not compared with its style: {error}")
         return {}

@@ -23,10 +23,10 @@ from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.paint_objects import check_jobs
+from stylesplat.stylization.config import Network
+from stylesplat.stylization.paint import check_targets
 from stylesplat.stylization.style import Picture, Style
-from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.target import PaintTarget
 from stylesplat.verbs.stylize import stylize_unmeasured
 
 Drawn = UInt8[Tensor, "_ _ 3"]
@@ -137,8 +137,8 @@ def _looked(
 ) -> tuple[Splats, Cameras]:
     """What a sheet shows an object with, and from where; it and its styles are checked."""
     picked = find_object(scene, name)
-    jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in runs]
-    check_jobs(jobs[:1])
+    jobs = [PaintTarget(name, picked, style.read(), style.config) for style, _ in runs]
+    check_targets(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
     return splats, close_up(splats, cameras, picked.to(splats.device))

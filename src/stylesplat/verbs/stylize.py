@@ -27,19 +27,19 @@ from stylesplat.scene.compose import (
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.cut_scene import CutScene
+from stylesplat.stylization.config import Network
+from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint_objects import (
-    MAX_MEMORY,
-    check_sight,
-    moved,
-    open_studio,
-    paint_layer,
-)
-from stylesplat.stylization.paint_task import PaintTask, load_network, paint_tasks
+from stylesplat.stylization.paint import check_paintable, paint_layer
 from stylesplat.stylization.style import Picture, Recipe, Style, StyledObject, as_recipe
-from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_job import Studio
+from stylesplat.stylization.target import (
+    MAX_MEMORY,
+    PaintContext,
+    PaintTask,
+    load_network,
+    paint_context,
+    paint_tasks,
+)
 
 ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over networks
 
@@ -87,14 +87,14 @@ class Studios:
     networks: "dict[Any, FeatureNetwork]"
     """Those that were loaded."""
 
-    def open(self, splats: Splats, task: PaintTask) -> Studio:
+    def open(self, splats: Splats, task: PaintTask) -> PaintContext:
         """The studio in which one object is painted, or measured."""
         training, held_out = self.scene.working_views()
         key = task.features, task.weights
         if key not in self.networks:
             styles = [each.style for each in self.tasks if (each.features, each.weights) == key]
             self.networks[key] = load_network(styles, *key)
-        return open_studio(
+        return paint_context(
             splats.to(self.device),
             training,
             self.networks[key],
@@ -173,7 +173,7 @@ def stylize_unmeasured(
     anew = [task.name for task in tasks if task.name in shown]
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
-    seconds, cuts, precisions = dict[str, float](), dict[str, CutScene](), dict[str, str]()
+    seconds, cuts, precisions = dict[str, float](), dict[str, SceneCrop](), dict[str, str]()
     for task in tasks:
         began = time.perf_counter()
         scene, cut = _painted(studios, scene, task)
@@ -215,17 +215,17 @@ def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_sight(studios: Studios, scene: Scene, task: PaintTask) -> None:
     under, _ = beneath(scene, task.name)
-    studio = studios.open(under.splats, task)
-    check_sight(studio, moved(task.job(family(under)), studio.splats))
+    context = studios.open(under.splats, task)
+    check_paintable(context, task.target(family(under)).to(context.splats))
 
 
-def _painted(studios: Studios, scene: Scene, task: PaintTask) -> tuple[Scene, CutScene | None]:
+def _painted(studios: Studios, scene: Scene, task: PaintTask) -> tuple[Scene, SceneCrop | None]:
     """The scene with one more layer, or another one, and the part that was looked at, if any."""
     under, place = beneath(scene, task.name)
     studio, rows = studios.open(under.splats, task), family(under)
-    job = moved(task.job(rows), studio.splats)
-    layer, cut = paint_layer(studio, job, rows.to(studio.splats.device))
-    layer = task.recorded(layer, studio.precision_name)
+    target = task.target(rows).to(studio.splats)
+    layer, cut = paint_layer(studio, target, rows.to(studio.splats.device))
+    layer = task.record(layer, studio.precision_name)
     return with_layer(scene, place, layer), cut and cut.of_base(rows.to(cut.rows.device))
 
 
@@ -245,7 +245,7 @@ def _by_network(tasks: Sequence[PaintTask]) -> list[list[PaintTask]]:
 
 
 def _measured(
-    studios: Studios, tasks: Sequence[PaintTask], cuts: Mapping[str, CutScene], scene: Scene
+    studios: Studios, tasks: Sequence[PaintTask], cuts: Mapping[str, SceneCrop], scene: Scene
 ) -> dict[str, Any]:
     """What painting some objects did, with one entry per number.
 
@@ -260,7 +260,7 @@ def _measured(
     return flat_metrics(
         measure_painted(
             studio,
-            [task.job(rows) for task in tasks],
+            [task.target(rows) for task in tasks],
             splats.to(studio.splats.device),
             held_out=held_out,
             cuts=cuts,
