@@ -36,20 +36,16 @@ from stylesplat.evaluation.style import measure_style
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.features.network import Convolution, FeatureNetwork
-from stylesplat.stylization.features.precision import fastest_dtype
+from stylesplat.stylization.config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.stylization.features.network import Convolution, FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
-from stylesplat.stylization.looking import object_views, see_object
 from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.object_views import ObjectView
-from stylesplat.stylization.paint_objects import open_studio
-from stylesplat.stylization.repaint import repaint
-from stylesplat.stylization.stages import COARSE
-from stylesplat.stylization.style_config import SIZES, Network, StyleConfig
-from stylesplat.stylization.style_images import read_style
-from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.target import resize, style_features
+from stylesplat.stylization.optimize import repaint
+from stylesplat.stylization.paint import paint_context
+from stylesplat.stylization.style_image import read_style
+from stylesplat.stylization.target import PaintTarget, resize, style_features
+from stylesplat.stylization.views import ObjectView, object_views, require_boxes
 
 FOX = 1  # label id
 MEDIUM = float(SIZES["medium"] or 0)  # pixels of an object when its style is matched last
@@ -78,10 +74,10 @@ class Bench:
     scene: ss.Scene
     paintings: dict[str, Tensor]
 
-    def job(self, painting: str) -> StyleJob:
+    def job(self, painting: str) -> PaintTarget:
         """The fox in a painting."""
         picked = pick(self.scene.splats, object_id=FOX)
-        return StyleJob(painting, picked, (self.paintings[painting],), StyleConfig())
+        return PaintTarget(painting, picked, (self.paintings[painting],), StyleConfig())
 
 
 def photos(scene: str) -> list[Tensor]:
@@ -93,9 +89,9 @@ def photos(scene: str) -> list[Tensor]:
 def fox_views(bench: Bench, length: float) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the fox at some size, and their renders."""
     training, _ = bench.scene.working_views()
-    studio = open_studio(bench.scene.splats, training, bench.vgg19)
+    studio = paint_context(bench.scene.splats, training, bench.vgg19)
     job = bench.job(next(iter(bench.paintings)))
-    views = evenly(object_views(studio, job, see_object(studio, job, training), length), VIEWS)
+    views = evenly(object_views(studio, job, require_boxes(studio, job, training), length), VIEWS)
     images = [rasterize(bench.scene.splats, view.camera)[0][0].clamp(0, 1) for view in views]
     return views, images
 
@@ -174,7 +170,7 @@ def equivalence(bench: Bench) -> str:
     for name in bench.paintings:
         job, losses = bench.job(name), {}
         for title, network in (("vgg19", bench.vgg19), ("compact", bench.compact)):
-            studio = open_studio(bench.scene.splats, training, network, held_out=held_out)
+            studio = paint_context(bench.scene.splats, training, network, held_out=held_out)
             *_, last = repaint(studio, job)
             judged = replace(studio, network=bench.vgg19, cameras=held_out or training)
             found = measure_style(judged, job, last.splats)

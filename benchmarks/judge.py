@@ -26,7 +26,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.matching import nnfm_loss
 
 SIZES = {"full": 1.0, "half": 0.5}  # of the photos
 STYLE_SIZE = 2.0  # longer side of the painting, in those of the object: strokes of the usual size

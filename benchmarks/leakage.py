@@ -24,13 +24,12 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.paint_objects import open_studio, paint_objects
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_images import read_style
-from stylesplat.stylization.style_job import StyleJob
-from stylesplat.stylization.target import style_features
+from stylesplat.stylization.matching import nnfm_loss
+from stylesplat.stylization.paint import paint_context, paint_objects
+from stylesplat.stylization.style_image import read_style
+from stylesplat.stylization.target import PaintTarget, style_features
 
 SCENES = {"fox": (1.0, 100_000), "desk": (2.0, 80_000)}  # downscale and Gaussians
 OBJECT_ID = 1
@@ -94,8 +93,8 @@ def compare(name: str, steps: int) -> list[list[object]]:
     network = style_network()
     style = read_style(STYLES / "van_gogh_starry_night_1024.jpg")
     picked = pick(scene.splats, object_id=OBJECT_ID)
-    job = StyleJob(name, picked, (style,), StyleConfig(steps=steps, max_growth=1.0))
-    studio = open_studio(scene.splats, training, network, held_out=held_out)
+    job = PaintTarget(name, picked, (style,), StyleConfig(steps=steps, max_growth=1.0))
+    studio = paint_context(scene.splats, training, network, held_out=held_out)
     ours, _ = paint_objects(studio, [job])
     theirs = masked_in_2d(scene.splats, (training, maps), style, network, steps)
     return [

@@ -67,7 +67,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 
 COLUMNS = (
     "kept",

@@ -26,10 +26,10 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.object_views import Box, find_boxes
-from stylesplat.stylization.paint_objects import paint
-from stylesplat.stylization.style_config import Pattern, StyleConfig
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.config import Pattern, StyleConfig
+from stylesplat.stylization.paint import paint
+from stylesplat.stylization.style_image import read_style
+from stylesplat.stylization.views import Box, find_boxes
 
 SLOW = 0.25  # of the object's length: what changes more slowly is no stroke
 LEVEL = 0.5  # of the autocorrelation

@@ -45,16 +45,14 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.matching import StyleIndex, nearest
-from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
-from stylesplat.stylization.paint_objects import Styled, open_studio, paint_live, paint_objects
-from stylesplat.stylization.repaint import repaint
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_images import read_style
-from stylesplat.stylization.style_job import Studio, StyleJob
-from stylesplat.stylization.target import style_features
+from stylesplat.stylization.matching import StyleIndex, nearest, nnfm_loss
+from stylesplat.stylization.optimize import repaint
+from stylesplat.stylization.paint import Painted, paint_context, paint_live, paint_objects
+from stylesplat.stylization.style_image import read_style
+from stylesplat.stylization.target import PaintContext, PaintTarget, style_features
+from stylesplat.stylization.views import crop_views, find_boxes, typical_length
 
 FOX, SHIELD = 1, 2  # label ids
 NAIVE_STYLE = 512  # pixels of the style image, 13,000 features
@@ -80,17 +78,17 @@ class Bench:
     network: FeatureNetwork
     style: Tensor
 
-    def job(self, object_id: int, **settings: object) -> StyleJob:
+    def job(self, object_id: int, **settings: object) -> PaintTarget:
         """One object in the style."""
         picked = pick(self.splats, object_id=object_id)
         config = replace(StyleConfig(), **settings)
-        return StyleJob(str(object_id), picked, (self.style,), config)
+        return PaintTarget(str(object_id), picked, (self.style,), config)
 
     def loss(self, splats: Splats, picked: Tensor, length: float) -> float:
         """The exact NNFM in held-out views."""
         boxes = find_boxes(self.splats, self.held_out, picked)
         zoom = length / typical_length(boxes)
-        views = cut_views(self.splats, boxes, picked, [self.network.cells(3)], zoom=zoom)
+        views = crop_views(self.splats, boxes, picked, [self.network.cells(3)], zoom=zoom)
         targets = style_features(self.style, self.network, (3,), length=2 * length)
         few = evenly(views, 4)
         return object_nnfm(renders(splats, few), few, targets, self.network, (3,))
@@ -152,7 +150,7 @@ def shortcuts(bench: Bench) -> str:
         name: str, dtype: torch.dtype, room: float, *, compressed: bool
     ) -> tuple[str, float, float]:
         cameras = bench.training
-        studio = Studio(bench.splats, cameras, cameras, bench.network, dtype, room)
+        studio = PaintContext(bench.splats, cameras, cameras, bench.network, dtype, room)
         search = StyleIndex.nearest if compressed else exhaustive
         with patch.object(StyleIndex, "nearest", search):
             start = time.perf_counter()
@@ -210,23 +208,23 @@ def naive_loss(feats: Tensor, cells: Tensor, target: Tensor) -> Tensor:
     return nnfm_loss(feats[cells], target)
 
 
-def _arguments(bench: Bench, job: StyleJob) -> tuple[Splats, Cameras, Tensor, Tensor]:
+def _arguments(bench: Bench, job: PaintTarget) -> tuple[Splats, Cameras, Tensor, Tensor]:
     return bench.splats, bench.training, job.picked, bench.style
 
 
 class Run(NamedTuple):
     """Objects that were painted, as `stylize` does it."""
 
-    styled: Styled
+    styled: Painted
     seconds: float
     """With measuring."""
     painting: dict[str, float]
     """Seconds of each object."""
 
 
-def _styled(bench: Bench, *jobs: StyleJob) -> Run:
+def _styled(bench: Bench, *jobs: PaintTarget) -> Run:
     start = time.perf_counter()
-    studio = open_studio(bench.splats, bench.training, bench.network, held_out=bench.held_out)
+    studio = paint_context(bench.splats, bench.training, bench.network, held_out=bench.held_out)
     styled, painting = paint_objects(studio, jobs)
     measure_painted(studio, jobs, styled.splats, held_out=bench.held_out)
     return Run(styled, time.perf_counter() - start, painting)

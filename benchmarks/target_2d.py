@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.matching import nnfm_loss
 
 RATE, LAST_RATE = 0.02, 0.1  # of Adam on colours in 0..1; the last one as a share of the first
 MOST = 8192  # of the painting's features at a size, evenly chosen: all take minutes a view

@@ -34,8 +34,7 @@ from stylesplat.stylization.features.compact import (
     Compact,
     compact_from,
 )
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.precision import fastest_dtype
+from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.weights import PACKAGED, load_vgg
 from training_pictures import SIZE, training_pictures
 

@@ -14,11 +14,11 @@ from stylesplat.scene.compose import mask_of
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.stylize import stylize_unmeasured
 
-FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6, max_growth=3.0)
+FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6)
 ROWS = torch.arange(len(SPLATS))
 RED, GREEN, BLUE = ((ROWS >= start) & (ROWS < start + 80) for start in (200, 280, 360))
 PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
@@ -77,7 +77,7 @@ def write_painted(
     once = painted(opened(folder / "trained"), "red", wave, **rest)
     scene_folder.save(once, folder / "once")
     pictured = pictures(wave, night)
-    twice = painted(opened(folder / "once"), second, pictured, max_growth=1.0, **rest)
+    twice = painted(opened(folder / "once"), second, pictured, quality="draft", **rest)
     scene_folder.save(twice, folder / "twice")
     return folder
 

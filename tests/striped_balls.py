@@ -6,14 +6,13 @@ import torch
 
 from balls import SPLATS
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.target import PaintTarget
 
-FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, max_growth=1.0)
+FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, quality="draft")
 BANDS = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=torch.Generator().manual_seed(0))
 SCENE = replace(SPLATS, shN=BANDS)
 TABLE = 200  # Gaussians before the balls' 80 each
-GROWN = 2.5  # cap of the tests that lay a canvas
 
 
 def ball(number: int) -> torch.Tensor:
@@ -26,5 +25,5 @@ def same(one: Splats, other: Splats) -> bool:
     return all(torch.equal(t, other.tensors()[name]) for name, t in one.tensors().items())
 
 
-def with_settings(job: StyleJob, **settings) -> StyleJob:
+def with_settings(job: PaintTarget, **settings) -> PaintTarget:
     return replace(job, config=replace(job.config, **settings))

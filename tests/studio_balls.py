@@ -8,10 +8,10 @@ from balls import CAMERAS, SPLATS
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.session import Session
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
 
-QUICK = StyleConfig(steps=4, layers=(1,), object_size=30, max_growth=2.0)
+QUICK = StyleConfig(steps=4, layers=(1,), object_size=30)
 
 
 def session_in(folder: Path) -> Session:

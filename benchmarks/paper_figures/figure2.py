@@ -33,10 +33,9 @@ from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.matching import build_index
-from stylesplat.stylization.nnfm import cosine_distance
-from stylesplat.stylization.object_views import find_boxes, typical_length
+from stylesplat.stylization.matching import build_index, cosine_distance
 from stylesplat.stylization.target import style_features
+from stylesplat.stylization.views import find_boxes, typical_length
 from stylesplat.training.lifting import lift
 
 NAME = "figure2"

@@ -29,8 +29,8 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import Labels, Mask, resize_labels
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.paint_objects import open_studio
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.paint import paint_context
+from stylesplat.stylization.target import PaintTarget
 
 NAME = "official"
 SQUASHED, BLACK, BICUBIC = "style squashed", "black background counts", "bicubic labels"
@@ -77,8 +77,8 @@ def _styled(subject: Subject, faults: tuple[str, ...]) -> Outcome:
 def _closeness(subject: Subject, styled: Splats) -> float:
     """NNFM of the object as it is now with the style as it is, in held-out views."""
     id, style = subject.ids[0], next(iter(subject.styles.values()))
-    job = StyleJob(subject.called(id), subject.picked(id), (style,), paper_config(subject))
-    studio = open_studio(subject.splats, subject.held_out, subject.network)
+    job = PaintTarget(subject.called(id), subject.picked(id), (style,), paper_config(subject))
+    studio = paint_context(subject.splats, subject.held_out, subject.network)
     return measure_style(studio, job, styled)["nnfm_after"]
 
 

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from paper_figures.subject import Subject
 from stylesplat.stylization import repaint
-from stylesplat.stylization.paint_objects import Styled, open_studio, paint_objects
-from stylesplat.stylization.style_config import PRESETS, StyleConfig
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.config import PRESETS, StyleConfig
+from stylesplat.stylization.paint import Painted, paint_context, paint_objects
+from stylesplat.stylization.target import PaintTarget
 
 
 def default_config(subject: Subject) -> StyleConfig:
@@ -32,12 +32,12 @@ def painted(
     config: StyleConfig,
     *,
     side: int | None = None,
-) -> Styled:
+) -> Painted:
     """Some objects in a style each, from the training views, this long if that is said."""
     views = subject.training if side is None else subject.training.at_most(side)
-    studio = open_studio(subject.splats, views, subject.network, held_out=subject.held_out)
+    studio = paint_context(subject.splats, views, subject.network, held_out=subject.held_out)
     jobs = [
-        StyleJob(subject.called(id), subject.picked(id), (style,), config)
+        PaintTarget(subject.called(id), subject.picked(id), (style,), config)
         for id, style in styles.items()
     ]
     return paint_objects(studio, jobs)[0]

@@ -23,7 +23,7 @@ from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 
 # Many small Gaussians on the demo's objects carry the strokes.
 JOINT_TRAINING = replace(TRAINING, object_growth=10.0, object_pixels=2.5)

@@ -12,17 +12,18 @@ from dense_ball import LIGHT, PICKED, WAYS, dense_ball
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import (
     Form,
     form_distance,
     form_relief,
+    form_shares,
     luminance_bands,
     measure_form,
 )
-from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length
-from stylesplat.stylization.paint_objects import paint
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.paint import paint
+from stylesplat.stylization.views import crop_views, find_boxes, typical_length
 
 LENGTH = 120.0  # longer side of the object, in pixels
 SIDE = 140
@@ -54,7 +55,7 @@ FAR = MASK & (spot(*EYE, 5 * RADIUS) == 0) & (XS.square() + YS.square() < (0.4 *
 
 
 def form_of(image: Tensor) -> Form:
-    return measure_form(image, MASK, LENGTH)
+    return measure_form(image, MASK, LENGTH, form_shares([image], [MASK], LENGTH))
 
 
 def distance(image: Tensor, form: Form) -> float:
@@ -137,7 +138,8 @@ def test_sizes_follow_the_object():
     """Twice as large in twice as many pixels, it has the same form."""
     soft = grey(PLAIN - 0.3 * (-((XS - 14).square() + (YS + 12).square()) / 50).exp())
     double, mask = (each.repeat_interleave(2, 0).repeat_interleave(2, 1) for each in (soft, MASK))
-    large, small = measure_form(double, mask, 2 * LENGTH), form_of(soft)
+    shares = form_shares([double], [mask], 2 * LENGTH)
+    large, small = measure_form(double, mask, 2 * LENGTH, shares), form_of(soft)
     assert large.shares == pytest.approx(small.shares, abs=0.1)
     for one, other in zip(large.details, small.details, strict=True):
         shrunk = one.reshape(SIDE, 2, SIDE, 2).mean(dim=(1, 3))
@@ -148,7 +150,7 @@ FINE = enlarged(CAMERAS, 4)
 TO_EYE = torch.nn.functional.normalize(FINE.positions[0], dim=0)  # from the ball, nearly
 AROUND_EYE = WAYS @ TO_EYE > math.cos(math.radians(25))
 ON_EYE = WAYS @ TO_EYE > math.cos(math.radians(9))
-FAST = StyleConfig(steps=40, layers=(2,), scale=1.0, object_size=60, max_growth=1.0, lr=0.2)
+FAST = StyleConfig(steps=100, layers=(2,), scale=1.0, object_size=60, lr=0.4, quality="draft")
 BALL = dense_ball(LIGHT - 0.35 * ON_EYE[:, None])
 
 
@@ -170,14 +172,14 @@ def test_painted_objects_keep_their_eyes_if_their_form_is_kept(
         painted = paint(BALL, FINE, PICKED, stripes, config=config, network=network)
         return float(torch.corrcoef(torch.stack([luminance(BALL), luminance(painted)]))[0, 1])
 
-    assert kept(1.0) > max(kept(0.0) + 0.15, 0.45)
+    assert kept(1.0) > max(kept(0.0) + 0.1, 0.45)
 
 
 def test_relief_is_where_the_form_is(network: FeatureNetwork):
     """Darker on the eye than around it, faint elsewhere, nothing on what is not picked."""
     boxes = find_boxes(BALL, FINE, PICKED)
-    views = cut_views(BALL, boxes, PICKED, [network.cells(2)], zoom=1.0, max_memory=1e9)
-    relief = form_relief(BALL, PICKED, views, typical_length(boxes))
+    views = crop_views(BALL, boxes, PICKED, [network.cells(2)], zoom=1.0, max_memory=1e9)
+    relief = form_relief(BALL, BALL, PICKED, views, typical_length(boxes), (1.0, 1.0))
     assert not relief[~PICKED].any()
     own, sides = relief[PICKED], WAYS @ TO_EYE
     ring = AROUND_EYE & ~ON_EYE & (sides > math.cos(math.radians(13)))

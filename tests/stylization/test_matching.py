@@ -6,8 +6,7 @@ import torch
 from torch.nn.functional import normalize
 
 from stylesplat.stylization import matching
-from stylesplat.stylization.matching import build_index, largest_columns, nearest
-from stylesplat.stylization.nnfm import cosine_distance
+from stylesplat.stylization.matching import build_index, cosine_distance, largest_columns, nearest
 
 
 def features(count: int, width: int = 96, *, seed: int, rank: int = 200) -> torch.Tensor:

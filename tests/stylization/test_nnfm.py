@@ -3,8 +3,7 @@ import torch
 from torch.nn.functional import normalize
 
 from stylesplat.stylization import matching
-from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.matching import nearest, nnfm_loss
 
 EXACT = 1e-6  # a few roundings of float32
 

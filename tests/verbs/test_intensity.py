@@ -55,7 +55,7 @@ def blend_error(
 def strong(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Colours at the edge of their range, so that many are clamped."""
     return painted(
-        TRAINED, "red", write_pictures(tmp_path_factory.mktemp("pictures"))[0], max_growth=1.0
+        TRAINED, "red", write_pictures(tmp_path_factory.mktemp("pictures"))[0], quality="draft"
     )
 
 
@@ -79,7 +79,7 @@ def calm() -> Scene:
     """Colours in the middle of their range."""
     scene = replace(TRAINED, splats=replace(SPLATS, sh0=SPLATS.sh0 / 2))
     picture = 0.45 + 0.1 * torch.rand(64, 80, 3, generator=torch.Generator().manual_seed(0))
-    style = Style(picture, steps=3, layers=(1,), object_size=30, lr=0.01, max_growth=1.0)
+    style = Style(picture, steps=3, layers=(1,), object_size=30, lr=0.01, quality="draft")
     return stylize(scene, {"red": style}, device="cpu")
 
 

@@ -25,9 +25,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
 from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.stylization.config import Precision
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
-from stylesplat.stylization.style_config import Precision
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
@@ -78,7 +78,7 @@ def test_a_recipe_makes_again_what_took_several_runs(
     wave, night = pictures
     scene = painted(scene_folder.open(trained), "green", (night, wave), seed=4)
     scene = painted(scene, "3", wave, intensity=0.8, steps=2)
-    scene = painted(scene, "blue", night, color="keep", max_growth=1.0)
+    scene = painted(scene, "blue", night, color="keep", quality="draft")
     scene = adjust(scene, 0.5, objects=("green", "blue"))
     assert scene.painted_objects == ("green", "3", "blue")
     assert [each.strength for each in scene.layers] == [0.5, 0.8, 0.5]

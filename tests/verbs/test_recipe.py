@@ -11,9 +11,9 @@ import pytest
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import write_json
 from stylesplat.scene.layer import Source
+from stylesplat.stylization.config import PRESETS, Network, StyleConfig
 from stylesplat.stylization.recipe import SHARED, read_recipe
 from stylesplat.stylization.style import Recipe
-from stylesplat.stylization.style_config import PRESETS, Network, StyleConfig
 
 DEFAULTS = StyleConfig(steps=7, seed=5)
 

@@ -23,9 +23,9 @@ from painted_balls import (
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import revise, save
 from stylesplat.scene.compose import strengths_of
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.stylize import stylize
 
@@ -120,7 +120,7 @@ def test_the_recipe_of_a_styled_scene_makes_it_again(folder: Path, tmp_path: Pat
     styled = folder / "twice"
     recipe = read_recipe(styled / "recipe.json", defaults=StyleConfig(steps=999, seed=9))
     _, green = recipe.objects
-    own = replace(FAST, max_growth=1.0)
+    own = replace(FAST, quality="draft")
     assert (green.name, green.style.config, green.features) == ("green", own, "compact")
     assert green.style.pictures == (folder / "night.png", folder / "wave.png")
     save(stylize(opened(folder / "trained"), recipe, device="cpu"), tmp_path / "again")

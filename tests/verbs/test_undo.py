@@ -110,14 +110,14 @@ def test_an_object_is_painted_anew_from_its_own_colours(folder: Path, said: list
 def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(folder: Path, tmp_path: Path):
     """In its place of the stack, as if it had been painted so from the first."""
     twice = adjust(opened(folder / "twice"), 0.3, objects="7")
-    anew = painted(twice, "red", folder / "night.png", max_growth=2.0)
+    anew = painted(twice, "red", folder / "night.png", quality="normal")
     assert anew.painted_objects == ("red", "7")
     assert anew.layers[1] is twice.layers[1]
     alone = painted(
         opened(folder / "trained"),
         "red",
         folder / "night.png",
-        max_growth=2.0,
+        quality="normal",
         measured=False,
     )
     for name in ("sh0", "shN", "opacity_factors", "parents", "canvas_sh0"):

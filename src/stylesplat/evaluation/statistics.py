@@ -16,7 +16,7 @@ from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.object_views import ObjectView
+from stylesplat.stylization.views import ObjectView
 
 TINY = 1e-12  # keeps 0 / 0 at 0: a style without any feature or any contrast
 TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade

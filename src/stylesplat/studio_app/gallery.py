@@ -11,7 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
 from stylesplat.studio_app.thumbnails import Thumbnail, picture_thumbnail
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 
 if TYPE_CHECKING:
     import viser

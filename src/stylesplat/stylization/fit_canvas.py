@@ -15,14 +15,15 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.gaussians import activated, views_of, with_matrices_of
-from stylesplat.rendering.render import rasterize, render
+from stylesplat.rendering.gaussians import views_of
+from stylesplat.rendering.one_view import render
+from stylesplat.rendering.rasterize import activated, beside, rasterize
 from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import drawn, evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas
-from stylesplat.stylization.object_views import Box, around, typical_length
+from stylesplat.stylization.views import Box, crop_to_box, typical_length
 from stylesplat.training.adam import Moments, adam_step
 
 VIEWS = 16
@@ -45,7 +46,7 @@ class _View:
     """Which Gaussians of the scene with the canvas are drawn."""
     splats: Splats
     """These, in the colours that they have from there."""
-    picked: Float[Tensor, "M 1 1"]
+    mask: Float[Tensor, "M 1 1"]
     """1 for those of the object, 0 for others."""
 
     def error(
@@ -57,7 +58,7 @@ class _View:
         """
         moved = {"sh0": self.splats.sh0} | {k: leaf[self.shown] for k, leaf in leaves.items()}
         sh0 = torch.where(fitted[self.shown, None, None], moved["sh0"], self.splats.sh0)
-        moved["sh0"] = sh0 + raised / SH_C0 * self.picked
+        moved["sh0"] = sh0 + raised / SH_C0 * self.mask
         image, _, _ = rasterize(replace(self.splats, **moved), self.camera)
         return (image[0] - self.image - raised * self.coverage).square().mean()
 
@@ -65,7 +66,7 @@ class _View:
 def fit_canvas(
     splats: Splats,
     canvas: Canvas,
-    picked: Bool[Tensor, " N"],
+    mask: Bool[Tensor, " N"],
     boxes: Sequence[Box],
     *,
     seed: int,
@@ -75,13 +76,13 @@ def fit_canvas(
     Args:
         splats: The scene before, on the CPU.
         canvas: What was laid on it.
-        picked: The object's Gaussians.
+        mask: The object's Gaussians.
         boxes: Where the object lies in the views to compare.
         seed: Of the order of the views, and of the colours that tell object and background apart.
     """
     zoom = min(1.0, LENGTH / typical_length(boxes))
-    cuts = [around(box, zoom, (MARGIN, MARGIN))[0] for box in evenly(boxes, VIEWS)]
-    views = [*at_once(partial(_look, splats, canvas, picked), cuts)]
+    cuts = [crop_to_box(box, zoom, (MARGIN, MARGIN))[0] for box in evenly(boxes, VIEWS)]
+    views = [*at_once(partial(_look, splats, canvas, mask), cuts)]
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments = Moments.zeros(leaves)
     generator = torch.Generator().manual_seed(seed)
@@ -89,9 +90,9 @@ def fit_canvas(
     for step, view in enumerate(shown, start=1):
         raised = RAISED * torch.rand(3, generator=generator)
         with torch.enable_grad():
-            view.error(leaves, canvas.discs, raised.to(view.image)).backward()
+            view.error(leaves, canvas.is_disc, raised.to(view.image)).backward()
         now = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
-        adam_step(leaves, moments, now, step, visible=canvas.discs & view.shown)
+        adam_step(leaves, moments, now, step, seen=canvas.is_disc & view.shown)
         for leaf in leaves.values():
             leaf.grad = None
     found = {name: leaf.detach() for name, leaf in leaves.items()}
@@ -99,16 +100,16 @@ def fit_canvas(
 
 
 @torch.no_grad()
-def _look(splats: Splats, canvas: Canvas, picked: Tensor, camera: Cameras) -> _View:
+def _look(splats: Splats, canvas: Canvas, mask: Tensor, camera: Cameras) -> _View:
     """What a camera saw, and the Gaussians that it draws now."""
-    features = picked.to(splats.means)[:, None]
+    features = mask.to(splats.means)[:, None]
     image, _ = render(splats, camera, features=features)
     image, coverage = image.split((3, 1), dim=2)
-    views = views_of(with_matrices_of(canvas.splats, camera))
+    views = views_of(beside(canvas.splats, camera))
     shown = (cpu.project_gaussians(activated(canvas.splats), views[0]).radii > 0).all(dim=1)
     seen = replace(canvas.splats, identities=None, confidence=None)[shown]
     directions = seen.means - camera.positions.to(seen.means)
     colors = cpu.spherical_harmonics(seen.sh_degree, directions, seen.sh0, seen.shN)
     baked = replace(seen, sh0=sh0_from_rgb(colors)[:, None], shN=seen.shN[:, :0])
-    mine = picked[canvas.parents[shown], None, None].to(image)
+    mine = mask[canvas.parents[shown], None, None].to(image)
     return _View(camera, image, coverage, shown, baked, mine)

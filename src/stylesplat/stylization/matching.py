@@ -1,4 +1,7 @@
-"""Fast nearest-neighbour search: candidates in a compressed space, ranked again exactly."""
+"""Nearest-neighbour feature matching (NNFM), the loss of ARF (Zhang et al. 2022), and its search.
+
+The search takes candidates in a compressed space and ranks these exactly.
+"""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -16,6 +19,32 @@ from stylesplat.rendering.kernels.jit import inner, kernel
 DIMENSIONS = 64  # of the compressed space; its matches cost less than 0.1 % of the loss
 CANDIDATES = 4  # that are compared exactly
 SIMILARITIES_AT_ONCE = 2**22  # bounds the features x style features matrix
+
+
+def nnfm_loss(
+    feats: Float[Tensor, "P D"],
+    style_feats: Float[Tensor, "Q D"],
+) -> Float[Tensor, ""]:
+    """Mean cosine distance from each feature to its nearest style feature, searched exhaustively.
+
+    The matches are constants to the gradient, as in ARF.
+
+    Args:
+        feats: VGG features of the render, one row per pixel.
+        style_feats: VGG features of the style image.
+
+    Returns:
+        The loss (ARF, Zhang et al. 2022); 0 if every match is exact. The formula printed in the
+        StyleSplat paper lacks the "1 -".
+    """
+    matches = nearest(feats, F.normalize(style_feats, dim=1))
+    return cosine_distance(feats, style_feats[matches])
+
+
+def cosine_distance(feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]) -> Float[Tensor, ""]:
+    """The mean over rows of 1 minus the cosine, in float32 or more."""
+    dtype = torch.promote_types(feats.dtype, torch.float32)
+    return (1 - F.cosine_similarity(feats.to(dtype), others.to(dtype), dim=1)).mean()
 
 
 @dataclass(frozen=True)
@@ -48,7 +77,7 @@ class StyleIndex:
 
 @torch.no_grad()
 def build_index(style_feats: Float[Tensor, "Q D"], dtype: torch.dtype) -> StyleIndex:
-    """Prepare style features for searches with features of some precision."""
+    """Prepare style features for searches with features of this precision."""
     directions = F.normalize(style_feats.float(), dim=1)
     _, vectors = torch.linalg.eigh(directions.T @ directions)
     basis = vectors[:, -DIMENSIONS:].contiguous()  # eigenvalues ascend
@@ -66,7 +95,7 @@ def nearest(feats: Float[Tensor, "P D"], directions: Float[Tensor, "Q D"]) -> In
 
 
 def _largest(similarities: Float[Tensor, "P R"], count: int) -> Int[Tensor, "P K"]:
-    """The columns of the `CANDIDATES` largest numbers of each row, among the first `count`."""
+    """The columns of the `CANDIDATES` largest of the first `count` numbers of each row."""
     found = np.zeros((len(similarities), CANDIDATES), np.int64)
     largest_columns(similarities.view(-1).numpy(), similarities.shape[1], count, found)
     return torch.from_numpy(found)
@@ -75,7 +104,7 @@ def _largest(similarities: Float[Tensor, "P R"], count: int) -> Int[Tensor, "P K
 @no_type_check
 @kernel
 def largest_columns(flat, stride, count, found):
-    """Fill `found` [P, K] with the columns of the largest of the first `count` numbers of rows."""
+    """Write to `found` [P, K] the columns of the largest of the first `count` numbers of rows."""
     for row in numba.prange(found.shape[0]):
         best = np.full(found.shape[1], -np.inf, np.float32)
         start = row * stride
@@ -92,7 +121,7 @@ def largest_columns(flat, stride, count, found):
 @no_type_check
 @inner
 def insert(best, columns, value, column):
-    """Put a number into its place among the best, which descend."""
+    """Insert a number into the best, which descend."""
     slot = best.shape[0] - 1
     while slot > 0 and best[slot - 1] < value:
         best[slot], columns[slot] = best[slot - 1], columns[slot - 1]

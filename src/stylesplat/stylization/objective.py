@@ -1,4 +1,4 @@
-"""What an object's colours are optimised for: the style, and as much of the object as is wanted."""
+"""The objective of the optimisation: style, form, content, palette and large shapes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.progress import track
+from stylesplat.rendering.rasterize import rasterize
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.colors import Palette
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import Form, form_distance, measure_form
-from stylesplat.stylization.matching import StyleIndex
-from stylesplat.stylization.near_palette import NearPalette
-from stylesplat.stylization.nnfm import cosine_distance
-from stylesplat.stylization.object_views import ObjectView
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.matching import StyleIndex, cosine_distance
+from stylesplat.stylization.views import ObjectView
 
-PULL = 10.0  # weight of the squared way back to the painting's colours; more costs style
+PULL = 10.0  # weight of the squared distance from the palette; more costs style
 HOLD = 5.0  # weight of the squared change of large shapes; 50 leaves fine strokes no room
 FORM = 0.1  # weight of the form at 1: fox and doll keep their faces for .004 of half-size NNFM
 EVEN = 0.1  # weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
@@ -62,31 +62,35 @@ class Objective:
     """The layers and weights."""
     length: float
     """The whole object's longer side in the views, in pixels."""
-    near: NearPalette | None = None
+    form_shares: Sequence[float] = (1.0, 1.0)
+    """The share of the object's detail that is form, by bands; see `form_shares`."""
+    palette: Palette | None = None
     """The colours to stay near to; None leaves them free."""
 
     @torch.no_grad()
     def targets(
-        self, views: Sequence[ObjectView], original: Splats, begun: Splats | None
+        self, views: Sequence[ObjectView], original: Splats, painted: Splats | None
     ) -> list[ViewTarget]:
-        """What the paint is compared with in some views.
+        """What the paint is compared with in each view.
 
         Args:
             views: Of the object.
-            original: The unpainted scene.
-            begun: The paint whose large shapes are to stay; None leaves them free.
+            original: The unpainted scene, which need not have the same Gaussians.
+            painted: The scene whose large shapes are to stay; None leaves them free.
         """
-        return [self._target(view, original, begun) for view in track(views, "looking at the form")]
+        return [
+            self._target(view, original, painted) for view in track(views, "measuring the form")
+        ]
 
-    def _target(self, view: ObjectView, original: Splats, begun: Splats | None) -> ViewTarget:
+    def _target(self, view: ObjectView, original: Splats, painted: Splats | None) -> ViewTarget:
         form = content = None
         if self.config.form > 0 or self.config.content > 0:
-            image = view.render(original)
+            image = rasterize(original, view.camera)[0][0]
             if self.config.form > 0:
-                form = measure_form(image, view.pixels, self.length)
+                form = measure_form(image, view.pixels, self.length, self.form_shares)
             if self.config.content > 0:
                 content = self._features(view, image)
-        shapes = None if begun is None else _large_shapes(view, view.render(begun))
+        shapes = None if painted is None else _large_shapes(view, view.render(painted))
         return ViewTarget(view, form, content, shapes)
 
     def __call__(self, target: ViewTarget, splats: Splats) -> Losses:
@@ -106,8 +110,8 @@ class Objective:
         if target.content is not None:
             change = _relative_change(feats, target.content)
             total = total + content_weight(self.config.content) * change
-        if self.near is not None:
-            total = total + PULL * self.near.distance(image, view.pixels)
+        if self.palette is not None:
+            total = total + PULL * self.palette.distance(image, view.pixels)
         if target.shapes is not None:
             # both hold 0 outside the object
             change = (_large_shapes(view, image) - target.shapes).square().sum()
@@ -120,9 +124,7 @@ class Objective:
 
 
 def content_weight(content: float) -> float:
-    """What the change of features costs, in units of NNFM: so that a setting of 0 to 1 is even.
-
-    Half-way between no features and all that can be kept lies `EVEN`.
+    """The weight of the change of features, so that a setting of 0 to 1 has an even effect.
 
     Example:
         >>> content_weight(0.0), content_weight(0.5)

@@ -1,114 +1,350 @@
-"""The optimisation of an object's colours against style features."""
+"""The optimisation of one object: its stages, its canvas, and its colours step by step."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.rendering.sh import sh0_from_rgb
-from stylesplat.scene.sampling import drawn
+from stylesplat.rendering.shares import COVERED, colors_and_coverage
+from stylesplat.scene.sampling import drawn, evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import mixed_colors
-from stylesplat.stylization.near_palette import DARKEST
-from stylesplat.stylization.object_views import ObjectView, weights_in, with_fixed_bands
+from stylesplat.stylization.colors import (
+    DARKEST,
+    Palette,
+    blur_colors,
+    build_palette,
+    color_map,
+    initial_colors,
+    object_colors,
+    project_to_palette,
+    transfer_colors,
+)
+from stylesplat.stylization.config import ColorMode, Stage, StyleConfig
+from stylesplat.stylization.form import SURVEY_LENGTH, form_relief, form_shares
+from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
+from stylesplat.stylization.paintable import Paintable, confine, lay, own_gaussians
+from stylesplat.stylization.pattern import remove_pattern
+from stylesplat.stylization.style_image import (
+    check_size,
+    coarsen_style,
+    has_features,
+    style_features,
+    style_parts,
+)
+from stylesplat.stylization.target import PaintContext, PaintTarget
+from stylesplat.stylization.views import (
+    Box,
+    ObjectView,
+    crop_to_box,
+    object_views,
+    require_boxes,
+    stage_views,
+    total_weights,
+    typical_length,
+    with_fixed_bands,
+)
 from stylesplat.training.adam import Moments, adam_step
 
-SHN_SLOWDOWN = 20  # the official code's ratio of the rates of sh0 and shN
-TRUSTED = 0.25  # of the median weight: Gaussians that show less take accordingly smaller steps
+KEPT_HUES: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
+STYLE_FEATURES = 4096  # at random, of those of a fine stage, which has many
+COLOR_VIEWS = 8  # whose pixels give an object's colours
+COLOR_LENGTH = 240.0  # longer side of the object in them at most, in pixels
+CANVAS_RATE = 0.5  # factor of the rate on a canvas: a pixel shows few discs, and more looks grainy
+CANVAS_STAGE = 1  # before which the canvas is laid: the first strokes show at once
+PUBLISHED_VIEWS = 0.25  # share of the views that the paper uses
+SHN_SLOWDOWN = 20  # ratio of the rates of sh0 and shN in the official code
+FINAL_RATE = 0.1  # of the last step, as a share of the first's
+TRUSTED = 0.25  # of the median weight: Gaussians that show less take smaller steps
 
 
 @dataclass(frozen=True)
-class Step:
-    """One step of the optimisation."""
+class PaintState:
+    """An object that is being painted."""
 
-    number: int
-    """Counted from 1."""
+    step: int
+    """Steps taken."""
+    steps: int
+    """Steps to take in all."""
     nnfm: float
-    """The loss before the step, in the view that was drawn."""
+    """The loss in the view of the last step, before it."""
     splats: Splats
-    """After the step."""
-    paint: Splats
-    """The same with each Gaussian's paint in full, whatever its share: what to go on from."""
+    """The scene with the paint so far, at full intensity."""
+    base: Splats
+    """The same Gaussians as the scene looked before."""
+    parents: Int[Tensor, " N"]
+    """The Gaussian of the scene before that each one belongs to."""
+    relief: Float[Tensor, " N"]
+    """The object's form as luminance that each Gaussian adds; see `form_relief`."""
+
+
+@dataclass(frozen=True)
+class _Goal:
+    """What an object is to look like."""
+
+    pictures: Sequence[Float[Tensor, "_ _ 3"]]
+    """The style images, in the hues that the object is to have."""
+    colors: Float[Tensor, "P 3"]
+    """All of their colours."""
+    palette: Palette | None
+    """The colours to stay near to; None leaves them free."""
+
+
+def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintState]:
+    """Paint one object of a scene.
+
+    Yields:
+        The state after every step. Whoever stops asking keeps what there is; whoever asks again
+        goes on.
+
+    Raises:
+        StyleSplatError: If the object is not seen, nothing is its own, or a style image is too
+            small.
+    """
+    config, object = target.config, own_gaussians(context, target)
+    boxes = _used_boxes(object)
+    stages = _stages(context, target, typical_length(boxes))
+    canvas_at = min(CANVAS_STAGE, len(stages) - 1)
+    confined_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
+    generator = torch.Generator().manual_seed(config.seed)
+    views, goal, paint, done = list[ObjectView](), None, object.splats, 0
+    shares = _form_shares(object, boxes)
+    for number, stage in enumerate(stages):
+        views.clear()  # before there are others: they take much memory
+        anew = number == 0
+        if number == canvas_at:
+            object = lay(object, boxes, stages[-1].length)
+            anew |= object.canvas is not None
+        if number == max(confined_at, canvas_at) and object.canvas is not None:
+            object, kept = confine(object, boxes, None if anew else paint)
+            if not anew:
+                paint = replace(object.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
+        views += stage_views(object.context, object.target, boxes, stage, generator)
+        color_views = _color_views(object, boxes, stage, views)
+        if anew or goal is None:
+            goal, paint = _begin(object, color_views, max(shares))
+        relief = form_relief(
+            object.before, object.splats, object.mask, color_views, stage.length, shares
+        )
+        objective = replace(_objective(object, goal, stage), form_shares=shares)
+        targets = objective.targets(views, object.before, paint if stage.fine else None)
+        steps = optimize_colors(paint, object.mask, targets, objective, stage.steps)
+        for number_in_stage, (paint, nnfm) in enumerate(steps, start=1):
+            done += 1
+            if number_in_stage == stage.steps:
+                last = done == config.all_steps
+                if not (stage.fine or last or goal.palette is None):
+                    paint = blur_colors(paint, object.mask, color_views)
+                paint = _end_stage(object, goal, paint, color_views, last)
+            yield PaintState(
+                step=done,
+                steps=config.all_steps,
+                nnfm=nnfm,
+                splats=paint,
+                base=object.unpainted,
+                parents=object.parents,
+                relief=relief,
+            )
+
+
+def check_visible(context: PaintContext, target: PaintTarget) -> None:
+    """Check before painting that an object can be painted.
+
+    Raises:
+        StyleSplatError: As `paint_steps` does.
+    """
+    object = own_gaussians(context, target)
+    boxes = _used_boxes(object)
+    length = typical_length(boxes)
+    first, *_ = _stages(context, target, length)
+    object_views(object.context, object.target, boxes, first.length / length)
 
 
 def optimize_colors(
     paint: Splats,
-    base: Splats,
-    shares: Float[Tensor, " N"],
+    mask: Bool[Tensor, " N"],
     targets: Sequence[ViewTarget],
     objective: Objective,
     steps: int,
-) -> Iterator[Step]:
-    """Move the colours of an object's Gaussians until its features match the style's.
+) -> Iterator[tuple[Splats, float]]:
+    """Move the colours of some Gaussians until the object's features match the style's.
 
     Args:
-        paint: The scene, without gradients, its object in the paint to start from.
-        base: The scene before, of which Gaussians keep what is not the object's share.
-        shares: How much of its paint each Gaussian takes on.
+        paint: The scene, without gradients, with the colours to start from.
+        mask: The Gaussians to paint.
         targets: Views of the object; one is drawn per step.
         objective: What to minimise; its settings are the rates and the seed.
         steps: How many to take.
 
     Yields:
-        Every step; whoever stops asking keeps the last one's splats.
+        The scene after every step, and the style loss before it.
     """
     config = objective.config
     generator = torch.Generator().manual_seed(config.seed)
-    picked = shares > 0
-    rows = picked.nonzero()[:, 0]
-    part = shares[rows, None, None]
-    fields = ("sh0", "shN") if config.view_dependence == "train" else ("sh0",)
-    leaves = {name: getattr(paint, name)[rows].requires_grad_() for name in fields}
-    own = {name: getattr(base, name)[rows] for name in fields}
+    rows = mask.nonzero()[:, 0]
+    leaves = {"sh0": paint.sh0[rows].requires_grad_()}
     rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
-    moments = Moments.zeros(leaves)
-    shown = mixed_colors(base, paint, shares)
-    views = [target.view for target in targets]
-    if "shN" not in leaves:
-        views = with_fixed_bands(views, shown)
+    trust = None
+    if config.published:
+        leaves["shN"] = paint.shN[rows].requires_grad_()
+    else:
+        views = with_fixed_bands([target.view for target in targets], paint)
         pairs = zip(targets, views, strict=True)
         targets = [replace(target, view=view) for target, view in pairs]
-    trust = None if config.hard else _trust(base, picked, views)
+        weights = total_weights(views, paint, mask)
+        typical = weights[weights > 0].median()
+        trust = (weights / (weights + TRUSTED * typical))[:, None, None]
+    moments = Moments.zeros(leaves)
     for number, target in enumerate(drawn(targets, steps, generator), start=1):
-        with torch.enable_grad():  # a viewer may well have turned it off
-            losses = objective(target, shown.with_rows(rows, _mixed_rows(own, leaves, part)))
+        with torch.enable_grad():  # the caller may have disabled it
+            losses = objective(target, paint.with_rows(rows, leaves))
             losses.total.backward()
-        before = {name: leaf.detach().clone() for name, leaf in leaves.items()}
-        decayed = config.final_lr ** ((number - 1) / steps)
-        adam_step(leaves, moments, {name: rate * decayed for name, rate in rates.items()}, number)
+        before = leaves["sh0"].detach().clone()
+        decay = 1.0 if config.published else FINAL_RATE ** ((number - 1) / steps)
+        adam_step(leaves, moments, {name: decay * rates[name] for name in leaves}, number)
         with torch.no_grad():
-            for name, leaf in leaves.items():
-                if trust is not None:
-                    leaf.copy_(torch.lerp(before[name], leaf, trust))
+            if trust is not None:  # Adam's steps are as long for Gaussians that hardly show
+                sh0 = leaves["sh0"]
+                sh0.copy_(torch.lerp(before, sh0, trust))
+                _clamp_to_range(sh0)
+            for leaf in leaves.values():
                 leaf.grad = None
-        if "shN" not in leaves:
-            _keep_in_range(leaves["sh0"])
-        after = shown.with_rows(rows, _mixed_rows(own, leaves, part)).detach()
-        full = paint.with_rows(rows, leaves).detach()
-        yield Step(number, losses.style.item(), after, full)
+        yield paint.with_rows(rows, leaves).detach(), losses.style.item()
 
 
-def _trust(
-    splats: Splats, picked: Bool[Tensor, " N"], views: Sequence[ObjectView]
-) -> Float[Tensor, "M 1 1"]:
-    """How far to follow each Gaussian's steps: Adam's are as long for those that hardly show."""
-    weights = weights_in(views, splats, picked)
-    typical = weights[weights > 0].median()
-    return (weights / (weights + TRUSTED * typical))[:, None, None]
+def target_features(
+    context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
+) -> list[Tensor]:
+    """The features of all style images together, for each layer group.
+
+    Args:
+        context: Its network is used.
+        config: The scale and the layer groups.
+        pictures: Colours in 0..1.
+        length: The object's longer side in pixels, which the pictures follow.
+    """
+    size = config.scale * length
+    generator = torch.Generator().manual_seed(config.seed)
+    features = [
+        style_features(part, context.network, config.layers, length=size * share)
+        for picture in pictures
+        for part, share in style_parts(picture, size, generator)
+    ]
+    return [torch.cat(group) for group in zip(*features, strict=True)]
 
 
-def _mixed_rows(
-    own: dict[str, Tensor], leaves: dict[str, Tensor], part: Tensor
-) -> dict[str, Tensor]:
-    """As `mixed_colors`, of some rows, with gradients."""
-    return {name: torch.lerp(own[name], leaf, part) for name, leaf in leaves.items()}
+def _used_boxes(object: Paintable) -> list[Box]:
+    boxes = require_boxes(object.context, object.target, object.context.cameras)
+    if not object.target.config.published:
+        return boxes
+    return evenly(boxes, math.ceil(PUBLISHED_VIEWS * len(boxes)))
+
+
+def _stages(context: PaintContext, target: PaintTarget, photo_length: float) -> list[Stage]:
+    """The stages; all steps at the last size if a style image is too small before.
+
+    Raises:
+        StyleSplatError: If a style image is too small for that, too.
+    """
+    config = target.config
+    *_, last = stages = config.stages(photo_length)
+    network = context.network, config.layers
+    for picture in target.styles:
+        check_size(picture, *network, length=config.scale * last.length)
+        if not all(has_features(picture, *network, length=config.scale * s.length) for s in stages):
+            return [replace(last, steps=config.all_steps)]
+    return stages
+
+
+def _color_views(
+    object: Paintable, boxes: Sequence[Box], stage: Stage, views: Sequence[ObjectView]
+) -> list[ObjectView]:
+    """Views of the whole object for its colours: the stage's own, if they show all of it."""
+    if stage.window is None and len(views) >= COLOR_VIEWS:
+        return evenly(views, COLOR_VIEWS)
+    zoom = min(stage.length, COLOR_LENGTH) / typical_length(boxes)
+    few = evenly(boxes, COLOR_VIEWS)
+    return object_views(object.context, object.target, few, zoom, max_memory=math.inf)
+
+
+def _form_shares(object: Paintable, boxes: Sequence[Box]) -> list[float]:
+    """The share of the object's detail that is form, by bands, whatever size it is painted in."""
+    splats, zoom = object.before, SURVEY_LENGTH / typical_length(boxes)
+    cameras = [crop_to_box(box, zoom, (0, 0))[0] for box in evenly(boxes, COLOR_VIEWS)]
+    pairs = [colors_and_coverage(splats, camera, object.mask) for camera in cameras]
+    images, covered = zip(*pairs, strict=True)
+    return form_shares(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
+
+
+def _begin(object: Paintable, views: Sequence[ObjectView], form: float) -> tuple[_Goal, Splats]:
+    """What the object is to look like, and the colours to start from.
+
+    Args:
+        object: What is painted.
+        views: Of the object.
+        form: The share of its detail that is form.
+    """
+    config, splats, mask = object.target.config, object.splats, object.mask
+    pictures = _pictures(object, views)
+    colors = torch.cat([picture.reshape(-1, 3) for picture in pictures])
+    if config.published:
+        return _Goal(pictures, colors, None), splats
+    splats = remove_pattern(splats, mask, views, config.pattern_removed(form))
+    palette = None
+    if config.color != "free":
+        palette = build_palette(colors)
+        splats = initial_colors(splats, mask, views, colors, seed=config.seed)
+    matte = splats.shN.masked_fill(mask[:, None, None], 0)
+    return _Goal(pictures, colors, palette), replace(splats, shN=matte)
+
+
+def _pictures(object: Paintable, views: Sequence[ObjectView]) -> list[Tensor]:
+    """The style images, in the object's hues as far as these are to be kept."""
+    config, styles = object.target.config, list(object.target.styles)
+    if config.color != "free":
+        styles = [coarsen_style(style, config.scale) for style in styles]
+    share = KEPT_HUES[config.color]
+    if share == 0:
+        return styles
+    own = object_colors(object.splats, views)
+    matrix, offset = color_map(torch.cat([s.reshape(-1, 3) for s in styles]), own)
+    return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in styles]
+
+
+def _objective(object: Paintable, goal: _Goal, stage: Stage) -> Objective:
+    context, config = object.context, object.target.config
+    features = target_features(context, config, goal.pictures, stage.length)
+    if stage.fine:
+        generator = torch.Generator().manual_seed(config.seed)
+        rows = (torch.randperm(len(group), generator=generator) for group in features)
+        pairs = zip(features, rows, strict=True)
+        features = [group[some[:STYLE_FEATURES].to(group.device)] for group, some in pairs]
+    rate = stage.rate * (1.0 if object.canvas is None else CANVAS_RATE)
+    return Objective(
+        network=context.network.to(context.splats.device, context.precision),
+        styles=[build_index(group, context.precision) for group in features],
+        config=replace(config, lr=rate * config.lr),
+        length=stage.length,
+        palette=goal.palette,
+    )
+
+
+def _end_stage(
+    object: Paintable, goal: _Goal, paint: Splats, views: Sequence[ObjectView], last: bool
+) -> Splats:
+    """The paint after a stage, in the style's colours."""
+    if goal.palette is None:
+        return paint
+    paint = transfer_colors(paint, object.mask, goal.colors, views)
+    return project_to_palette(paint, object.mask, views, goal.palette) if last else paint
 
 
 @torch.no_grad()
-def _keep_in_range(sh0: Tensor) -> None:
+def _clamp_to_range(sh0: Tensor) -> None:
     """Colours that the rasteriser clamps at 0 would have no gradient to come back by."""
     black, white = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(sh0)
     sh0.clamp_(black, white)

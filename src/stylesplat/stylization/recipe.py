@@ -9,18 +9,25 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
-from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
+from stylesplat.io.recipe_files import RECIPE, Intensity, listed
 from stylesplat.progress import say
-from stylesplat.scene.arguments import check_form
+from stylesplat.scene.intensity import check_form
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
-from stylesplat.stylization.plain_settings import SETTINGS, fitted, with_settings
+from stylesplat.stylization.config import (
+    PRESETS,
+    SETTINGS,
+    Network,
+    Precision,
+    StyleConfig,
+    convert_settings,
+    with_settings,
+)
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
-from stylesplat.stylization.style_config import PRESETS, Network, Precision, StyleConfig
 
 Preset = Literal["default", "paper"]
-VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
+VARIED = SETTINGS | {"preset": Preset}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,
     "features": Network | None,
@@ -30,7 +37,17 @@ SHARED = {  # what else a recipe may say of all objects
     "objects": dict | list | None,
     "gone": list | None,
 }
-RETIRED = ("canvas", "smoothness", "texture")  # settings of older recipes
+RETIRED = (  # settings of older recipes
+    "canvas",
+    "final_lr",
+    "hard",
+    "max_growth",
+    "pattern",
+    "smoothness",
+    "texture",
+    "view_dependence",
+    "view_share",
+)
 OWN = {  # and of one
     "style": str | tuple[str, ...],
     "sha256": str | tuple[str, ...] | None,
@@ -118,16 +135,18 @@ def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
     if not (key and values.strip()):
         raise StyleSplatError(f"Expected KEY=VALUE,VALUE, got {text!r}. KEY is a setting.")
     with within(f"Cannot vary {text}"):
-        return key, tuple(fitted({key: value}, VARIED)[key] for value in parse_yaml(f"[{values}]"))
+        return key, tuple(
+            convert_settings({key: value}, VARIED)[key] for value in parse_yaml(f"[{values}]")
+        )
 
 
 def _sorted_out(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The settings in an entry, those under `settings` included, and what it has of `keys`."""
-    fit = fitted(_without_retired(entry), {**SETTINGS, **keys})
+    fit = convert_settings(_without_retired(entry), {**SETTINGS, **keys})
     others = {key: fit.pop(key) for key in keys if key in fit}
-    return fitted(_without_retired(others.get("settings", {})), SETTINGS) | fit, others
+    return convert_settings(_without_retired(others.get("settings", {})), SETTINGS) | fit, others
 
 
 def _without_retired(entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -152,7 +171,7 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
         if not isinstance(entry, dict):
             raise StyleSplatError(f"{name} must be KEY: VALUE. Write {name}: {{style: IMAGE}}.")
         if name in names:
-            raise StyleSplatError(f"{name} is as_tuple twice. Keep one of them.")
+            raise StyleSplatError(f"{name} is listed twice. Keep one of them.")
         names.add(name)
     return pairs
 
@@ -164,15 +183,19 @@ def _named_entry(entry: Any) -> tuple[str, dict[str, Any]]:
 
 
 def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject:
-    told = fitted({"intensity": entry["intensity"]}, SETTINGS) if "intensity" in entry else {}
-    if None in (as_tuple(entry.get("style")) or (None,)):  # colours that were never a file
+    told = (
+        convert_settings({"intensity": entry["intensity"]}, SETTINGS)
+        if "intensity" in entry
+        else {}
+    )
+    if None in (listed(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
     settings, own = _sorted_out(entry, OWN)
     recorded = "features" in own  # by us, so what is not under `settings` is now
     if recorded:
         settings.pop("intensity", None)
         settings |= {k: v for k, v in own.get("settings", {}).items() if k == "intensity"}
-    files, digests = as_tuple(own.get("style")), as_tuple(own.get("sha256"))
+    files, digests = listed(own.get("style")), listed(own.get("sha256"))
     config = with_settings(base.config, settings)
     style = Style(*_pictures(files, digests, base.folder), config=config, preset=base.preset)
     network = own if "features" in own else base.shared

@@ -14,9 +14,15 @@ from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.files import read_bytes
 from stylesplat.scene.layer import Source
 from stylesplat.scene.one_line import one_line
-from stylesplat.stylization.plain_settings import with_settings
-from stylesplat.stylization.style_config import NETWORKS, PRESETS, Network, Precision, StyleConfig
-from stylesplat.stylization.style_images import Picture, read_style
+from stylesplat.stylization.config import (
+    NETWORKS,
+    PRESETS,
+    Network,
+    Precision,
+    StyleConfig,
+    with_settings,
+)
+from stylesplat.stylization.style_image import Picture, read_style
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -67,7 +73,7 @@ class Style:
     def __repr__(self) -> str:
         default, config = asdict(StyleConfig()), asdict(self.config)
         changed = (f"{name}={config[name]!r}" for name in config if config[name] != default[name])
-        return one_line(self, some(map(_called, self.pictures)), *changed)
+        return one_line(self, some(map(_title, self.pictures)), *changed)
 
     def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
         """The pictures as they are to be used: cropped and turned.
@@ -121,7 +127,7 @@ class Recipe:
     """The lowest layer first, each once."""
 
     def __repr__(self) -> str:
-        pictures = (some(map(_called, each.style.pictures)) for each in self.objects)
+        pictures = (some(map(_title, each.style.pictures)) for each in self.objects)
         names = (each.name for each in self.objects)
         return one_line(self, *(f"{n}: {p}" for n, p in zip(names, pictures, strict=True)))
 
@@ -151,7 +157,7 @@ def digest(path: Path) -> str:
     return sha256(read_bytes(path)).hexdigest()
 
 
-def _called(picture: Picture) -> str:
+def _title(picture: Picture) -> str:
     """A picture in a word."""
     return "a picture" if isinstance(picture, Tensor) else Path(picture).name
 

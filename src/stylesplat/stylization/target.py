@@ -1,89 +1,232 @@
-"""The style image, as the features that an object is to take on."""
+"""What is painted: the objects of a recipe, and what painting them has in common."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast, get_args
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.nn import functional as F
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.scene.cache import GIB
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layer import Layer, Source, on_device
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.choose import find_objects
+from stylesplat.stylization.config import Network, Precision, StyleConfig
+from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
+
+MIN_GAUSSIANS = 50  # fewer cannot show a texture
+MAX_MEMORY = 1.5  # GiB of linear views; with all else it stays below 3
 
 
-@torch.no_grad()
-def style_features(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
-) -> tuple[Float[Tensor, "_ _"], ...]:
-    """Features of a style image resized to `length` pixels along its longer side.
+@dataclass(frozen=True)
+class PaintTarget:
+    """One object and the style that it is to have."""
 
-    Features that see past the border are left out, so its padding is in no style.
+    name: str
+    """What messages and metrics call it."""
+    mask: Bool[Tensor, " N"]
+    """Its Gaussians."""
+    styles: tuple[Float[Tensor, "_ _ 3"], ...]
+    """The style images, colours in 0..1; each feature takes the best match of all."""
+    config: StyleConfig
+
+    def to(self, splats: Splats) -> "PaintTarget":
+        """The same on the device of the splats."""
+        styles = tuple(style.to(splats.means) for style in self.styles)
+        return replace(self, mask=self.mask.to(splats.device), styles=styles)
+
+
+@dataclass(frozen=True)
+class PaintContext:
+    """The scene and network with which objects are painted."""
+
+    splats: Splats
+    """The scene before."""
+    cameras: Cameras
+    """Views to optimise on."""
+    all_cameras: Cameras
+    """These and the held-out ones: nothing but the object may change in them."""
+    network: FeatureNetwork
+    """The network whose features are matched, in float32."""
+    precision: torch.dtype
+    """Of the features while optimising."""
+    max_memory: float
+    """Bytes that linear views may take."""
+
+    @property
+    def precision_name(self) -> Precision:
+        """As recipes record it."""
+        return "bfloat16" if self.precision == torch.bfloat16 else "float32"
+
+
+def paint_context(
+    splats: Splats,
+    cameras: Cameras,
+    network: FeatureNetwork,
+    *,
+    held_out: Cameras | None = None,
+    max_memory: float = MAX_MEMORY,
+    precision: Precision | None = None,
+) -> PaintContext:
+    """Prepare what painting needs besides its targets.
 
     Args:
-        style: Colours in 0..1, of any size and shape.
-        network: The feature network.
-        blocks: Which blocks of it.
-        length: In pixels.
-
-    Returns:
-        For each block the features, one per row.
+        splats: The scene.
+        cameras: Views to optimise on.
+        network: The network whose features are matched.
+        held_out: More views in which nothing but the object may change.
+        max_memory: GiB that linear views may take; other views are rasterised in every step.
+        precision: Of the features; by default what is fastest on this machine.
 
     Raises:
-        StyleSplatError: If the style image is smaller than what one feature depends on.
+        StyleSplatError: If `max_memory` is negative.
     """
-    check_size(style, network, blocks, length=length)
-    cells = [network.cells(block) for block in blocks]
-    resized = resize(style, length)
-    feats = network(resized, blocks)
-    rows = []
-    for c, image in zip(cells, feats, strict=True):
-        inside = image[c.inside(resized.shape[0]), c.inside(resized.shape[1])]
-        rows.append(inside.reshape(-1, image.shape[-1]))
-    return tuple(rows)
+    if not max_memory >= 0:
+        raise StyleSplatError(f"Cannot keep views in {max_memory} GiB. Pass 0 or more.")
+    device = splats.device
+    return PaintContext(
+        splats=splats.detach(),
+        cameras=cameras,
+        all_cameras=cameras if held_out is None else cameras + held_out,
+        network=network.to(device),
+        precision=getattr(torch, precision) if precision else fastest_dtype(device.type),
+        max_memory=max_memory * GIB,
+    )
 
 
-def check_size(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
-) -> None:
-    """Raise a StyleSplatError if the style image has no whole feature; see `style_features`."""
-    needed = _least_side(network, blocks)
-    height, width = style.shape[:2]
-    _refuse_small((width, height), needed, "it is", "Choose a larger picture.")
-    size = _fitted(width, height, length)
-    _refuse_small(size, needed, "for this object it becomes", "Raise the style scale.")
+def check_targets(targets: Sequence[PaintTarget]) -> None:
+    """Raise a StyleSplatError if these objects cannot be painted in one scene."""
+    if not targets:
+        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
+    for target in targets:
+        count = int(target.mask.sum())
+        if count < MIN_GAUSSIANS:
+            raise StyleSplatError(
+                f"Cannot stylise {target.name}: it has {count} Gaussians, too few for a texture "
+                f"(at least {MIN_GAUSSIANS}). Pick more of it."
+            )
+    names = set[str]()
+    for target in targets:
+        if target.name in names:
+            raise StyleSplatError(
+                f"{target.name} was given twice. Give it once; several pictures make one style: "
+                f"{target.name}=a.jpg,b.jpg."
+            )
+        names.add(target.name)
 
 
-def fits(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
-) -> bool:
-    """Whether the style image has a whole feature if it is resized; see `style_features`."""
-    height, width = style.shape[:2]
-    return min(_fitted(width, height, length)) >= _least_side(network, blocks)
+@dataclass(frozen=True)
+class PaintTask:
+    """An object of a recipe with all that painting it takes."""
 
+    name: str
+    """A name, or a label id."""
+    style: Style
+    images: tuple[Float[Tensor, "_ _ 3"], ...]
+    """The style images, cropped and turned."""
+    mask: Bool[Tensor, " N"]
+    """The object's rows of the base."""
+    features: Network
+    """The network whose features are matched."""
+    weights: Source | None
+    """The network's file; None for the default one."""
+    precision: Precision | None
+    """Of the features; None takes the fastest."""
 
-def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
-    """The image with a longer side of `length` pixels, its shape kept."""
-    height, width = image.shape[:2]
-    size = _fitted(width, height, length)
-    planes = image.permute(2, 0, 1)[None]
-    resized = F.interpolate(planes, size[::-1], mode="bicubic", antialias=True)
-    return resized[0].permute(1, 2, 0).clamp(0, 1)
+    def target(self, family: Int[Tensor, " M"]) -> PaintTarget:
+        """The target among Gaussians that belong to these rows of the base."""
+        return PaintTarget(self.name, self.mask[family], self.images, self.style.config)
 
-
-def _least_side(network: FeatureNetwork, blocks: Sequence[int]) -> int:
-    """Pixels that hold a whole feature wherever its cell lies."""
-    return max(c.size + c.stride - 1 for c in map(network.cells, blocks))
-
-
-def _fitted(width: int, height: int, length: float) -> tuple[int, int]:
-    factor = length / max(height, width)
-    return max(1, round(width * factor)), max(1, round(height * factor))
-
-
-def _refuse_small(size: tuple[int, int], needed: int, what: str, remedy: str) -> None:
-    width, height = size
-    if min(height, width) < needed:
-        raise StyleSplatError(
-            f"Cannot take the style from this picture: {what} {width}x{height} pixels, and its "
-            f"features span {needed}. {remedy}"
+    def record(self, layer: Layer, precision: Precision) -> Layer:
+        """The layer on the CPU, with all that it takes to paint it again."""
+        weights = self.weights
+        if weights is not None and weights.path is not None:
+            path = weights.path.resolve()
+            weights = Source(path, weights.sha256 or digest(path))
+        return replace(
+            on_device(layer, "cpu"),
+            styles=self.style.sources(),
+            features=self.features,
+            weights=weights,
+            precision=precision,
         )
+
+
+def paint_tasks(
+    recipe: Recipe, scene: Scene, features: Network | None, weights: Path | str | None
+) -> list[PaintTask]:
+    """The objects of a recipe, the lowest layer first: those that are painted, then new ones.
+
+    Raises:
+        StyleSplatError: If the scene lacks an object, one is too small, a picture is unfit, or the
+            weights are meant for several networks.
+    """
+    if not recipe.objects:
+        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
+    networks = {features or _network(each) for each in recipe.objects}
+    if weights and len(networks) > 1:
+        raise StyleSplatError(
+            f"{weights} is the file of one network, but the recipe has "
+            f"{' and '.join(sorted(networks))}. Pass --features too, or write `weights:` into the "
+            "recipe's objects."
+        )
+    masks = find_objects(scene, [each.name for each in recipe.objects])
+    count, painted = len(scene.unpainted), list(scene.painted_objects)
+    tasks = [
+        PaintTask(
+            name=each.name,
+            style=each.style,
+            images=each.style.read(),
+            mask=masks[each.name][:count].cpu(),
+            features=features or _network(each),
+            weights=_weights(each, features, weights),
+            precision=each.precision,
+        )
+        for each in recipe.objects
+    ]
+    check_targets([PaintTarget(each.name, each.mask, (), each.style.config) for each in tasks])
+    order = {name: place for place, name in enumerate(painted)}
+    return sorted(tasks, key=lambda task: order.get(task.name, len(order)))
+
+
+def load_network(
+    styles: Sequence[Style],
+    features: str,
+    weights: Source | None,
+    *,
+    download: bool = True,
+) -> FeatureNetwork:
+    """Load a network as deep as some styles need it.
+
+    Raises:
+        StyleSplatError: As `load_weights` does, or if the file has another digest than recorded.
+    """
+    path = weights.path if weights else None
+    if weights and path and weights.sha256 and path.is_file() and digest(path) != weights.sha256:
+        raise StyleSplatError(
+            f"{path} holds other weights than those that were used: its digest differs. Put the "
+            "file back, or pass --weights."
+        )
+    check_choice(features, "feature network", get_args(Network))
+    depth = max(max(style.config.layers) for style in styles)
+    return load_weights(cast("Network", features), path, depth=depth, download=download)
+
+
+def _network(each: StyledObject) -> Network:
+    return each.features or each.style.network
+
+
+def _weights(
+    each: StyledObject, features: Network | None, weights: Path | str | None
+) -> Source | None:
+    if weights:
+        return Source(Path(weights))
+    other = features is not None and features != _network(each)
+    return None if other else each.weights  # the recipe's file is of its own network

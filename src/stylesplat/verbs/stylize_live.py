@@ -10,12 +10,11 @@ from stylesplat.scene.compose import beneath, compose, family
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.paint_objects import MAX_MEMORY, layer_of, moved
-from stylesplat.stylization.paint_task import PaintTask, paint_tasks
-from stylesplat.stylization.repaint import Repainted, repaint
+from stylesplat.stylization.config import Network, Precision
+from stylesplat.stylization.optimize import PaintState, paint_steps
+from stylesplat.stylization.paint import layer_of
 from stylesplat.stylization.style import Style, as_recipe
-from stylesplat.stylization.style_config import Network, Precision
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.target import MAX_MEMORY, PaintTarget, PaintTask, paint_tasks
 from stylesplat.verbs.stylize import Studios, with_layer
 
 
@@ -23,7 +22,7 @@ from stylesplat.verbs.stylize import Studios, with_layer
 class Live:
     """An object that is being painted."""
 
-    state: Repainted
+    state: PaintState
     """How far it is."""
     before: Scene
     """The scene as it was given."""
@@ -33,7 +32,7 @@ class Live:
     """Of the layer in the stack."""
     task: PaintTask
     """The object and its style."""
-    job: StyleJob
+    job: PaintTarget
     """Its Gaussians among those of `ground`, and settings."""
     precision: Precision
     """Of the features."""
@@ -42,7 +41,7 @@ class Live:
     def layer(self) -> Layer:
         """What is painted so far."""
         rows = family(self.ground).to(self.state.parents.device)
-        return self.task.recorded(layer_of(self.state, self.job, rows), self.precision)
+        return self.task.record(layer_of(self.state, self.job, rows), self.precision)
 
     @property
     def splats(self) -> Splats:
@@ -94,6 +93,6 @@ def stylize_live(
     (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
     under, place = beneath(scene, name)
     studio = Studios(scene, tasks, max_memory, pick_device(device), {}).open(under.splats, task)
-    job = moved(task.job(family(under)), studio.splats)
-    for state in repaint(studio, job):
+    job = task.target(family(under)).to(studio.splats)
+    for state in paint_steps(studio, job):
         yield Live(state, scene, under, place, task, job, studio.precision_name)

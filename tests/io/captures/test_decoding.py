@@ -14,7 +14,7 @@ from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo
 from stylesplat.io.images import image_sizes, read_image
 from stylesplat.io.label_maps import read_label_map, write_label_map
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.style_image import read_style
 from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
 
 SUFFIXES = ("png", "jpg", "webp", "tiff", "bmp", "gif", "ppm", "tga", "avif")

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from stylesplat.stylization.features.precision import fastest_dtype
+from stylesplat.stylization.features.network import fastest_dtype
 
 CPUINFO = Path("/proc/cpuinfo")
 

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.vgg import layer_widths
 from stylesplat.stylization.features.weights import cache_folder, load_vgg
-from stylesplat.stylization.nnfm import nnfm_loss
+from stylesplat.stylization.matching import nnfm_loss
 
 SHARED = Path(__file__).parents[4] / "shared" / "weights" / "vgg19_conv1_1-conv3_4.safetensors"
 NAMES = {  # of the layers of block 1, and of the first of blocks 2 and 3

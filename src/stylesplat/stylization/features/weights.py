@@ -17,10 +17,10 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
 from stylesplat.models.safetensors_http import fetch_tensors
 from stylesplat.progress import say
+from stylesplat.stylization.config import Network
 from stylesplat.stylization.features.compact import compact_from
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 from stylesplat.stylization.features.vgg import Vgg, layer_widths
-from stylesplat.stylization.style_config import Network
 
 VggNetwork = Literal["vgg16", "vgg19"]
 Preprocessing = Literal["torchvision", "caffe-rgb", "caffe-bgr"]

@@ -4,19 +4,21 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.stages import (
-    FEW,
+from stylesplat.stylization.config import (
     FINEST,
     GROWTH,
     LEAST,
+    MANY_DISCS,
     MOST_GROWTH,
+    PATTERN_REMOVED,
     PLANS,
+    PRESETS,
     WINDOW,
     Quality,
     Stage,
+    StyleConfig,
 )
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import PRESETS, SOFTENED, StyleConfig
 
 
 @pytest.mark.parametrize(
@@ -27,7 +29,6 @@ from stylesplat.stylization.style_config import PRESETS, SOFTENED, StyleConfig
         ({"lr": float("nan")}, "lr nan"),
         ({"object_size": 0}, "object_size 0"),
         ({"intensity": 1.6}, r"intensity 1\.6: use 0 to 1\.5"),
-        ({"view_share": 0.0}, r"share of 0\.0 of the views"),
         ({"layers": ()}, "name some of 1 to 4"),
         ({"layers": (3, 5)}, "name some of 1 to 4"),
         ({"scale": float("inf")}, "with scale inf: use 10000 at most"),
@@ -36,7 +37,6 @@ from stylesplat.stylization.style_config import PRESETS, SOFTENED, StyleConfig
         ({"object_size": 10**400}, "object_size 10+: use 10000 at most"),
         ({"steps": 10**7}, "steps 10000000 and seed 0: use 1e.06"),
         ({"seed": -(10**400)}, "seed -10+: use .* 1e.18 at most"),
-        ({"max_growth": 0.5}, r"grow to 0\.5 times"),
         ({"form": 1.6}, r"form 1\.6: use 0 to 1\.5"),
         ({"form": -0.1}, r"form -0\.1: use 0 to 1\.5"),
         ({"form": float("nan")}, "form nan"),
@@ -49,19 +49,13 @@ def test_settings_out_of_range(settings: dict[str, Any], message: str):
 
 PUBLISHED = {
     "steps": 500,  # section 4, implementation details: 500 to 1,000 iterations
-    "view_share": 0.25,  # section 4, implementation details: 25 % of the training images
-    "view_dependence": "train",  # section 3.4: gradients for the SH coefficients, all of them
-    "max_growth": 1.0,  # section 3.4: all other properties of the Gaussians are frozen
-    "hard": True,  # section 3.4: the Gaussians above the threshold, each alike
+    "published": True,  # sections 3.4 and 4: all bands, every picked Gaussian, 25 % of the views
     "color": "free",  # section 3.4: the NNFM loss alone, no transfer of colours
-    "softened": 0.0,  # section 3.4: fine-tuned from the coefficients as trained
     "content": 0.0,  # section 3.4: no other loss
     "form": 0.0,
     "intensity": 1.0,  # section 4, scale control: intensity is the learning rate
     "lr": 0.0025,  # the official code, which keeps 3D Gaussian splatting's feature_lr
-    "final_lr": 1.0,  # and its schedule of colours: none
     "layers": (3,),  # ARF (Zhang et al. 2022), section 4: conv3, which the official code keeps
-    "pattern": "photo",  # section 3.4: the loss between the rendered training view and the style
     "object_size": None,
     "rotate": 0.0,
     "region": None,
@@ -75,16 +69,20 @@ def test_the_papers_preset_is_the_method_as_published(name: str, value: Any):
 
 def test_the_papers_views_are_seen_whole_in_one_stage_with_vgg16():
     stages = PRESETS["paper"].stages(321.0)
-    assert stages == [Stage((321.0,), 500)], "as large as in the photos"
+    assert PRESETS["paper"].max_discs(1000) == 0, "section 3.4: nothing but colours changes"
+    assert PRESETS["paper"].pattern_removed(1.0) == 0
+    assert stages == [Stage(321.0, 500)], "as large as in the photos"
     style = Style("wave.jpg", preset="paper")  # section 3.4: VGG features; VGG16 in the code
     assert (style.config, style.network) == (PRESETS["paper"], "vgg16")
     assert Style("wave.jpg").network == "compact"
 
 
 def test_the_own_pattern_goes_as_far_as_content_is_not_kept():
-    shares = [StyleConfig(content=content).softened for content in (0.0, 0.25, 1.0, 2.0)]
-    assert shares == [SOFTENED, 0.75 * SOFTENED, 0, 0]
-    assert StyleConfig(color="free").softened == 0, "colours start where they are"
+    configs = [StyleConfig(content=content) for content in (0.0, 0.25, 1.0, 2.0)]
+    shares = [PATTERN_REMOVED, 0.75 * PATTERN_REMOVED, 0, 0]
+    assert [config.pattern_removed(1.0) for config in configs] == shares
+    assert [config.pattern_removed(0.0) for config in configs] == [1, 0.75, 0, 0], "decoration goes"
+    assert StyleConfig(color="free").pattern_removed(0.0) == 0, "colours start where they are"
 
 
 @pytest.mark.parametrize("quality", ["draft", "normal", "high"])
@@ -94,79 +92,67 @@ def test_stages_use_up_the_steps_and_grow(quality: Quality, steps: int | None):
     stages = config.stages(500.0)
     assert sum(stage.steps for stage in stages) == config.all_steps == (steps or config.all_steps)
     assert all(stage.steps > 0 for stage in stages)
-    lengths = [length for stage in stages for length in stage.lengths]
+    lengths = [stage.length for stage in stages]
     assert lengths == sorted(lengths)
 
 
 def test_qualities_end_at_their_sizes():
     configs = [StyleConfig(quality=quality) for quality in PLANS]
-    ends = [config.stages(500.0)[-1].lengths[-1] for config in configs]
+    ends = [config.stages(500.0)[-1].length for config in configs]
     assert ends == [160, 500, 500]
     steps = [config.all_steps for config in configs]
     assert steps == sorted(steps)
 
 
-def test_drafts_get_no_canvas_unless_asked():
-    growths = [StyleConfig(quality=quality).growth(100_000) for quality in PLANS]
-    assert growths == [1, GROWTH, GROWTH]
-    assert StyleConfig(quality="draft", max_growth=2.0).growth(20_000) == 2
-    few = [StyleConfig().growth(gaussians) for gaussians in (FEW, FEW // 5, 1_000, 0)]
-    assert few == [GROWTH, 6, MOST_GROWTH, MOST_GROWTH], "small and smooth objects grow more"
+def test_drafts_get_no_canvas_and_smooth_objects_many_discs():
+    discs = [StyleConfig(quality=quality).max_discs(100_000) for quality in PLANS]
+    assert discs == [0, (GROWTH - 1) * 100_000, (GROWTH - 1) * 100_000]
+    assert StyleConfig().max_discs(MANY_DISCS // 5) == MANY_DISCS
+    assert StyleConfig().max_discs(1_000) == (MOST_GROWTH - 1) * 1_000
 
 
 @pytest.mark.parametrize(
     ("photo_length", "length"), [(100.0, 160.0), (200.0, 200.0), (4000.0, FINEST)]
 )
 def test_fine_stages_follow_the_photos_within_bounds(photo_length: float, length: float):
-    assert StyleConfig(quality="high").stages(photo_length)[-1].lengths[-1] == length
+    assert StyleConfig(quality="high").stages(photo_length)[-1].length == length
 
 
 def test_an_object_size_is_the_largest():
     stages = StyleConfig(object_size=100).stages(500.0)
-    assert max(length for stage in stages for length in stage.lengths) == 100
+    assert max(stage.length for stage in stages) == 100
 
 
 def test_sizes_follow_the_scale():
     """Beside a style image of the same size: an object half as long shows strokes twice as large.
-    Fine stages too, else they would add small strokes; sizes stay within the photos'."""
-    usual, large, small = (
-        StyleConfig(scale=scale, max_growth=1.0).stages(500.0) for scale in (2.0, 4.0, 1.0)
-    )
+    Fine stages render it at the photos' size: there it is the style image that becomes larger."""
+    usual, large, small = (StyleConfig(scale=scale).stages(500.0) for scale in (2.0, 4.0, 1.0))
     usual_lengths, large_lengths, small_lengths = (
-        [length for stage in stages for length in stage.lengths] for stages in (usual, large, small)
+        [stage.length for stage in stages] for stages in (usual, large, small)
     )
-    assert large_lengths == [length / 2 for length in usual_lengths]
+    assert large_lengths[:3] == [length / 2 for length in usual_lengths[:3]]
+    assert large_lengths[3:] == usual_lengths[3:]
     coarse = [2 * length for length in usual_lengths if length <= 160]
     assert small_lengths[: len(coarse)] == coarse
     assert usual_lengths[-1] == small_lengths[-1] == 500
     assert small_lengths == sorted(small_lengths)
     assert usual[0].window is None and usual[-1].window == WINDOW
     assert {stage.window for stage in small} == {WINDOW}, "no step costs more than usual"
-    assert [stage.anchored for stage in (small[0], small[-1])] == [False, True]
+    assert [stage.fine for stage in (small[0], small[-1])] == [False, True]
 
 
-def test_what_waits_for_a_canvas_shows_strokes_before():
-    first, then, *rest = StyleConfig().stages(500.0)
-    whole, *others = StyleConfig(max_growth=1.0).stages(500.0)
+def test_the_first_strokes_show_before_the_canvas_is_laid():
+    first, then, *_ = StyleConfig().stages(500.0)
     assert first.steps < then.steps
-    assert replace(then, steps=first.steps + then.steps) == whole
-    assert rest == others
-    draft = StyleConfig(quality="draft")
-    assert draft.stages(500.0) == replace(draft, max_growth=1.0).stages(500.0), "it has none"
+    assert replace(then, steps=first.steps) == first
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])
 def test_sizes_stay_within_bounds_at_any_scale(scale: float):
     config = StyleConfig(scale=scale)
-    lengths = [length for stage in config.stages(500.0) for length in stage.lengths]
+    lengths = [stage.length for stage in config.stages(500.0)]
     assert lengths == sorted(lengths)
     assert min(lengths) >= LEAST and max(lengths) <= 500
-    assert config.finest(500.0) == 500, "large strokes have edges as sharp as others"
+    assert lengths[-1] == 500, "large strokes have edges as sharp as others"
     tiny = StyleConfig(scale=scale, object_size=20).stages(500.0)
-    assert max(length for stage in tiny for length in stage.lengths) == 20
-
-
-def test_only_strokes_larger_than_usual_level_what_is_finer():
-    shares = [StyleConfig(scale=scale).levelled for scale in (0.5, 2.0, 4.0, 8.0)]
-    assert shares == [0, 0, 0.5, 0.75]
-    assert StyleConfig(scale=4.0, pattern="photo").levelled == 0, "as published"
+    assert max(stage.length for stage in tiny) == 20

@@ -8,7 +8,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.projection import crop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.object_views import cut_views, find_boxes, typical_length, windows
+from stylesplat.stylization.views import crop_views, find_boxes, typical_length, windows
 
 TABLE = 200  # Gaussians before the balls' 80 each
 
@@ -58,7 +58,7 @@ def test_hidden_objects_have_no_box():
 def test_cells_are_those_that_the_object_covers(network: FeatureNetwork, zoom: float):
     cells = [network.cells(2), network.cells(1)]
     boxes = find_boxes(SPLATS, CAMERAS[3:5], ball(2))
-    views = cut_views(SPLATS, boxes, ball(2), cells, zoom=zoom)
+    views = crop_views(SPLATS, boxes, ball(2), cells, zoom=zoom)
     assert len(views) == 2
     for view in views:
         image, _, _ = rasterize(SPLATS, view.camera)
@@ -74,7 +74,7 @@ def test_cells_are_those_that_the_object_covers(network: FeatureNetwork, zoom: f
 def test_cuts_include_all_that_the_features_depend_on(network: FeatureNetwork):
     cells = network.cells(2)
     box = find_boxes(SPLATS, CAMERAS[:1], ball(2))
-    (view,) = cut_views(SPLATS, box, ball(2), [cells], zoom=1.0)
+    (view,) = crop_views(SPLATS, box, ball(2), [cells], zoom=1.0)
     whole, _, _ = rasterize(SPLATS, CAMERAS[:1])
     x, y = (CAMERAS.Ks[0, :2, 2] - view.camera.Ks[0, :2, 2]).int().tolist()
     width, height = view.camera.size
@@ -91,7 +91,7 @@ def test_cuts_include_all_that_the_features_depend_on(network: FeatureNetwork):
 def test_views_that_hardly_show_the_object_are_skipped(network: FeatureNetwork):
     boxes = find_boxes(SPLATS, CAMERAS, ball(0))
     cells = [network.cells(2)]
-    assert cut_views(SPLATS, boxes, ball(0), cells, zoom=0.2) == []
+    assert crop_views(SPLATS, boxes, ball(0), cells, zoom=0.2) == []
 
 
 def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwork):
@@ -104,7 +104,7 @@ def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwo
         (box,) = (box for box in boxes if box.camera.names == part.camera.names)
         assert (part.low >= box.low).all() and (part.high <= box.high).all()
         assert part.length <= side
-    (view, *_) = cut_views(SPLATS, parts, ball(0), [network.cells(1)], zoom=4.0)
+    (view, *_) = crop_views(SPLATS, parts, ball(0), [network.cells(1)], zoom=4.0)
     inside = (view.cells[0].sum(dim=1) > 0).sum()
     assert 0 < inside <= 4 * side + 2, "features of the margin are not the part's"
 

@@ -7,9 +7,9 @@ import torch
 from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization import style_images as pictures
+from stylesplat.stylization import style_image as pictures
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_images import inscribed_rectangle, read_style
+from stylesplat.stylization.style_image import inscribed_rectangle, read_style
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
 

@@ -4,45 +4,45 @@ import pytest
 import torch
 
 from balls import CAMERAS
-from striped_balls import FAST, SCENE, ball, with_settings
-from stylesplat.rendering.render import rasterize
-from stylesplat.stylization import cut_scene as cutting
-from stylesplat.stylization.cut_scene import CutScene, cut_scene
+from striped_balls import FAST, SCENE, ball
+from stylesplat.rendering.rasterize import rasterize
+from stylesplat.stylization import crop_scene as cutting
+from stylesplat.stylization.crop_scene import SceneCrop, crop_scene
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint_objects import open_studio, paint_objects
-from stylesplat.stylization.style_job import Studio, StyleJob
+from stylesplat.stylization.paint import paint_context, paint_objects
+from stylesplat.stylization.target import PaintContext, PaintTarget
 
 BALL = ball(0)
 ELSEWHERE = 100  # Gaussians that no camera sees, before all others
 
 
 @pytest.fixture
-def studio(network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch) -> Studio:
+def studio(network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch) -> PaintContext:
     """A scene that counts as large, most of which is out of sight."""
     monkeypatch.setattr(cutting, "LARGE", 0)
     away = SCENE[torch.arange(ELSEWHERE)]
     away = replace(away, means=away.means + torch.tensor([0.0, 0.0, 1e4]))
     both = {name: torch.cat([away.tensors()[name], t]) for name, t in SCENE.tensors().items()}
-    return open_studio(replace(SCENE, **both), CAMERAS, network)
+    return paint_context(replace(SCENE, **both), CAMERAS, network)
 
 
 def behind(mask: torch.Tensor) -> torch.Tensor:
     return torch.cat([torch.zeros(ELSEWHERE, dtype=torch.bool), mask])
 
 
-def cut_to(studio: Studio, mask: torch.Tensor) -> CutScene:
-    cut = cut_scene(studio, behind(mask))
+def cut_to(studio: PaintContext, mask: torch.Tensor) -> SceneCrop:
+    cut = crop_scene(studio, behind(mask))
     assert cut is not None
     return cut
 
 
-def test_what_no_view_shows_does_not_matter(studio: Studio):
+def test_what_no_view_shows_does_not_matter(studio: PaintContext):
     cut = cut_to(studio, BALL)
     assert (cut.rows >= ELSEWHERE).all() and (cut.rows.diff() > 0).all()
     assert torch.isin(ELSEWHERE + BALL.nonzero()[:, 0], cut.rows).all()
 
 
-def test_what_the_object_hides_matters(studio: Studio):
+def test_what_the_object_hides_matters(studio: PaintContext):
     inside = SCENE.means[BALL].mean(dim=0)
     means = studio.splats.means.clone()
     hidden = ELSEWHERE + int((~BALL).nonzero()[0])
@@ -51,21 +51,21 @@ def test_what_the_object_hides_matters(studio: Studio):
     assert hidden in cut_to(scene, BALL).rows
 
 
-def test_views_that_hide_the_object_do_not_matter(studio: Studio):
+def test_views_that_hide_the_object_do_not_matter(studio: PaintContext):
     """Nor is there a cut if only held-out views show it: that is refused as in the whole scene."""
     away = CAMERAS[0]
     turned = away.viewmats.clone()
     turned[:, :3] *= torch.tensor([-1.0, 1.0, -1.0])[:, None]  # half a turn: it looks elsewhere
     away = replace(away, viewmats=turned, names=("away",))
-    cut = cut_to(replace(studio, every_camera=CAMERAS + away), BALL)
+    cut = cut_to(replace(studio, all_cameras=CAMERAS + away), BALL)
     assert cut.views == {*CAMERAS.names}
-    assert cut.showing(CAMERAS + away).names == CAMERAS.names
-    only = replace(studio, cameras=away, every_camera=away + CAMERAS)
-    assert cut_scene(only, behind(BALL)) is None
-    assert cut_scene(replace(studio, every_camera=CAMERAS + CAMERAS), behind(BALL)) is None
+    assert cut.cameras(CAMERAS + away).names == CAMERAS.names
+    only = replace(studio, cameras=away, all_cameras=away + CAMERAS)
+    assert crop_scene(only, behind(BALL)) is None
+    assert crop_scene(replace(studio, all_cameras=CAMERAS + CAMERAS), behind(BALL)) is None
 
 
-def test_the_object_looks_the_same_to_the_bit(studio: Studio):
+def test_the_object_looks_the_same_to_the_bit(studio: PaintContext):
     cut = cut_to(studio, BALL)
     whole, part = studio.splats, studio.splats[cut.rows]
     shown = behind(BALL).float()[:, None]
@@ -77,36 +77,35 @@ def test_the_object_looks_the_same_to_the_bit(studio: Studio):
 
 
 def test_painted_as_in_the_whole_scene(
-    studio: Studio, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
+    studio: PaintContext, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
 ):
-    job = StyleJob("ball", behind(BALL), (stripes,), FAST)
-    job = with_settings(job, hard=True)
+    job = PaintTarget("ball", behind(BALL), (stripes,), FAST)
     cut, _ = paint_objects(studio, [job])
     monkeypatch.setattr(cutting, "LARGE", len(studio.splats) + 1)
     whole, _ = paint_objects(studio, [job])
     assert not torch.equal(cut.splats.sh0, studio.splats.sh0)
     assert torch.equal(cut.splats.sh0, whole.splats.sh0)
-    assert torch.equal(cut.parents, whole.parents)
+    assert torch.equal(cut.family, whole.family)
 
 
-def test_nothing_else_changes_beside_a_canvas(studio: Studio, stripes: torch.Tensor):
-    job = StyleJob("ball", behind(BALL), (stripes,), replace(FAST, max_growth=6.0))
+def test_nothing_else_changes_beside_a_canvas(studio: PaintContext, stripes: torch.Tensor):
+    job = PaintTarget("ball", behind(BALL), (stripes,), replace(FAST, quality="normal"))
     styled, _ = paint_objects(studio, [job])
     count = len(studio.splats)
-    assert len(styled.splats) == len(styled.parents) > count
-    assert job.picked[styled.parents[count:]].all()
+    assert len(styled.splats) == len(styled.family) > count
+    assert job.mask[styled.family[count:]].all()
     for name, before in studio.splats.tensors().items():
-        assert torch.equal(styled.splats.tensors()[name][:count][~job.picked], before[~job.picked])
-    cut = cut_scene(studio, job.picked)
+        assert torch.equal(styled.splats.tensors()[name][:count][~job.mask], before[~job.mask])
+    cut = crop_scene(studio, job.mask)
     assert cut is not None
     of_base = cut.of_base(torch.arange(count))
-    after = styled.splats[of_base.among(styled.parents)]
+    after = styled.splats[of_base.rows_in(styled.family)]
     assert len(after) == len(cut.rows) + len(styled.splats) - count
 
 
 def test_a_layer_that_is_painted_in_a_part_is_of_the_whole_base(
-    studio: Studio, stripes: torch.Tensor
+    studio: PaintContext, stripes: torch.Tensor
 ):
-    job = StyleJob("ball", behind(BALL), (stripes,), FAST)
+    job = PaintTarget("ball", behind(BALL), (stripes,), FAST)
     styled, _ = paint_objects(studio, [job])
-    assert torch.equal(styled.layers[0].rows, job.picked.nonzero()[:, 0])
+    assert torch.equal(styled.layers[0].rows, job.mask.nonzero()[:, 0])

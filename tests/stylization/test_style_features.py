@@ -3,7 +3,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.target import resize, style_features
+from stylesplat.stylization.style_image import resize, style_features
 
 
 def test_shape_is_kept(stripes: torch.Tensor):

@@ -4,7 +4,7 @@ import torch
 
 from scenes import random_splats
 from stylesplat.rendering.sh import SH_C0, sh_colors
-from stylesplat.stylization.color import NOISE, VARIATION, color_map, map_colors, vary_colors
+from stylesplat.stylization.colors import NOISE, VARIATION, color_map, map_colors, vary_colors
 
 NOISE_BIAS = 0.05  # the source's variances, 0.04 to 0.09, are raised by NOISE
 

@@ -1,0 +1,233 @@
+"""Colours of an object: its initial colours, transfer by mean and covariance, and the palette."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.metrics.lab import distinct, lab_from_rgb, nearest_colors, thinned
+from stylesplat.rendering.sh import SH_C0
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
+
+NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
+VARIATION = 0.15  # deviation of the colours that `vary_colors` adds, of 1
+WAVELENGTH = 0.12  # of its pattern, in sizes of the object
+WAVES = 48  # that it is made of
+HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
+SHADE = 5.0  # of Lab: colours in one cube of this size are one
+NEAR = 6.0  # of Lab: a colour this near to the palette may stay
+LEVELS = 24  # of red, green and blue in the table of nearest colours
+ROUNDS = 4  # of `project_to_palette`; further ones hardly change anything
+STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would diverge
+DARKEST = 1e-4  # of 1: above the clamp at black, which has no gradient, far below a level
+FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
+
+
+@torch.no_grad()
+def initial_colors(
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    views: Sequence[ObjectView],
+    palette: Float[Tensor, "P 3"],
+    *,
+    seed: int,
+) -> Splats:
+    """The colours to start from: varied a little, with the palette's mean and covariance.
+
+    Args:
+        splats: The scene, its object without the pattern that is to go.
+        mask: The object's Gaussians.
+        views: Of the object.
+        palette: The style's colours in 0..1.
+        seed: Of the variation.
+    """
+    splats = vary_colors(splats, mask, seed=seed)
+    return transfer_colors(splats, mask, palette, views)
+
+
+@torch.no_grad()
+def transfer_colors(
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    style: Float[Tensor, "P 3"],
+    views: Sequence[ObjectView],
+) -> Splats:
+    """Map an object's colours so that its pixels have the style's mean and covariance.
+
+    Args:
+        splats: The scene.
+        mask: The object's Gaussians.
+        style: Colours in 0..1.
+        views: Of the object.
+    """
+    matrix, offset = color_map(object_colors(splats, views), style)
+    return map_colors(splats, mask, matrix, offset)
+
+
+@torch.no_grad()
+def object_colors(splats: Splats, views: Sequence[ObjectView]) -> Float[Tensor, "P 3"]:
+    """The colours of the object's pixels in all views."""
+    return torch.cat([view.render(splats)[view.pixels] for view in views])
+
+
+@torch.no_grad()
+def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splats:
+    """Add a pattern of smooth colours in space, so that flat areas vary as paintings do."""
+    generator = torch.Generator().manual_seed(seed)
+    directions = F.normalize(torch.randn(WAVES, 3, generator=generator), dim=1)
+    phases = 2 * math.pi * torch.rand(WAVES, generator=generator)
+    mixture = torch.randn(WAVES, 3, generator=generator) * math.sqrt(2 / WAVES)
+    means = splats.means[mask]
+    size = (means.quantile(0.95, dim=0) - means.quantile(0.05, dim=0)).norm()
+    waves = directions.to(means) * (2 * math.pi / (WAVELENGTH * size))
+    pattern = torch.cos(means @ waves.T + phases.to(means)) @ mixture.to(means)
+    sh0 = splats.sh0.clone()
+    sh0[mask] += VARIATION / SH_C0 * pattern[:, None]
+    return replace(splats, sh0=sh0)
+
+
+def color_map(
+    source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]
+) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+    """The affine map that takes one set of colours to another's mean and covariance.
+
+    Of all such maps it moves the colours least (Pitie & Kokaram 2007, "The linear
+    Monge-Kantorovitch linear colour mapping").
+
+    Returns:
+        `matrix` and `offset` of `matrix @ color + offset`.
+    """
+    noise = NOISE * torch.eye(3).to(source)
+    root = _matrix_sqrt(source.T.cov(correction=0) + noise)
+    inverse = torch.linalg.inv(root)
+    wanted = target.T.cov(correction=0) + noise
+    matrix = inverse @ _matrix_sqrt(root @ wanted @ root) @ inverse
+    return matrix, target.mean(dim=0) - matrix @ source.mean(dim=0)
+
+
+def map_colors(
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    matrix: Float[Tensor, "3 3"],
+    offset: Float[Tensor, " 3"],
+) -> Splats:
+    """Apply an affine map to the colours of some Gaussians, in all bands."""
+    grey = torch.full((3,), 0.5).to(offset)  # what zero coefficients show
+    shift = (matrix @ grey + offset - grey) / SH_C0
+    rows = mask.nonzero()[:, 0]
+    sh0, shN = splats.sh0[rows] @ matrix.T + shift, splats.shN[rows] @ matrix.T
+    return splats.with_rows(rows, {"sh0": sh0, "shN": shN})
+
+
+def _matrix_sqrt(matrix: Tensor) -> Tensor:
+    values, vectors = torch.linalg.eigh(matrix)
+    return vectors @ (values.clamp(min=0).sqrt()[:, None] * vectors.T)
+
+
+@torch.no_grad()
+def blur_colors(splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[ObjectView]) -> Splats:
+    """Give Gaussians the mean colour of the pixels that they contribute to.
+
+    Renders of this size match nothing finer than their pixels: there Gaussians differ by chance.
+
+    Args:
+        splats: The scene.
+        mask: The object's Gaussians.
+        views: Of the object, as small as the strokes are large.
+    """
+    matte = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
+    total, weights = torch.zeros_like(splats.sh0), torch.zeros_like(splats.sh0)
+    for view in views:
+        image, own = view.render(matte), view.pixels[..., None]
+        total += view.backproject(matte, image * own)
+        weights += view.backproject(matte, own.expand_as(image).to(image))
+    mean = (total / weights.clamp(min=HIDDEN) - 0.5) / SH_C0
+    visible = mask[:, None, None] & (weights > HIDDEN)
+    return replace(splats, sh0=torch.where(visible, mean, splats.sh0))
+
+
+@dataclass(frozen=True)
+class Palette:
+    """The colours of a style, and the nearest of them to any colour."""
+
+    table: Float[Tensor, "_ 3"]
+    """The nearest colour in 0..1, by red, green and blue in `LEVELS` levels, blue fastest."""
+    shares: Float[Tensor, " _"]
+    """The share of the way there that ends at distance `NEAR`; 0 for nearer colours."""
+
+    def offset(self, colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
+        """From colours in 0..1 to where the palette is near; without gradients."""
+        colors = colors.detach()
+        levels = (colors.clamp(0, 1) * (LEVELS - 1)).round()
+        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long().flatten()
+        nearest = self.table.index_select(0, rows).view(colors.shape)
+        return (nearest - colors) * self.shares.index_select(0, rows).view(*colors.shape[:-1], 1)
+
+    def distance(
+        self, image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]
+    ) -> Float[Tensor, ""]:
+        """The mean squared offset of some pixels, which gradients shorten."""
+        offset = self.offset(image) * mask[..., None]
+        goal = torch.where(offset != 0, image.detach() + offset, image)
+        return (image - goal).square().sum() / mask.sum()
+
+
+@torch.no_grad()
+def build_palette(style: Float[Tensor, "Q 3"]) -> Palette:
+    """Prepare the colours of a style, in 0..1."""
+    palette = distinct(thinned(style), SHADE)  # rarer colours are no aim
+    axis = torch.linspace(0, 1, LEVELS).to(style)
+    every, shades = lab_from_rgb(torch.cartesian_prod(axis, axis, axis)), lab_from_rgb(palette)
+    nearest = nearest_colors(every, shades)
+    away = (every - shades[nearest]).norm(dim=1)
+    return Palette(palette[nearest], (1 - NEAR / away).clamp(min=0))
+
+
+def project_to_palette(
+    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[ObjectView], palette: Palette
+) -> Splats:
+    """Move an object's colours until its pixels are near the palette.
+
+    Each round backprojects every pixel's offset to the Gaussians by their weights, and averages
+    (simultaneous algebraic reconstruction, Gilbert 1972).
+
+    Args:
+        splats: The scene.
+        mask: The object's Gaussians.
+        views: Of the object.
+        palette: The style's colours.
+    """
+    views = with_fixed_bands(views, splats)
+    weights = total_weights(views, splats, mask)
+    weights = weights + FAINT * weights[weights > 0].median()
+    colors = splats.sh0[mask, 0] * SH_C0 + 0.5
+    brightest = colors.clamp(min=1)  # Gaussians that show in part need colours beyond white
+    for _ in range(ROUNDS):
+        # below black nothing shows, and nothing can be asked for
+        splats = _with_colors(splats, mask, colors.clamp(min=DARKEST))
+        offsets = _backprojected_offsets(splats, mask, views, palette) / weights[:, None]
+        colors = (colors.clamp(min=DARKEST) + STRIDE * offsets).minimum(brightest)
+    return _with_colors(splats, mask, colors.clamp(min=0))
+
+
+def _with_colors(splats: Splats, mask: Tensor, colors: Tensor) -> Splats:
+    sh0 = splats.sh0.clone()
+    sh0[mask, 0] = (colors - 0.5) / SH_C0
+    return replace(splats, sh0=sh0)
+
+
+def _backprojected_offsets(
+    splats: Splats, mask: Tensor, views: Sequence[ObjectView], palette: Palette
+) -> Tensor:
+    sh0 = splats.sh0.detach().requires_grad_()
+    with torch.enable_grad():
+        for view in views:
+            image = view.render(replace(splats, sh0=sh0))
+            (image * palette.offset(image) * view.pixels[..., None]).sum().backward()
+    assert sh0.grad is not None
+    return sh0.grad[mask, 0] / SH_C0

@@ -1,0 +1,292 @@
+"""Settings of the stylisation, the stages that follow from them, and their plain values."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from difflib import get_close_matches
+from itertools import accumulate, pairwise
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.intensity import MAX_INTENSITY, check_intensity
+
+LAYERS = range(1, 5)  # layer groups that every VGG has
+MOST_STEPS = 10**6  # a day on a CPU
+MAX_SEED = 10**18  # torch takes somewhat larger ones
+LARGEST = 1e4  # of any setting: more is a slip of the keyboard
+
+Network = Literal["compact", "vgg16", "vgg19"]
+ColorMode = Literal["style", "keep", "blend", "free"]
+Quality = Literal["draft", "normal", "high"]
+Precision = Literal["float32", "bfloat16"]
+
+DEFAULT_NETWORK: Network = "compact"  # it ships with the package
+PATTERN_LENGTH = 160.0  # pixels of the object's longer side where features match best
+USUAL_SCALE = 2.0  # the stroke size that the stages are made for
+FINEST = 640.0  # pixels of the object's longer side: at more, windows would be too few to cover it
+LEAST = 48.0  # pixels: smaller renders have too few features, however large the strokes are
+SMALLEST = 2.0  # times the pattern length: for small strokes, even if the photos are smaller
+WINDOW = 160  # pixels: a step in a window costs as much as a coarse step
+PATTERN_REMOVED = 0.75  # of an object whose detail is form: removing all takes mouths along
+GROWTH = 4.0  # times as many Gaussians with a canvas
+MOST_GROWTH = 16.0  # of objects that have few
+MANY_DISCS = 60_000  # objects of few Gaussians get as many discs: fewer show no strokes
+FIRST = 25  # steps before the canvas is laid, so that the first strokes show at once
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Steps that render the object at one size."""
+
+    length: float
+    """Its longer side in pixels; the style image follows it."""
+    steps: int
+    window: int | None = None
+    """Side of the square windows that are rendered, in pixels; None renders the whole object."""
+    rate: float = 1.0
+    """Factor of the learning rate."""
+    fine: bool = False
+    """Whether the large shapes that were found before stay."""
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One stage of a plan."""
+
+    steps: int
+    of_pattern: float | None = None
+    """The object's size, as a share of the pattern length."""
+    of_photos: float | None = None
+    """Or windows of it, the object's size being this share of its size in the photos."""
+    rate: float = 1.0
+
+
+PLANS: dict[Quality, tuple[_Row, ...]] = {
+    "draft": (_Row(90, of_pattern=0.6), _Row(30, of_pattern=1.0)),
+    "normal": (
+        _Row(60, of_pattern=0.6),
+        _Row(30, of_pattern=1.0),
+        _Row(60, of_photos=0.5, rate=2.0),
+        _Row(60, of_photos=1.0, rate=2.0),
+    ),
+    "high": (
+        _Row(60, of_pattern=0.6),
+        _Row(30, of_pattern=1.0),
+        _Row(80, of_photos=0.5, rate=2.0),
+        _Row(200, of_photos=1.0, rate=2.0),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class StyleConfig:
+    """How to repaint an object."""
+
+    quality: Quality = "normal"
+    """draft is quick and soft and adds no Gaussians; normal paints strokes at the photos' size;
+    high takes more steps there."""
+    steps: int | None = None
+    """Optimiser steps per object, one view each; by default as many as the quality needs."""
+    layers: tuple[int, ...] = (3,)
+    """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
+    scale: float = USUAL_SCALE
+    """Size of the strokes: the longer side of the style picture, in longer sides of the object."""
+    rotate: float = 0.0
+    """Degrees to turn the style picture by, counter-clockwise."""
+    region: tuple[int, int, int, int] | None = None
+    """x0, y0, x1, y1: the part of the style picture to use, in its pixels; all of it by default."""
+    intensity: float = 1.0
+    """How much of the paint to blend in: 0 changes nothing, 1 takes all, 1.5 exaggerates."""
+    color: ColorMode = "style"
+    """The object's hues: the style's, its own (keep), a blend, or what matching gives (free)."""
+    form: float = 1.0
+    """How much of the object's form to keep, 0 to 1.5: the detail that stands out from its
+    pattern, such as eyes, a mouth, folds."""
+    content: float = 0.0
+    """How much of the object's own features to keep, pattern included: 0 none, 1 nearly all."""
+    object_size: int | None = None
+    """Longer side of the object in all renders at most, in pixels: less is quicker and softer."""
+    lr: float = 0.1
+    """Adam's step for the constant colour band."""
+    seed: int = 0
+    """The same seed and number of threads give the same result."""
+    published: bool = False
+    """Paint as the StyleSplat paper does: all colour bands of the object's own Gaussians, each in
+    full, at the photos' size, in a quarter of the views, at a constant rate."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "scale", "lr", "object_size"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise StyleSplatError(f"Cannot stylise with {name} {value}: it must exceed 0.")
+        if not self.content >= 0:
+            raise StyleSplatError(f"Cannot stylise with content {self.content}: use 0 or more.")
+        for name in ("scale", "lr", "content", "rotate", "object_size"):
+            if not abs(getattr(self, name) or 0) <= LARGEST:
+                raise StyleSplatError(
+                    f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
+                )
+        if self.all_steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
+            raise StyleSplatError(
+                f"Cannot stylise with steps {self.steps} and seed {self.seed}: use {MOST_STEPS:g} "
+                f"and {MAX_SEED:.0e} at most."
+            )
+        if not self.layers or not set(self.layers) <= set(LAYERS):
+            raise StyleSplatError(
+                f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
+            )
+        check_intensity(self.intensity)
+        if not 0 <= self.form <= MAX_INTENSITY:
+            raise StyleSplatError(
+                f"Cannot stylise with form {self.form}: use 0 to {MAX_INTENSITY:g}."
+            )
+
+    @property
+    def all_steps(self) -> int:
+        """The steps of all stages."""
+        if self.steps is not None:
+            return self.steps
+        return sum(row.steps for row in PLANS[self.quality])
+
+    def pattern_removed(self, form: float) -> float:
+        """The share of the object's own pattern to remove before painting.
+
+        Args:
+            form: The share of its detail that is form, 0 to 1; the rest is decoration.
+        """
+        if self.color == "free" or self.published:
+            return 0.0
+        most = 1 - (1 - PATTERN_REMOVED) * form
+        return most * (1 - min(self.content, 1.0))
+
+    def max_discs(self, gaussians: int) -> int:
+        """How many discs a canvas may have.
+
+        Smooth objects have few Gaussians and need more discs than a multiple of these.
+
+        Args:
+            gaussians: How many the object has.
+        """
+        if self.quality == "draft" or self.published:
+            return 0
+        growth = max(GROWTH, 1 + MANY_DISCS / max(gaussians, 1))
+        return int((min(growth, MOST_GROWTH) - 1) * gaussians)
+
+    def stages(self, photo_length: float) -> list[Stage]:
+        """The sizes at which the object is rendered, coarse first.
+
+        In the coarse stages the style image has the same size in pixels whatever its scale, and
+        the object becomes smaller beside it, or larger. Fine stages render windows at the photos'
+        size, and the style image becomes larger, so that large strokes have sharp edges.
+
+        Args:
+            photo_length: The object's longer side in the photos, in pixels.
+        """
+        if self.published:
+            return [Stage(min(photo_length, self.object_size or math.inf), self.all_steps)]
+        pattern = float(self.object_size or PATTERN_LENGTH)
+        finest = float(self.object_size or max(pattern, min(photo_length, FINEST)))
+        most = float(self.object_size or max(SMALLEST * pattern, finest))
+        rows = PLANS[self.quality]
+        if self.max_discs(1):
+            first, *rest = rows
+            rows = (_Row(FIRST, first.of_pattern), _Row(first.steps - FIRST, first.of_pattern))
+            rows = (*rows, *rest)
+        total = sum(row.steps for row in rows)
+        ends = [round(self.all_steps * n / total) for n in accumulate(r.steps for r in rows)]
+        stages = []
+        for row, (start, end) in zip(rows, pairwise([0, *ends]), strict=True):
+            if row.of_photos is not None:
+                coarsest = self._scaled(pattern, most)
+                length = max(coarsest, row.of_photos * finest)
+                stages.append(Stage(length, end - start, WINDOW, row.rate, fine=True))
+            elif row.of_pattern is not None:
+                usual = row.of_pattern * pattern
+                length = self._scaled(usual, most)
+                window = WINDOW if length > max(usual, WINDOW) else None
+                stages.append(Stage(length, end - start, window, row.rate))
+        return [stage for stage in stages if stage.steps > 0]
+
+    def _scaled(self, length: float, most: float) -> float:
+        """The object's longer side beside a style of this scale, from that of the usual scale."""
+        return min(max(length * USUAL_SCALE / self.scale, min(length, LEAST)), most)
+
+
+PRESETS = {
+    "default": StyleConfig(),
+    "paper": StyleConfig(steps=500, lr=0.0025, color="free", form=0.0, published=True),
+}
+"""`paper` follows section 4 of the StyleSplat paper: NNFM alone, at the rates of its code."""
+NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
+"""The network of each preset."""
+
+SETTINGS = {field.name: get_type_hints(StyleConfig)[field.name] for field in fields(StyleConfig)}
+"""The names and types of all settings."""
+WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    NoneType: "null",
+    dict: "KEY: VALUE",
+    list: "a list",
+}
+MAX_SHOWN = 80  # characters of a value in a message
+
+
+def plain_settings(config: StyleConfig) -> dict[str, Any]:
+    """Settings as JSON has them: tuples as lists."""
+    return json.loads(json.dumps(asdict(config)))
+
+
+def with_settings(config: StyleConfig, settings: Mapping[str, Any]) -> StyleConfig:
+    """Change some settings; see `convert_settings`.
+
+    Raises:
+        StyleSplatError: If there is no such setting, or it is out of range.
+    """
+    return replace(config, **convert_settings(settings, SETTINGS)) if settings else config
+
+
+def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0.
+
+    Raises:
+        StyleSplatError: If a key has no hint, or a value does not fit its own.
+    """
+    fit = {}
+    for key, value in entry.items():
+        if key not in hints:
+            raise StyleSplatError(f"there is no key {key!r}. {_suggestion(key, hints)}")
+        try:
+            fit[key] = msgspec.convert(value, hints[key])
+            if isinstance(fit[key], float) and not math.isfinite(fit[key]):
+                raise msgspec.ValidationError
+        except msgspec.ValidationError as error:
+            shown = json.dumps(value, ensure_ascii=False, default=str)
+            if len(shown) > MAX_SHOWN:
+                shown = f"{shown[:MAX_SHOWN]}..."
+            expected = _described(hints[key])
+            raise StyleSplatError(f"{key} must be {expected}, not {shown}.") from error
+    return fit
+
+
+def _described(hint: Any) -> str:
+    kind, arguments = get_origin(hint), get_args(hint)
+    if kind in (Union, UnionType):
+        return " or ".join(map(_described, arguments))
+    if kind is Literal:
+        return " or ".join(map(json.dumps, arguments))
+    if kind is tuple:
+        count = "" if arguments[-1] is ... else f" of {len(arguments)}"
+        return f"a list{count}, each {_described(arguments[0])}"
+    return WORDS[kind or hint]
+
+
+def _suggestion(key: str, known: Iterable[str]) -> str:
+    near = get_close_matches(str(key), known, n=1)
+    return f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(known)}."

@@ -1,0 +1,149 @@
+"""Confining a canvas to its object: discs show only where something of the object showed."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.seen import pixel_bounds, touching
+from stylesplat.rendering.shares import COVERED, coverage, without_looks
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
+from stylesplat.stylization.strokes import align_to_strokes
+from stylesplat.stylization.views import Box
+
+VIEWS = 24  # that are checked: discs lie on the very outline of the object
+MARGIN = 16  # pixels around what the object may reach in them
+FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
+EDGE = 4  # pixels around what is covered that are its edge
+SMALLER = 0.6  # factor on the size of a disc that shows beside the object
+
+Outside = tuple[Cameras, Tensor]  # one camera, and the pixels [H, W] that show nothing of an object
+NO_ROWS = torch.zeros(0, dtype=torch.long)
+
+
+@torch.no_grad()
+def confine_canvas(
+    splats: Splats,
+    canvas: Canvas,
+    mask: Bool[Tensor, " N"],
+    boxes: Sequence[Box],
+    cameras: Cameras,
+    *,
+    painted: Splats | None = None,
+) -> tuple[Canvas, Bool[Tensor, " M"]]:
+    """Turn the discs of a canvas along the strokes, and let none show beside the object.
+
+    Discs that show beside it become smaller; those that still do are removed.
+
+    Args:
+        splats: The scene before, on the CPU.
+        canvas: What was laid on it.
+        mask: The object's Gaussians.
+        boxes: Where the object is seen.
+        cameras: Views in which nothing may show beside the object.
+        painted: The canvas in the colours of the strokes; None leaves the discs round.
+
+    Returns:
+        The canvas, and which of its Gaussians are left.
+    """
+    round_discs = canvas.splats
+    if painted is not None:
+        turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing)
+        turned = replace(round_discs, quats=turned.quats, scales=turned.scales)
+        canvas = replace(canvas, splats=turned)
+    checked = cameras[[*evenly(range(len(cameras)), VIEWS)]]
+    outside = _find_outside(splats, mask, _crop_to_gaussians(splats[mask], checked))
+    rows, outside = _overflow(canvas, mask, outside)
+    scales = canvas.splats.scales.clone()
+    scales[rows] = round_discs.scales[rows] + math.log(SMALLER)
+    canvas = replace(canvas, splats=replace(canvas.splats, scales=scales))
+    kept = torch.ones_like(canvas.is_disc)
+    while outside:  # a removed disc may uncover others
+        left = kept.nonzero()[:, 0]
+        rows, outside = _overflow(canvas.select(left), mask, outside)
+        kept[left[rows]] = False
+    canvas = fade_hidden(splats, canvas.select(kept.nonzero()[:, 0]), mask, boxes)
+    return fill_holes(splats, canvas, mask, boxes), kept
+
+
+def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
+    """The part of each camera's image that Gaussians may reach; cameras that see none go."""
+    crops = []
+    for camera in (cameras[index] for index in range(len(cameras))):
+        low, high = pixel_bounds(splats, camera)
+        low, high = (low - MARGIN).clamp(min=0), torch.minimum(high + MARGIN, camera.sizes[0])
+        reached = (low < high).all(dim=1)
+        if reached.any():
+            low, high = low[reached].amin(dim=0), high[reached].amax(dim=0)
+            crops.append(crop(camera, low.tolist(), (high - low).tolist()))
+    return crops
+
+
+def _find_outside(
+    splats: Splats, mask: Bool[Tensor, " N"], cameras: Sequence[Cameras]
+) -> list[Outside]:
+    """The pixels of each camera that show nothing of an object, or haze away from its edge."""
+    bare = without_looks(splats)
+    own, everyone = bare[mask], mask[mask]
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * EDGE + 1, 2 * EDGE + 1))
+
+    def look(camera: Cameras) -> Outside:
+        covered = coverage(bare, camera, mask)
+        alone = coverage(own, camera, everyone)  # whatever hides it
+        solid = (alone > COVERED).numpy().astype(np.uint8)
+        edge = torch.from_numpy(cv2.dilate(solid, disc)).bool()
+        return camera, (covered == 0) | ((covered < FAINT) & ~edge)
+
+    return [*track(at_once(look, cameras), "looking beside the object", total=len(cameras))]
+
+
+def _overflow(
+    canvas: Canvas, mask: Tensor, outside: Sequence[Outside]
+) -> tuple[Int[Tensor, " M"], list[Outside]]:
+    """The discs that show outside the object, and the pixels outside that they may uncover."""
+    own, bare = mask[canvas.parents], without_looks(canvas.splats)
+
+    def look(view: Outside) -> Tensor:
+        rows = _contributing(bare, own, *view)
+        return rows[rows >= canvas.count]
+
+    found = [*track(at_once(look, outside), "checking the outline", total=len(outside))]
+    uncovered = [
+        (camera, pixels & reached_pixels(canvas.splats[rows], camera))
+        for (camera, pixels), rows in zip(outside, found, strict=True)
+        if len(rows)
+    ]
+    return torch.cat([NO_ROWS, *found]).unique(), uncovered
+
+
+def _contributing(
+    splats: Splats, mask: Tensor, camera: Cameras, pixels: Bool[Tensor, "H W"]
+) -> Int[Tensor, " M"]:
+    """The object's Gaussians that contribute to some pixels of one camera."""
+    suspects = mask.nonzero()[:, 0]
+    suspects = suspects[touching(*pixel_bounds(splats[suspects], camera), pixels)]
+    pixels = pixels & reached_pixels(splats[suspects], camera)
+    if not pixels.any():
+        return suspects[:0]
+    there = touching(*pixel_bounds(splats, camera), pixels).nonzero()[:, 0]
+    view = contributions(splats[there], camera, mask[there])
+    return there[view.gaussians[view.weights(pixels) > 0]]
+
+
+@torch.no_grad()
+def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
+    """The pixels in which some Gaussians would show if there were no others."""
+    everyone = torch.ones(len(splats), dtype=torch.bool)
+    return coverage(without_looks(splats), camera, everyone) > 0

@@ -1,0 +1,263 @@
+"""Painting objects: one, one step by step, or several; and the layers that come of it."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.progress import task
+from stylesplat.runtime import tidy_heap
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.compose import compose, family_of
+from stylesplat.scene.layer import Layer, without_identities
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_settings
+from stylesplat.stylization.crop_scene import SceneCrop, crop_scene
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.optimize import PaintState, check_visible, paint_steps
+from stylesplat.stylization.style_image import Picture, read_style
+from stylesplat.stylization.target import PaintContext, PaintTarget, check_targets, paint_context
+
+LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
+REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
+
+
+def paint(
+    splats: Splats,
+    capture: Capture | Cameras,
+    mask: Bool[Tensor, " N"],
+    style: Picture,
+    *,
+    config: StyleConfig | None = None,
+    network: FeatureNetwork | None = None,
+) -> Splats:
+    """Repaint one object in the style of a picture (StyleSplat, section 3.4, and beyond).
+
+    Of the object's Gaussians the colours change, and what a canvas hides of them fades; no other
+    Gaussian changes. The canvas's new Gaussians follow all others.
+
+    Args:
+        splats: The scene.
+        capture: Views of the object; their photos are not used.
+        mask: The object's Gaussians.
+        style: A picture's file, or its colours: floats in 0..1, or bytes.
+        config: Settings; see `StyleConfig` and `PRESETS`.
+        network: The network whose features are matched; the package's own by default.
+
+    Raises:
+        StyleSplatError: If the picture is unreadable or too small, or the object has too few
+            Gaussians or is not seen.
+    """
+    context, target = _one_object(splats, capture, mask, style, config, network)
+    return _blended(_last_state(context, target), context.splats, target)
+
+
+def paint_live(
+    splats: Splats,
+    capture: Capture | Cameras,
+    mask: Bool[Tensor, " N"],
+    style: Picture,
+    *,
+    config: StyleConfig | None = None,
+    network: FeatureNetwork | None = None,
+) -> Iterator[PaintState]:
+    """As `paint`, step by step, to show it, to stop early or to go on later.
+
+    Example::
+
+        live = paint_live(splats, capture, mask, "wave.jpg")
+        for state in live:
+            show(state.splats)
+            if state.step == 100:
+                break  # keep state.splats, or go on: `for state in live`
+
+    Yields:
+        The state after every step, at the intensity of `config`.
+
+    Raises:
+        StyleSplatError: As `paint` does.
+    """
+    context, target = _one_object(splats, capture, mask, style, config, network)
+    for state in paint_steps(context, target):
+        yield replace(state, splats=_blended(state, context.splats, target))
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A splat and the layers that were painted on it."""
+
+    base: Splats
+    layers: tuple[Layer, ...]
+    """One for each object, the lowest first."""
+
+    @property
+    def splats(self) -> Splats:
+        """The layers composed onto the base."""
+        return compose(self.base, self.layers)
+
+    @property
+    def family(self) -> Int[Tensor, " M"]:
+        """The row of the base that each row of `splats` belongs to."""
+        return family_of(self.base, self.layers)
+
+
+def paint_objects(
+    context: PaintContext, targets: Sequence[PaintTarget]
+) -> tuple[Painted, dict[str, float]]:
+    """Repaint several objects one after the other, each on what is painted before.
+
+    Args:
+        context: The scene and its views.
+        targets: The objects and their styles, the lowest layer first.
+
+    Returns:
+        The painted splat, and by name the seconds that each object took.
+
+    Raises:
+        StyleSplatError: If two objects have the same name, an object has too few Gaussians or is
+            not seen, or a style image is too small.
+    """
+    check_targets(targets)
+    targets = [target.to(context.splats) for target in targets]
+    if len(targets) > 1:
+        for target in targets:
+            check_paintable(context, target)
+    painted, seconds = Painted(context.splats, ()), dict[str, float]()
+    for target in targets:
+        began, family = time.perf_counter(), painted.family
+        beneath = replace(context, splats=painted.splats)
+        layer, _ = paint_layer(beneath, replace(target, mask=target.mask[family]), family)
+        painted = replace(painted, layers=(*painted.layers, layer))
+        seconds[target.name] = time.perf_counter() - began
+    return painted, seconds
+
+
+def check_paintable(context: PaintContext, target: PaintTarget) -> None:
+    """Check that an object can be painted, in less time than painting it takes.
+
+    Raises:
+        StyleSplatError: If it is not seen, or a style image is too small.
+    """
+    check_visible(*_cropped(crop_scene(context, target.mask), context, target))
+
+
+def paint_layer(
+    context: PaintContext, target: PaintTarget, family: Int[Tensor, " M"]
+) -> tuple[Layer, SceneCrop | None]:
+    """Paint an object on what lies beneath its layer.
+
+    Args:
+        context: Its splats are what lies beneath.
+        target: The object, on the same device.
+        family: The row of the base that each of the Gaussians beneath belongs to.
+
+    Returns:
+        The layer, and of a large scene the part that it was painted in.
+    """
+    crop = crop_scene(context, target.mask)
+    part, own = _cropped(crop, context, target)
+    state = _last_state(part, own)
+    layer = layer_of(state, own, family if crop is None else family[crop.rows])
+    tidy_heap()  # copies of the whole scene follow
+    return layer, crop
+
+
+def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) -> Layer:
+    """The layer of an object that is being painted.
+
+    A row of the base stands for all Gaussians beneath that belong to it: its paint is their mean.
+
+    Args:
+        state: The painting so far.
+        target: The object.
+        family: The row of the base that each of the Gaussians beneath belongs to.
+    """
+    count, own = len(family), target.mask.nonzero()[:, 0]
+    before, after = state.base, state.splats.detach()
+    opacities = torch.sigmoid(before.opacities[own])
+    is_fading = after.opacities[own] != before.opacities[own]
+    factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
+    rows, members = family[own].unique(return_inverse=True)
+    mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
+    settings = plain_settings(target.config)
+    return Layer(
+        object=target.name,
+        rows=rows,
+        shares=torch.ones_like(rows, dtype=after.means.dtype),
+        sh0=mean(after.sh0[own]),
+        shN=mean(after.shN[own]),
+        opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
+        canvas=without_identities(after[count:]),
+        canvas_sh0=before.sh0[count:],
+        parents=family[state.parents[count:]],
+        relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
+        strength=target.config.intensity,
+        form=target.config.form,
+        settings=settings,
+    )
+
+
+def _group_means(
+    values: Float[Tensor, "O *_"], members: Int[Tensor, " O"], weights: Float[Tensor, " O"]
+) -> Float[Tensor, "R *_"]:
+    """The weighted means of groups of values; of a single value that value, to the bit."""
+    count = int(members.max()) + 1
+    if count == len(members):
+        return values.new_empty(values.shape).index_copy_(0, members, values)
+    shape = (-1, *(1,) * (values.dim() - 1))
+    sums = values.new_zeros(count, *values.shape[1:])
+    sums.index_add_(0, members, values * weights.view(shape))
+    total = weights.new_zeros(count).index_add_(0, members, weights)
+    means = sums / total.view(shape)
+    single = (members.bincount(minlength=count) == 1)[members]
+    return means.index_copy_(0, members[single], values[single])
+
+
+def _cropped(
+    crop: SceneCrop | None, context: PaintContext, target: PaintTarget
+) -> tuple[PaintContext, PaintTarget]:
+    return (context, target) if crop is None else (crop.context(context), crop.target(target))
+
+
+def _one_object(
+    splats: Splats,
+    capture: Capture | Cameras,
+    mask: Bool[Tensor, " N"],
+    style: Picture,
+    config: StyleConfig | None,
+    network: FeatureNetwork | None,
+) -> tuple[PaintContext, PaintTarget]:
+    """The arguments of `paint` and `paint_live`, checked."""
+    config = config or StyleConfig()
+    cameras = capture.cameras if isinstance(capture, Capture) else capture
+    network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
+    image = read_style(style, rotate=config.rotate, region=config.region)
+    target = PaintTarget("object", mask, (image,), config)
+    check_targets([target])
+    return paint_context(splats, cameras, network), target.to(splats)
+
+
+def _last_state(context: PaintContext, target: PaintTarget) -> PaintState:
+    """Take all steps, with a progress bar."""
+    state = None
+    with task(target.name, target.config.all_steps) as bar:
+        for state in paint_steps(context, target):
+            bar.advance()
+            if state.step % REPORT_EVERY == 0:
+                bar.note(f"NNFM {state.nnfm:.3f}")
+    assert state is not None  # there is at least one step
+    return state
+
+
+def _blended(state: PaintState, splats: Splats, target: PaintTarget) -> Splats:
+    """The splats with the painting so far, at the intensity that is wanted."""
+    if target.config.intensity == 1:
+        return state.splats
+    rows = torch.arange(len(splats), device=splats.device)
+    return compose(splats, [layer_of(state, target, rows)])

@@ -1,0 +1,306 @@
+"""The style image: read, cropped, turned and resized, and the features to be matched."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.images import image_sizes, open_image, read_image
+from stylesplat.progress import say
+from stylesplat.stylization.config import USUAL_SCALE
+from stylesplat.stylization.features.network import FeatureNetwork
+
+MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
+SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit of scale
+MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
+RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
+LARGEST = 1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
+PARTS = 9  # that together are as large
+MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
+
+
+Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
+"""A file, or colours: floats in 0..1, or bytes."""
+Pixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
+
+
+def read_style(
+    picture: Picture, *, rotate: float = 0.0, region: tuple[int, int, int, int] | None = None
+) -> Float[Tensor, "_ _ 3"]:
+    """Read a picture to take a style from.
+
+    Longer sides than 4096 pixels are scaled down, which the user is told.
+
+    Args:
+        picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA; or
+            colours.
+        rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
+            without empty corners is kept. Multiples of 90 keep every pixel as it is.
+        region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
+
+    Returns:
+        Colours in 0..1.
+
+    Raises:
+        StyleSplatError: If the file is no picture or animated, colours are out of range, the
+            region does not lie in it, or less than 32 pixels remain of a side.
+    """
+    name = "the tensor" if isinstance(picture, Tensor) else str(picture)
+    if not math.isfinite(rotate):
+        raise StyleSplatError(f"Cannot turn {name} by {rotate} degrees. Pass a number of degrees.")
+    if isinstance(picture, Tensor):
+        pixels = _colors_of(picture)
+    else:
+        _require_one_frame(Path(picture))
+        pixels = read_image(Path(picture)).numpy()
+    if region is not None:
+        height, width = pixels.shape[:2]
+        if not isinstance(picture, Tensor):
+            width, height = image_sizes(Path(picture), reduced=False)[1]
+        pixels = _crop(pixels, region, (width, height), name)
+    pixels = _shrink(pixels, name)
+    colors = torch.from_numpy(np.ascontiguousarray(_turn(pixels, rotate, name)))
+    return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
+
+
+def inscribed_rectangle(width: int, height: int, degrees: float) -> tuple[float, float]:
+    """Width and height of the largest upright rectangle in a rectangle turned about its centre.
+
+    Either two of its corners lie on the long sides of the turned rectangle, halfway between
+    them, or all four lie on the four sides.
+    """
+    sin, cos = (abs(f(math.radians(degrees))) for f in (math.sin, math.cos))
+    short = min(width, height)
+    if short <= 2 * sin * cos * max(width, height) or math.isclose(sin, cos):
+        along, across = short / 2 / sin, short / 2 / cos
+        return (along, across) if width >= height else (across, along)
+    double = cos**2 - sin**2
+    return (width * cos - height * sin) / double, (height * cos - width * sin) / double
+
+
+def _require_one_frame(path: Path) -> None:
+    """Look at the file's header, before its pixels are decoded."""
+    with open_image(path) as image:
+        frames, size = getattr(image, "n_frames", 1), image.size
+    if frames > 1:
+        raise StyleSplatError(
+            f"The picture {path} has {frames} frames (an animation or several pages). "
+            "Save one frame as a picture of its own."
+        )
+    _require_side(*size, f"The picture {path}")
+
+
+def _colors_of(tensor: Tensor) -> Pixels:
+    """The colours of a tensor, checked: bytes, or floats in 0..1."""
+    if tensor.ndim != 3 or tensor.shape[2] != 3:
+        raise StyleSplatError(
+            f"A style tensor has the shape [H, W, 3], this one has {[*tensor.shape]}. Move its "
+            "colour channels to the end."
+        )
+    _require_side(tensor.shape[1], tensor.shape[0], "The style tensor")
+    if tensor.dtype == torch.uint8:
+        return tensor.cpu().numpy()
+    colors = tensor.detach().to("cpu", torch.float32)
+    if not (tensor.is_floating_point() and colors.isfinite().all()):
+        raise StyleSplatError(
+            f"A style tensor holds finite floats in 0..1 or bytes, this one has {tensor.dtype} "
+            "and may hold NaN or infinity. Pass its colours in 0..1."
+        )
+    low, high = float(colors.min()), float(colors.max())
+    if low < 0 or high > 1:
+        raise StyleSplatError(
+            f"A style tensor holds floats in 0..1, this one reaches from {low:g} to {high:g}. "
+            "Divide it by 255, clamp it, or pass bytes."
+        )
+    return colors.numpy()
+
+
+def _require_side(width: int, height: int, what: str) -> None:
+    if min(width, height) < MIN_SIDE:
+        raise StyleSplatError(
+            f"{what} is {width}x{height} pixels, too little to take a style from. "
+            f"Use at least {MIN_SIDE}x{MIN_SIDE}."
+        )
+
+
+def _crop(
+    pixels: Pixels, region: tuple[int, int, int, int], size: tuple[int, int], name: str
+) -> Pixels:
+    x0, y0, x1, y1 = region
+    width, height = size
+    name = f"The region {x0},{y0},{x1},{y1} of {name}"
+    if x0 >= x1 or y0 >= y1:
+        raise StyleSplatError(f"{name} is empty. Pass x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
+    if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
+        raise StyleSplatError(f"{name} reaches outside. Stay within 0,0,{width},{height}.")
+    _require_side(x1 - x0, y1 - y0, name)
+    shrunk = round(width / pixels.shape[1])  # 2 for the largest JPEGs
+    return pixels[y0 // shrunk : -(-y1 // shrunk), x0 // shrunk : -(-x1 // shrunk)]
+
+
+def _shrink(pixels: Pixels, name: str) -> Pixels:
+    height, width = pixels.shape[:2]
+    factor = MAX_SIDE / max(width, height)
+    if factor >= 1:
+        return pixels
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    _require_side(*size, f"Scaled down to {MAX_SIDE} pixels of length, {name}")
+    say(f"{name}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+
+
+def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
+    if degrees % 90 == 0:
+        return np.rot90(pixels, int(degrees // 90) % 4)
+    height, width = pixels.shape[:2]
+    inner_width, inner_height = (int(s) for s in inscribed_rectangle(width, height, degrees))
+    _require_side(inner_width, inner_height, f"Turned by {degrees}, what is left of {name}")
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    back = np.array([[cos, -sin], [sin, cos]])  # y points down
+    # Centres of pixels lie at +0.5
+    center = np.array([width - 1, height - 1]) / 2
+    inner_center = np.array([inner_width - 1, inner_height - 1]) / 2
+    T_to_source = np.column_stack([back, center - back @ inner_center])
+    return cv2.warpAffine(
+        np.ascontiguousarray(pixels),
+        T_to_source,
+        (inner_width, inner_height),
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+
+
+@torch.no_grad()
+def style_features(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
+) -> tuple[Float[Tensor, "_ _"], ...]:
+    """Features of a style image resized to `length` pixels along its longer side.
+
+    Features that see past the border are left out, so its padding is in no style.
+
+    Args:
+        style: Colours in 0..1, of any size and shape.
+        network: The feature network.
+        blocks: Which blocks of it.
+        length: In pixels.
+
+    Returns:
+        For each block the features, one per row.
+
+    Raises:
+        StyleSplatError: If the style image is smaller than what one feature depends on.
+    """
+    check_size(style, network, blocks, length=length)
+    cells = [network.cells(block) for block in blocks]
+    resized = resize(style, length)
+    feats = network(resized, blocks)
+    rows = []
+    for c, image in zip(cells, feats, strict=True):
+        inside = image[c.inside(resized.shape[0]), c.inside(resized.shape[1])]
+        rows.append(inside.reshape(-1, image.shape[-1]))
+    return tuple(rows)
+
+
+def check_size(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
+) -> None:
+    """Raise a StyleSplatError if the style image has no whole feature; see `style_features`."""
+    needed = _least_side(network, blocks)
+    height, width = style.shape[:2]
+    _require_features((width, height), needed, "it is", "Choose a larger picture.")
+    size = _fitted_size(width, height, length)
+    _require_features(size, needed, "for this object it becomes", "Raise the style scale.")
+
+
+def has_features(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
+) -> bool:
+    """Whether the style image has a whole feature if it is resized; see `style_features`."""
+    height, width = style.shape[:2]
+    return min(_fitted_size(width, height, length)) >= _least_side(network, blocks)
+
+
+def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
+    """The image with a longer side of `length` pixels, its shape kept."""
+    height, width = image.shape[:2]
+    size = _fitted_size(width, height, length)
+    planes = image.permute(2, 0, 1)[None]
+    resized = F.interpolate(planes, size[::-1], mode="bicubic", antialias=True)
+    return resized[0].permute(1, 2, 0).clamp(0, 1)
+
+
+def _least_side(network: FeatureNetwork, blocks: Sequence[int]) -> int:
+    """Pixels that hold a whole feature wherever its cell lies."""
+    return max(c.size + c.stride - 1 for c in map(network.cells, blocks))
+
+
+def _fitted_size(width: int, height: int, length: float) -> tuple[int, int]:
+    factor = length / max(height, width)
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
+def _require_features(size: tuple[int, int], needed: int, what: str, remedy: str) -> None:
+    width, height = size
+    if min(height, width) < needed:
+        raise StyleSplatError(
+            f"Cannot take the style from this picture: {what} {width}x{height} pixels, and its "
+            f"features span {needed}. {remedy}"
+        )
+
+
+def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor, "H W 3"]:
+    """A style image for strokes larger than usual: finer ones are joined into crisp large ones.
+
+    A coherence-enhancing shock filter (Weickert 2003): across the flow of the strokes, bright
+    ridges and dark ones grow until they meet.
+
+    Args:
+        picture: Colours in 0..1.
+        scale: Of the style; up to the usual one nothing changes.
+    """
+    if scale <= USUAL_SCALE:
+        return picture
+    scale = min(scale, MAX_COARSENED)
+    width, square = scale / 2, np.ones((3, 3))
+    image = resize(picture, min(LARGEST, float(max(picture.shape[:2])))).cpu().numpy()
+    image = cv2.GaussianBlur(image, (0, 0), width / 2)  # else extremes would grow
+    for _ in range(round(SHOCKS * (scale - USUAL_SCALE))):
+        smooth = cv2.GaussianBlur(image, (0, 0), width / 2)
+        grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), width)
+        eigen = cv2.cornerEigenValsAndVecs(grey, 4 * round(width) + 3, 3)
+        x, y = eigen[..., 2], eigen[..., 3]  # across the flow
+        xx, xy, yy = (cv2.Sobel(grey, cv2.CV_32F, *order) for order in ((2, 0), (1, 1), (0, 2)))
+        ridge = width**2 * (x**2 * xx + 2 * x * y * xy + y**2 * yy)[..., None] / RIDGE
+        grown = np.where(ridge < 0, cv2.dilate(image, square), cv2.erode(image, square))
+        image = cv2.addWeighted(image, 0.5, np.where(abs(ridge) > 1, grown, smooth), 0.5, 0)
+    return torch.from_numpy(image).to(picture)
+
+
+def style_parts(
+    picture: Float[Tensor, "H W 3"], length: float, generator: torch.Generator
+) -> list[tuple[Float[Tensor, "_ _ 3"], float]]:
+    """A style image, or random parts of one that is to be very large.
+
+    Args:
+        picture: Colours in 0..1.
+        length: The longer side that it is to have, in pixels.
+        generator: Draws the parts.
+
+    Returns:
+        The parts, and the share of the longer side that each has.
+    """
+    if length <= LARGEST:
+        return [(picture, 1.0)]
+    longer = max(picture.shape[:2])
+    side = longer * LARGEST / length / 3
+    down, across = (max(1, int(size / side)) for size in picture.shape[:2])
+    parts = [part for rows in picture.chunk(down) for part in rows.chunk(across, dim=1)]
+    chosen = torch.randperm(len(parts), generator=generator)[:PARTS].tolist()
+    return [(parts[i], max(parts[i].shape[:2]) / longer) for i in chosen]

@@ -1,0 +1,187 @@
+"""An object's surface as its views show it, sampled evenly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.one_view import render
+from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, coverage, without_looks
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.margins import extent
+from stylesplat.stylization.views import Box, crop_to_box, typical_length
+
+VIEWS = 32
+LENGTH = 200  # longer side of the object in them, in pixels
+SOLID = 0.7  # coverage from which a pixel shows the surface
+BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
+GRAZING = 0.25  # cosine below which depths are too uncertain
+POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
+PLANE = 16  # points that a plane is fitted to
+ROUNDS = 20  # of `thin`: after a few hardly any point is undecided
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of a surface, one for each pixel that shows it."""
+
+    points: Float[Tensor, "P 3"]
+    normals: Float[Tensor, "P 3"]
+    """Unit vectors towards the camera that saw the point."""
+    colors: Float[Tensor, "P 3"]
+    """In 0..1."""
+    pixel: float
+    """The typical size of a pixel there, in a view in which the object is `LENGTH` long."""
+
+
+@torch.no_grad()
+def find_surface(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> SurfacePoints:
+    """Find an object's surface from rendered depths.
+
+    Args:
+        splats: The scene.
+        mask: The object's Gaussians.
+        boxes: Where it lies in views to choose from.
+    """
+    zoom = LENGTH / typical_length(boxes)
+    cameras = [crop_to_box(box, zoom, (1, 1))[0] for box in evenly(boxes, VIEWS)]
+    far = BEHIND * extent(splats.means[mask])
+    alone = without_looks(splats[mask])
+    everyone = torch.ones(len(alone), dtype=torch.bool, device=splats.device)
+
+    def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        return *_points_of_view(splats, mask, camera, far), coverage(alone, camera, everyone)
+
+    found = at_once(look, cameras, splats.device)
+    found = track(found, "looking for the surface", total=len(cameras))
+    *parts, silhouettes = zip(*found, strict=True)
+    points, normals, colors, sizes = (torch.cat(each) for each in parts)
+    kept = torch.ones(len(points), dtype=torch.bool, device=points.device)
+    for camera, silhouette in zip(cameras, silhouettes, strict=True):
+        inside, there = _look_up(points, camera, silhouette)
+        kept &= ~inside.masked_scatter(inside, there < COVERED)
+    return SurfacePoints(points[kept], normals[kept], colors[kept], float(sizes.median()))
+
+
+def _points_of_view(
+    splats: Splats, mask: Tensor, camera: Cameras, far: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Points, normals, colours and sizes of the pixels of one camera that show the surface."""
+    image, covered, depths = _mean_depths(splats, mask, camera)
+    inside, there = _look_up(splats.means, camera, depths + far)
+    behind = inside.masked_scatter(inside, depths_of(splats.means[inside], camera) > there)
+    _, own, depths = _mean_depths(splats, mask & ~behind, camera)
+    width, height = camera.size
+    points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
+    points = points.view(height, width, 3)
+    normals, reliable = _normals(points, camera.positions.to(points))
+    reliable &= (covered > SOLID) & (own > SOLID / 2)
+    sizes = depths / camera.Ks[0, 0, 0].to(depths)
+    return points[reliable], normals[reliable], image[reliable], sizes[reliable]
+
+
+def _mean_depths(splats: Splats, mask: Tensor, camera: Cameras) -> tuple[Tensor, Tensor, Tensor]:
+    """The image, the coverage of some Gaussians and their mean depth."""
+    mine = mask.to(splats.means)
+    features = torch.stack([mine, mine * depths_of(splats.means, camera)], dim=1)
+    image, _ = render(splats, camera, features=features)
+    colors, covered, depths = image.split((3, 1, 1), dim=2)
+    covered, depths = covered[..., 0], depths[..., 0]
+    return colors, covered, depths / covered.clamp(min=TINY_COVERAGE)
+
+
+def _look_up(
+    points: Float[Tensor, "P 3"], camera: Cameras, values: Float[Tensor, "H W"]
+) -> tuple[Bool[Tensor, " P"], Float[Tensor, " L"]]:
+    """Which points project into a camera's image, and the values there."""
+    pixels, depths = project(points, camera)
+    size = torch.tensor(camera.size).to(pixels)
+    inside = ((pixels >= 0) & (pixels < size)).all(dim=1) & (depths > 0)
+    x, y = pixels[inside].long().unbind(1)
+    return inside, values[y, x]
+
+
+def _normals(
+    points: Float[Tensor, "H W 3"], origin: Float[Tensor, "1 3"]
+) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
+    """Normals towards the camera from neighbouring pixels, and where they are reliable."""
+    padded = F.pad(points.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0]
+    along = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
+    facing = (normals * F.normalize(origin - points, dim=2)).sum(dim=2)
+    return normals * facing.sign()[..., None], facing.abs() > GRAZING
+
+
+def pool_points(
+    size: float, points: Float[Tensor, "P 3"], values: Sequence[Tensor]
+) -> list[Tensor]:
+    """The means of the points, and of their values, in each cube of a grid.
+
+    Args:
+        size: Of a cube.
+        points: Positions.
+        values: More columns of the points, each [P, _].
+    """
+    cells = (points / size).floor().long()
+    cells -= cells.amin(dim=0)
+    across, along, _ = (cells.amax(dim=0) + 1).tolist()
+    keys = cells @ torch.tensor([1, across, across * along])
+    _, index, counts = keys.unique(return_inverse=True, return_counts=True)
+    means = []
+    for value in (points, *values):
+        sums = value.new_zeros(len(counts), value.shape[1]).index_add_(0, index, value)
+        means.append(sums / counts[:, None])
+    return means
+
+
+def project_to_planes(
+    points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
+) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
+    """Move some points onto the planes of their neighbours.
+
+    Returns:
+        The points, and the normals of the planes.
+    """
+    coordinates = points.double().numpy()
+    count = min(PLANE, len(points))
+    _, near = KDTree(coordinates).query(coordinates[rows.numpy()], k=count, workers=-1)
+    near = torch.from_numpy(near).view(len(rows), -1)
+    smooth = F.normalize(normals[near].mean(dim=1), dim=1)
+    above = ((points[rows] - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
+    return points[rows] - above * smooth, smooth
+
+
+def thin(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
+    """Choose points of which no two are closer than a distance, as many as fit.
+
+    Args:
+        points: All of them.
+        distance: Between those that are chosen.
+        seed: Of the order in which points are taken (independent sets, Luby 1986).
+    """
+    pairs = KDTree(points.double().numpy()).query_pairs(distance, output_type="ndarray")
+    ranks = np.random.default_rng(seed).permutation(len(points))
+    left, taken = np.ones(len(points), bool), np.zeros(len(points), bool)
+    for _ in range(ROUNDS):
+        first, second = pairs.T
+        beaten = np.zeros(len(points), bool)
+        beaten[np.where(ranks[first] > ranks[second], first, second)] = True
+        won = left & ~beaten
+        taken |= won
+        left &= beaten
+        left[first[won[second]]] = left[second[won[first]]] = False
+        pairs = pairs[left[first] & left[second]]
+        if not left.any():
+            break
+    return torch.from_numpy(taken.nonzero()[0])
