@@ -34,21 +34,22 @@ from torch.nn import functional as F
 import stylesplat as ss
 from stylesplat.evaluation.style import measure_style
 from stylesplat.rendering.render import rasterize
+from stylesplat.scene.content import COARSE
 from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.config import COARSE, SIZES, Network, StyleConfig
+from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
 from stylesplat.stylization.matching import nearest
-from stylesplat.stylization.optimize import repaint
+from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.paint import paint_context
-from stylesplat.stylization.style_image import read_style
-from stylesplat.stylization.target import PaintTarget, resize, style_features
+from stylesplat.stylization.style_image import read_style, resize, style_features
+from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView, object_views, require_boxes
 
 FOX = 1  # label id
-MEDIUM = float(SIZES["medium"] or 0)  # pixels of an object when its style is matched last
+MEDIUM = PATTERN_LENGTH  # pixels of an object when its style is matched last
 BLOCKS = (1, 2, 3)
 PHOTO_SIZE = 256  # pixels of photos and paintings whose features are compared
 PHOTOS = 6  # of each scene
@@ -171,7 +172,7 @@ def equivalence(bench: Bench) -> str:
         job, losses = bench.job(name), {}
         for title, network in (("vgg19", bench.vgg19), ("compact", bench.compact)):
             studio = paint_context(bench.scene.splats, training, network, held_out=held_out)
-            *_, last = repaint(studio, job)
+            *_, last = paint_steps(studio, job)
             judged = replace(studio, network=bench.vgg19, cameras=held_out or training)
             found = measure_style(judged, job, last.splats)
             losses |= {"before": found["nnfm_before"], title: found["nnfm_after"]}

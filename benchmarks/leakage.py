@@ -27,9 +27,10 @@ from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
+from stylesplat.stylization.optimize import FINAL_RATE
 from stylesplat.stylization.paint import paint_context, paint_objects
-from stylesplat.stylization.style_image import read_style
-from stylesplat.stylization.target import PaintTarget, style_features
+from stylesplat.stylization.style_image import read_style, style_features
+from stylesplat.stylization.target import PaintTarget
 
 SCENES = {"fox": (1.0, 100_000), "desk": (2.0, 80_000)}  # downscale and Gaussians
 OBJECT_ID = 1
@@ -61,7 +62,7 @@ def masked_in_2d(
     target = style_features(style, network, (3,), length=config.scale * LENGTH)[0]
     sh0 = splats.sh0.clone().requires_grad_()
     optimizer = torch.optim.Adam([sh0], lr=config.lr, eps=1e-15)
-    decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, config.final_lr ** (1 / steps))
+    decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, FINAL_RATE ** (1 / steps))
     generator = torch.Generator().manual_seed(0)
     for _ in tqdm(range(steps), desc="masked in 2D"):
         row = int(torch.randint(len(cameras), (1,), generator=generator))
@@ -93,7 +94,7 @@ def compare(name: str, steps: int) -> list[list[object]]:
     network = style_network()
     style = read_style(STYLES / "van_gogh_starry_night_1024.jpg")
     picked = pick(scene.splats, object_id=OBJECT_ID)
-    job = PaintTarget(name, picked, (style,), StyleConfig(steps=steps, max_growth=1.0))
+    job = PaintTarget(name, picked, (style,), StyleConfig(steps=steps, quality="draft"))
     studio = paint_context(scene.splats, training, network, held_out=held_out)
     ours, _ = paint_objects(studio, [job])
     theirs = masked_in_2d(scene.splats, (training, maps), style, network, steps)

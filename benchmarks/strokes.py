@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/strokes.py --scene SCENE --object OBJECT --painting FILE
 
-For some sizes of strokes (`--stroke-size`) and patterns of the settings: the distance in pixels
+For some sizes of strokes (`--stroke-size`): the distance in pixels
 at which the autocorrelation of what was added to the object's lightness falls to one half; the mean
 over four held-out views. What its colours before explain (its own pattern, recoloured) does not
 count, nor does what changes slowly. Noise of 1, 2, 4 and 8 times the size gives 1.5, 3.3, 6.5 and
@@ -26,7 +26,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.config import Pattern, StyleConfig
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.paint import paint
 from stylesplat.stylization.style_image import read_style
 from stylesplat.stylization.views import Box, find_boxes
@@ -47,9 +47,6 @@ class Options:
     object: int = 1
     """A label id."""
     scales: tuple[float, ...] = (1.0, 2.0, 4.0)
-    """With the pattern that is the default."""
-    patterns: tuple[Pattern, ...] = ("small", "medium", "large")
-    """With the scale that is the default."""
 
 
 def stroke_length(before: Splats, after: Splats, picked: Tensor, boxes: list[Box]) -> float:
@@ -114,7 +111,6 @@ def main(options: Options) -> None:
     boxes = find_boxes(scene.splats, held_out or training, picked)
     style = read_style(options.painting)
     configs = {f"scale {scale:g}": StyleConfig(scale=scale) for scale in options.scales}
-    configs |= {pattern: StyleConfig(pattern=pattern) for pattern in options.patterns}
     rows = []
     for name, config in configs.items():
         styled = paint(scene.splats, training, picked, style, config=config)

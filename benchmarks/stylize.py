@@ -48,10 +48,10 @@ from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex, nearest, nnfm_loss
-from stylesplat.stylization.optimize import repaint
+from stylesplat.stylization.optimize import FINAL_RATE, paint_steps
 from stylesplat.stylization.paint import Painted, paint_context, paint_live, paint_objects
-from stylesplat.stylization.style_image import read_style
-from stylesplat.stylization.target import PaintContext, PaintTarget, style_features
+from stylesplat.stylization.style_image import read_style, style_features
+from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import crop_views, find_boxes, typical_length
 
 FOX, SHIELD = 1, 2  # label ids
@@ -96,7 +96,7 @@ class Bench:
 
 def storage(bench: Bench) -> str:
     """Ways to render with other colours, in milliseconds forward and backward."""
-    picked = bench.job(FOX).picked
+    picked = bench.job(FOX).mask
     rows = [_storage_row(bench, picked, factor) for factor in (1.0, 3.3)]
     return table(["size", "rasterise", "stored lists", "float16 blocks", "MB a view"], rows)
 
@@ -141,7 +141,7 @@ def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[]
 
 def shortcuts(bench: Bench) -> str:
     """The exact final loss after optimising with one shortcut more each."""
-    job = bench.job(FOX, steps=SHORTCUT_STEPS, object_size=SHORTCUT_SIZE, max_growth=1.0)
+    job = bench.job(FOX, steps=SHORTCUT_STEPS, object_size=SHORTCUT_SIZE, quality="draft")
 
     def exhaustive(self: StyleIndex, feats: Tensor) -> Tensor:
         return nearest(feats, self.directions)
@@ -154,9 +154,9 @@ def shortcuts(bench: Bench) -> str:
         search = StyleIndex.nearest if compressed else exhaustive
         with patch.object(StyleIndex, "nearest", search):
             start = time.perf_counter()
-            *_, last = repaint(studio, job)
+            *_, last = paint_steps(studio, job)
             seconds = time.perf_counter() - start
-        return name, seconds, bench.loss(last.splats, job.picked, LENGTH)
+        return name, seconds, bench.loss(last.splats, job.mask, LENGTH)
 
     found = [
         run("none: rasterised, float32, exhaustive search", torch.float32, 0, compressed=False),
@@ -174,20 +174,20 @@ def shortcuts(bench: Bench) -> str:
 
 def naive(bench: Bench, steps: int) -> tuple[float, Splats]:
     """Seconds per step of the naive loop, and what it makes."""
-    job = bench.job(FOX, max_growth=1.0)
+    job = bench.job(FOX, quality="draft")
     config = replace(job.config, lr=1e-9)
     start = next(paint_live(*_arguments(bench, job), config=config, network=bench.network))
-    rows = job.picked.nonzero()[:, 0]
+    rows = job.mask.nonzero()[:, 0]
     sh0 = start.splats.sh0[rows].requires_grad_()
     optimizer = torch.optim.Adam([sh0], lr=job.config.lr, eps=1e-15)
-    decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, job.config.final_lr ** (1 / steps))
+    decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, FINAL_RATE ** (1 / steps))
     target = style_features(bench.style, bench.network, (3,), length=NAIVE_STYLE)[0]
     generator = torch.Generator().manual_seed(0)
     began = time.perf_counter()
     for _ in tqdm(range(steps), desc="naive"):
         row = int(torch.randint(len(bench.training), (1,), generator=generator))
         splats = replace(start.splats, sh0=start.splats.sh0.index_copy(0, rows, sh0))
-        seen = job.picked.float()[:, None]
+        seen = job.mask.float()[:, None]
         image, _, _ = rasterize(splats, bench.training[row], features=seen)
         feats = bench.network(image[0, :, :, :3])[0]
         cells = F.avg_pool2d(image[0, :, :, 3][None], 4)[0] > 0.5
@@ -209,7 +209,7 @@ def naive_loss(feats: Tensor, cells: Tensor, target: Tensor) -> Tensor:
 
 
 def _arguments(bench: Bench, job: PaintTarget) -> tuple[Splats, Cameras, Tensor, Tensor]:
-    return bench.splats, bench.training, job.picked, bench.style
+    return bench.splats, bench.training, job.mask, bench.style
 
 
 class Run(NamedTuple):
@@ -243,7 +243,7 @@ def speed(bench: Bench, naive_steps: int) -> str:
     ratio = f"{naive_step / step:.0f} times faster"
     size = max(bench.training.size)
     losses = [
-        [f"{bench.loss(s, one.picked, length):.4f}" for s in (painted.splats, by_naive)]
+        [f"{bench.loss(s, one.mask, length):.4f}" for s in (painted.splats, by_naive)]
         for length in (LENGTH, size / 2)
     ]
     rows = [

@@ -11,8 +11,8 @@ from paper_figures.story import Block, Figure, Row, Table, digits, percent
 from paper_figures.subject import Subject, cut, shot
 from stylesplat.evaluation.statistics import content_ssim
 from stylesplat.evaluation.style import measure_style
-from stylesplat.stylization.paint_objects import open_studio
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.paint import paint_context
+from stylesplat.stylization.target import PaintTarget
 
 NAME = "figure1"
 WAYS = {"paper": paper_config, "ours": default_config}
@@ -48,8 +48,8 @@ def _styled(subject: Subject, style: str, way: str) -> Outcome:
     spent = processor_seconds() - start
     numbers = {"painting": spent} | leakage(subject, subject.splats, styled, id)
     numbers["content_ssim"] = content_ssim(subject.splats, styled, subject.held_out, picked)
-    job = StyleJob(subject.called(id), picked, (picture,), config)
-    studio = open_studio(subject.splats, subject.held_out, subject.network)
+    job = PaintTarget(subject.called(id), picked, (picture,), config)
+    studio = paint_context(subject.splats, subject.held_out, subject.network)
     close = measure_style(studio, job, styled)
     numbers |= {name: close[name] for name in ("nnfm_before", "nnfm_after")}
     camera = subject.best_view(id)

@@ -34,7 +34,7 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.matching import build_index, cosine_distance
-from stylesplat.stylization.target import style_features
+from stylesplat.stylization.style_image import style_features
 from stylesplat.stylization.views import find_boxes, typical_length
 from stylesplat.training.lifting import lift
 

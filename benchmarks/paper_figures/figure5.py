@@ -47,7 +47,7 @@ def _both(subject: Subject, way: str) -> Outcome:
 
 def _differing(alone: Painted, together: Painted, id: int, picked: dict[int, Tensor]) -> int:
     """Gaussians of an object, children included, that are not the same to the bit."""
-    owns = [picked[id][styled.parents] for styled in (alone, together)]
+    owns = [picked[id][styled.family] for styled in (alone, together)]
     sizes = [int(own.sum()) for own in owns]
     if sizes[0] != sizes[1]:
         return max(sizes)

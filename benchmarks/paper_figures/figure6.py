@@ -18,7 +18,7 @@ from paper_figures.story import Block, Figure, Grid, Table, Text, digits
 from paper_figures.subject import Subject, shot
 from stylesplat.evaluation.statistics import content_ssim
 from stylesplat.figures.best_views import close_up
-from stylesplat.stylization.object_views import find_boxes, typical_length
+from stylesplat.stylization.views import find_boxes, typical_length
 
 NAME = "figure6"
 GROUPS = {1: "[1,3]", 2: "[6,8]", 3: "[11,13,15]"}  # the paper's indices into VGG16

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from paper_figures.subject import Subject
-from stylesplat.stylization import repaint
+from stylesplat.stylization import optimize
 from stylesplat.stylization.config import PRESETS, StyleConfig
 from stylesplat.stylization.paint import Painted, paint_context, paint_objects
 from stylesplat.stylization.target import PaintTarget
@@ -49,15 +49,15 @@ def few_style_features() -> Iterator[None]:
 
     The layers [1,3] have as many as the picture has pixels: matching all would take a day.
     """
-    every = repaint.target_features
+    every = optimize.target_features
     generator = torch.Generator().manual_seed(0)
 
     def some(*arguments: Any) -> list[Tensor]:
         return [_drawn(group, generator) for group in every(*arguments)]
 
-    with mock.patch.object(repaint, "target_features", some):
+    with mock.patch.object(optimize, "target_features", some):
         yield
 
 
 def _drawn(group: Tensor, generator: torch.Generator) -> Tensor:
-    return group[torch.randperm(len(group), generator=generator)[: repaint.STYLE_FEATURES]]
+    return group[torch.randperm(len(group), generator=generator)[: optimize.STYLE_FEATURES]]

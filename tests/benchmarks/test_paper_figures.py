@@ -120,10 +120,10 @@ def test_together_is_the_two_alone_or_it_is_seen(subject: Subject):
     assert outcome.numbers["changed_elsewhere"] == 0
     assert outcome.numbers["rows"] == outcome.numbers["expected_rows"] == len(SPLATS)
     nobody = torch.arange(len(SPLATS))
-    one = figure5.Styled(SPLATS, ())
+    one = figure5.Painted(SPLATS, ())
     sh0 = SPLATS.sh0.clone()
     sh0[SPLATS.sh0.shape[0] - 1] += 1e-6
-    other = figure5.Styled(replace(SPLATS, sh0=sh0), ())
+    other = figure5.Painted(replace(SPLATS, sh0=sh0), ())
     last = {1: nobody == len(SPLATS) - 1, 2: nobody == 0}
     assert figure5._differing(one, other, 1, last) == 1
     assert figure5._differing(one, other, 2, last) == 0
@@ -183,11 +183,11 @@ def test_a_grid_for_each_group_of_layers_once_all_is_there():
 def test_of_many_style_features_few_are_matched(monkeypatch: pytest.MonkeyPatch):
     anything: Any = [None] * 4
     every = [torch.arange(9000.0)[:, None], torch.arange(5.0)[:, None]]
-    monkeypatch.setattr(painting.repaint, "target_features", lambda *_: every)
+    monkeypatch.setattr(painting.optimize, "target_features", lambda *_: every)
     with painting.few_style_features():
-        many, few = painting.repaint.target_features(*anything)
-    assert len(many.unique()) == painting.repaint.STYLE_FEATURES < 9000 and len(few) == 5
-    assert painting.repaint.target_features(*anything) is every
+        many, few = painting.optimize.target_features(*anything)
+    assert len(many.unique()) == painting.optimize.STYLE_FEATURES < 9000 and len(few) == 5
+    assert painting.optimize.target_features(*anything) is every
 
 
 def test_each_way_to_identities_gets_the_time_of_joint_training(

@@ -16,8 +16,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CAPTION, HEAD, MARGIN
 from stylesplat.figures.style_sheet import plan_sheet
 from stylesplat.io.images import read_image
+from stylesplat.stylization.config import PRESETS
 from stylesplat.stylization.recipe import parse_variation
-from stylesplat.stylization.style_config import PRESETS
 from stylesplat.verbs.sheet import CELL
 
 pytestmark = pytest.mark.usefixtures("quick_painting")

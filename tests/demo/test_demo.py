@@ -17,7 +17,7 @@ from stylesplat.demo import demo_run
 from stylesplat.demo.demo_run import ARCHIVE, STYLES, TRAINING, copy_capture, run_demo
 from stylesplat.demo.warm_up import stylize_noise, warm_up
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig
 
 ROWS = range(16, 48, 4)  # photos of the small capture; the first one, which is held out, is shown
 SMALLER = 4  # times
@@ -86,7 +86,7 @@ def test_a_capture_that_is_there_is_kept(tmp_path: Path, archive: Path):
 def made(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A demo that was interrupted before it painted, and started again."""
     out = tmp_path_factory.mktemp("demo") / "demo"
-    few = StyleConfig(steps=2, pattern="large", max_growth=1.0)
+    few = StyleConfig(steps=2, object_size=112, quality="draft")
 
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

@@ -16,7 +16,7 @@ from stylesplat.metrics.ssim import ssim
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.identities import render_labels
-from stylesplat.stylization.paint_objects import moved
+from stylesplat.training.per_photo import shift_cameras
 
 
 def noise(seed: int = 0) -> torch.Tensor:
@@ -174,7 +174,7 @@ def test_no_half_sees_itself():
 
 def test_a_shaken_camera_is_found():
     shift = torch.tensor([[0.01, -0.01, 0.01, 0.01, 0.005, -0.005]])
-    photo = rasterize(SPLATS, moved(CAMERA, shift, POSE.unit))[0][0]
+    photo = rasterize(SPLATS, shift_cameras(CAMERA, shift, POSE.unit))[0][0]
     fitted = fitted_render(SPLATS, CAMERA, photo, POSE)
     assert psnr(fitted, photo) > psnr(render(), photo) + 6
 

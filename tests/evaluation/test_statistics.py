@@ -21,7 +21,7 @@ from stylesplat.metrics.ssim import ssim, ssim_map
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.target import style_features
+from stylesplat.stylization.style_image import style_features
 from stylesplat.stylization.views import ObjectView
 
 PICKED = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)  # the first ball

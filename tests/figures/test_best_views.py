@@ -20,7 +20,7 @@ from stylesplat.figures.best_views import (
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
-from stylesplat.stylization.object_views import find_boxes
+from stylesplat.stylization.views import find_boxes
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 HIDDEN = torch.zeros_like(RED)

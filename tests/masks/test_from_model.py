@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
-from right_ids import right_ids
 from torch import Tensor
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from right_ids import right_ids
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import save

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from right_ids import right_ids
 
 from balls import BALLS, CAMERAS, SPLATS
+from right_ids import right_ids
 from stylesplat.masks.repair import SAME_IOU, cluster_parts, connected_parts, map_labels, repair_ids
 from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.splats import Splats

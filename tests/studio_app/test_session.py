@@ -28,8 +28,8 @@ from stylesplat.studio_app.history import History, StudioState, replace_scene
 from stylesplat.studio_app.paint_queue import PaintQueue, preview_colors
 from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
-from stylesplat.stylization.paint_objects import paint
-from stylesplat.stylization.plain_settings import plain
+from stylesplat.stylization.config import plain_settings
+from stylesplat.stylization.paint import paint
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
     found = session.state.scene
     assert torch.equal(found.splats.sh0, wanted.sh0)
     (painting,) = found.layers
-    assert painting.settings == plain(QUICK) and painting.styles == quick_style().sources()
+    assert painting.settings == plain_settings(QUICK) and painting.styles == quick_style().sources()
     assert not torch.equal(seen[0], before.splats.sh0), "the colours are there at once"
     assert len(seen) > 2 and session.preview is None and session.progress is None
 

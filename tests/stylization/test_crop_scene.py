@@ -5,7 +5,7 @@ import torch
 
 from balls import CAMERAS
 from striped_balls import FAST, SCENE, ball
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.stylization import crop_scene as cutting
 from stylesplat.stylization.crop_scene import SceneCrop, crop_scene
 from stylesplat.stylization.features.network import FeatureNetwork

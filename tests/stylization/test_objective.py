@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import build_palette

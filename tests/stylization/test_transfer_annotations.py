@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from scenes import random_splats
 from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
-from stylesplat.scene.frames import SAME, Frame
+from stylesplat.scene.frames import SAME, Frame, move_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.paint_objects import moved
 from stylesplat.stylization.transfer_annotations import match_gaussians
 
 KNOWN = replace(random_splats(600), identities=None)  # plain, as files have them
@@ -32,7 +31,7 @@ def test_rows_that_are_missing_and_in_another_order():
 
 def test_a_motion_of_everything_is_found():
     new = replace(random_splats(50, seed=7), identities=None)
-    frame, rows = match_gaussians(together(moved(KNOWN[SOME], FRAME), new), KNOWN)
+    frame, rows = match_gaussians(together(move_splats(KNOWN[SOME], FRAME), new), KNOWN)
     assert torch.equal(rows[:400], SOME) and (rows[400:] >= 0).sum() <= 2
     assert frame.scale == pytest.approx(1.7, abs=1e-5) and frame.shift is not None
     torch.testing.assert_close(frame.rotation, TURN, atol=1e-5, rtol=0)
@@ -40,7 +39,7 @@ def test_a_motion_of_everything_is_found():
 
 
 def test_a_part_that_was_moved_is_new():
-    moved_part = moved(KNOWN[SOME[300:]], FRAME)
+    moved_part = move_splats(KNOWN[SOME[300:]], FRAME)
     frame, rows = match_gaussians(together(KNOWN[SOME[:300]], moved_part), KNOWN)
     assert frame is SAME and torch.equal(rows[:300], SOME[:300])
     assert (rows[300:] >= 0).sum() <= 2
@@ -48,7 +47,7 @@ def test_a_part_that_was_moved_is_new():
 
 def test_colours_may_have_been_changed():
     other = replace(KNOWN, sh0=torch.rand(600, 1, 3), shN=torch.zeros(600, 0, 3))
-    for found in (other, moved(other, FRAME)):
+    for found in (other, move_splats(other, FRAME)):
         assert (match_gaussians(found, KNOWN)[1] == torch.arange(600)).float().mean() > 0.99
 
 
@@ -56,7 +55,7 @@ def test_colours_may_have_been_changed():
 def test_formats_that_round(suffix: str, tmp_path: Path):
     path = tmp_path / f"a{suffix}"
     write_splats(KNOWN, path)
-    for found in (read_splats(path), moved(read_splats(path), FRAME)):
+    for found in (read_splats(path), move_splats(read_splats(path), FRAME)):
         _, rows = match_gaussians(found, KNOWN)
         assert (rows == row_order(KNOWN, path)).float().mean() > 0.97
 

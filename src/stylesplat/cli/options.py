@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, arg
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
-from stylesplat.stylization.style_config import Network
+from stylesplat.stylization.config import Network
 
 Flag = FlagCreatePairsOff[bool]
 Output = Annotated[Path, arg(aliases=["-o"])]

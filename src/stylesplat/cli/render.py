@@ -99,16 +99,16 @@ class Render(Command):
 
     def _frames(self) -> int:
         """The frames of a round trip. A GIF has half as many a second."""
-        from stylesplat.io.video import GIF_FPS as GIF_FPS
+        from stylesplat.io.video import GIF_FPS
         from stylesplat.io.view_files import is_gif
         from stylesplat.scene.framing import frame_count
-        from stylesplat.verbs.orbit import FRAMES, GIF_FPS
+        from stylesplat.verbs.orbit import FPS, FRAMES
 
         gif = is_gif(self.output)
         if self.seconds is None and self.fps is None:
             return FRAMES // 2 if gif else FRAMES
-        fps = self.fps or (GIF_FPS if gif else GIF_FPS)
-        return frame_count(FRAMES / GIF_FPS if self.seconds is None else self.seconds, fps)
+        fps = self.fps or (GIF_FPS if gif else FPS)
+        return frame_count(FRAMES / FPS if self.seconds is None else self.seconds, fps)
 
     def _refuse_mixed(self) -> None:
         if self.view and self.views != "all":

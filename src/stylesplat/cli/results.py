@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
     from torch import Tensor
 
-    from stylesplat.stylization.object_views import Box
+    from stylesplat.stylization.views import Box
 
 T = TypeVar("T")
 BEFORE_AFTER = "before_after.png"

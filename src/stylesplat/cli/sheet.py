@@ -23,7 +23,7 @@ from stylesplat.cli.parse import parse_style
 from stylesplat.cli.results import write_or_rescue
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig
 
 VARIED = (  # options of `stylize`
     *("preset", "quality", "steps", "stroke_size", "rotate", "region", "intensity", "color"),

@@ -17,7 +17,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_occupied
 from stylesplat.progress import say
 from stylesplat.runtime import tidy_heap
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig
 
 if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe

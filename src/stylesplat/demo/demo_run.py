@@ -16,9 +16,9 @@ from stylesplat.io.kinds import SCENE, TRANSFORMS
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.scene import Scene
+from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import PRESETS as STYLE_PRESETS
-from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.training.train_config import PRESETS as TRAIN_PRESETS
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export

@@ -13,8 +13,8 @@ import torch
 
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
 from stylesplat.verbs.load import load
 from stylesplat.verbs.render import render
 from stylesplat.verbs.stylize import stylize
@@ -48,7 +48,7 @@ def stylize_noise(capture: Path, count: int = 400) -> None:
     )
     noise = {"noise": SceneObject(torch.ones(count, dtype=torch.bool), {})}
     scene = Scene(splats, cameras, held_out=cameras.names[:1], objects=noise)
-    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, pattern="large"))
+    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, object_size=112))
     stylize(scene, {"noise": style}, device="cpu")
     next(render(scene, "test", what="identities").pictures)
 

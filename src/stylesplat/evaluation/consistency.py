@@ -14,7 +14,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, project, unproject
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import Box, find_boxes
+from stylesplat.stylization.views import Box, find_boxes
 
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it
 MAX_PAIRS = 4  # per range

@@ -23,22 +23,22 @@ from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.color import object_colors
-from stylesplat.stylization.cut_scene import CutScene
+from stylesplat.stylization.colors import object_colors
+from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.looking import object_views, see_object
-from stylesplat.stylization.nnfm import nnfm_loss
-from stylesplat.stylization.object_views import (
+from stylesplat.stylization.matching import nnfm_loss
+from stylesplat.stylization.optimize import target_features
+from stylesplat.stylization.style_image import resize, style_features
+from stylesplat.stylization.target import PaintContext, PaintTarget
+from stylesplat.stylization.views import (
     Box,
     ObjectView,
     boxes_in,
     find_boxes,
+    object_views,
+    require_boxes,
     typical_length,
 )
-from stylesplat.stylization.paint_objects import moved
-from stylesplat.stylization.repaint import target_features
-from stylesplat.stylization.style_job import Studio, StyleJob
-from stylesplat.stylization.target import resize, style_features
 
 MAX_FEATURES = 8192  # of an object in a view that are measured: block 1 has one per pixel
 PLACES = 2048  # of all pictures that are looked up
@@ -50,13 +50,13 @@ STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
 
 
 def measure_painted(
-    studio: Studio,
-    jobs: Sequence[StyleJob],
+    studio: PaintContext,
+    jobs: Sequence[PaintTarget],
     styled: Splats,
     *,
     held_out: Cameras | None = None,
     surveys: Mapping[str, Sequence[Box]] | None = None,
-    cuts: Mapping[str, CutScene] | None = None,
+    cuts: Mapping[str, SceneCrop] | None = None,
     families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
     """Measure what painting some objects did to them and to the scene, in little time.
@@ -77,18 +77,18 @@ def measure_painted(
     """
     base, training = studio.splats, studio.cameras
     measured = replace(studio, cameras=held_out or training)
-    jobs = [moved(job, base) for job in jobs]
+    jobs = [job.to(base) for job in jobs]
     objects = {}
     for job in jobs:
         if cuts and job.name in cuts:
             assert families is not None
-            rows, after = (cuts[job.name].among(each.to(base.device)) for each in families)
+            rows, after = (cuts[job.name].rows_in(each.to(base.device)) for each in families)
             cut = replace(cuts[job.name], rows=rows)
-            part, own, after = cut.studio(measured), cut.job(job), styled[after]
+            part, own, after = cut.context(measured), cut.target(job), styled[after]
         else:
             part, own, after = measured, job, styled
         if surveys is None:
-            survey = find_boxes(part.splats, part.every_camera, own.picked)
+            survey = find_boxes(part.splats, part.all_cameras, own.mask)
         else:
             survey = surveys[job.name]
         boxes = boxes_in(survey, part.cameras) or survey
@@ -97,13 +97,13 @@ def measure_painted(
         except StyleSplatError as error:  # the object is painted all the same
             say(f"{job.name} is not compared with its style: {error}")
             objects[job.name] = {}
-    picked = torch.stack([job.picked for job in jobs]).any(dim=0)
+    picked = torch.stack([job.mask for job in jobs]).any(dim=0)
     return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
 
 
 @torch.no_grad()
 def measure_style(
-    studio: Studio, job: StyleJob, styled: Splats, *, boxes: Sequence[Box] | None = None
+    studio: PaintContext, job: PaintTarget, styled: Splats, *, boxes: Sequence[Box] | None = None
 ) -> dict[str, float]:
     """Measure how close an object is to its style by NNFM, in float32.
 
@@ -122,7 +122,7 @@ def measure_style(
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
     blocks = job.config.layers
-    boxes = boxes or see_object(studio, job, studio.cameras)
+    boxes = boxes or require_boxes(studio, job, studio.cameras)
     views, targets = _object_in_styles(studio, job, boxes, blocks)
     rest = (views, targets, studio.network, blocks)
     images = renders(styled, views)
@@ -141,7 +141,7 @@ def measure_style(
 
 @torch.no_grad()
 def measure_statistics(
-    studio: Studio, job: StyleJob, styled: Splats, *, boxes: Sequence[Box]
+    studio: PaintContext, job: PaintTarget, styled: Splats, *, boxes: Sequence[Box]
 ) -> dict[str, float]:
     """Compare the statistics of an object with those of its style.
 
@@ -165,7 +165,7 @@ def measure_statistics(
     return numbers
 
 
-def _colors(job: StyleJob) -> Float[Tensor, "P 3"]:
+def _colors(job: PaintTarget) -> Float[Tensor, "P 3"]:
     return torch.cat([picture.reshape(-1, 3) for picture in job.styles])
 
 
@@ -197,7 +197,7 @@ def measure_look(
 
 
 def _object_in_styles(
-    studio: Studio, job: StyleJob, boxes: Sequence[Box], layers: Sequence[int]
+    studio: PaintContext, job: PaintTarget, boxes: Sequence[Box], layers: Sequence[int]
 ) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the object, and the features of the style image, for some layer groups."""
     config = replace(job.config, layers=tuple(layers))

@@ -25,7 +25,7 @@ from stylesplat.scene.projection import crop, share_in_images
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.stylization.object_views import SURVEY_SIZE, Box
+from stylesplat.stylization.views import SURVEY_SIZE, Box
 
 VIEWS = 3  # of an object
 OVERSCAN = 0.5  # of the view on each side, to show what the border of the photo cuts off
@@ -86,8 +86,8 @@ def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bo
         row = cameras.index(name)
         width, height = small(cameras[row]).size
         mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
-        scale = box.places.new_tensor([width, height]) / box.camera.sizes[0]
-        x, y = (box.places * scale).long().unbind(1)
+        scale = box.points.new_tensor([width, height]) / box.camera.sizes[0]
+        x, y = (box.points * scale).long().unbind(1)
         mask[y.clamp(max=height - 1), x.clamp(max=width - 1)] = True
     return masks
 

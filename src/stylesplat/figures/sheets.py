@@ -56,7 +56,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import own_shares, survey
-from stylesplat.stylization.object_views import Box
+from stylesplat.stylization.views import Box
 
 GAP = 8  # pixels between the cut-outs of one object
 SMALL = (CELL - GAP) // 2  # pixels along those from other sides

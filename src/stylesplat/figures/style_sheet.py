@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import Row
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_images import Picture
+from stylesplat.stylization.style_image import Picture
 
 Variation = tuple[str, tuple[Any, ...]]
 """A setting, or `preset`, and the values that it takes in turn."""

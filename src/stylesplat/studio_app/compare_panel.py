@@ -15,8 +15,7 @@ from stylesplat.studio_app.thumbnails import (
     thumbnail_grid,
 )
 from stylesplat.studio_app.viewport import Compared, Viewport
-from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig, plain_settings
 from stylesplat.verbs.adjust import adjust
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def make_variant(session: Session, name: str, title: str) -> Variant:
 
 def describe_variants(variants: Sequence[Variant]) -> str:
     """A line for each variant: its number, its title, and its unusual settings."""
-    usual = plain(StyleConfig())
+    usual = plain_settings(StyleConfig())
     lines = list[str]()
     for number, variant in enumerate(variants, 1):
         other = {key: value for key, value in variant.settings.items() if value != usual.get(key)}

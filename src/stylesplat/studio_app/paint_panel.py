@@ -12,8 +12,8 @@ from stylesplat.studio_app.gallery import Gallery, StylePicture
 from stylesplat.studio_app.paint_queue import PaintQueue, make_style
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.thumbnails import icon, thumbnail_grid
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_images import read_style
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.style_image import read_style
 
 if TYPE_CHECKING:
     import viser

@@ -27,10 +27,10 @@ from stylesplat.studio_app.history import (
     replace_scene,
 )
 from stylesplat.studio_app.session import Progress, Session, Stopped
-from stylesplat.stylization.color import color_map, map_colors
+from stylesplat.stylization.colors import color_map, map_colors
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_config import StyleConfig
-from stylesplat.stylization.style_images import Picture
+from stylesplat.stylization.style_image import Picture
 from stylesplat.verbs.stylize_live import Live, stylize_live
 from stylesplat.work import Worker
 

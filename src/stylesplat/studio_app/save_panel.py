@@ -23,8 +23,7 @@ from stylesplat.studio_app.history import StudioState
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.thumbnails import icon
 from stylesplat.studio_app.viewport import Viewport
-from stylesplat.stylization.plain_settings import plain
-from stylesplat.stylization.style_config import StyleConfig
+from stylesplat.stylization.config import StyleConfig, plain_settings
 
 if TYPE_CHECKING:
     import viser
@@ -69,7 +68,7 @@ def _with_folder(words: tuple[str, ...], folder: Path) -> str:
 def _options(layer: Layer) -> Iterator[str]:
     pictures = ",".join(str(source.path or "PICTURE") for source in layer.styles)
     yield from ("--style", f"{layer.object}={pictures}")
-    usual = plain(StyleConfig())
+    usual = plain_settings(StyleConfig())
     for field in fields(StyleConfig):
         value = layer.settings.get(field.name, usual[field.name])
         if field.name in NO_OPTIONS or value == usual[field.name]:

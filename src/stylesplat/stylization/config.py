@@ -12,7 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import msgspec
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.intensity import MAX_INTENSITY, check_intensity
+from stylesplat.scene.arguments import MAX_INTENSITY, check_intensity
 
 LAYERS = range(1, 5)  # layer groups that every VGG has
 MOST_STEPS = 10**6  # a day on a CPU

@@ -13,8 +13,8 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.seen import pixel_bounds, touching
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
+from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly

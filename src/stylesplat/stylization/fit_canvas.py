@@ -15,9 +15,8 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.gaussians import views_of
-from stylesplat.rendering.one_view import render
-from stylesplat.rendering.rasterize import activated, beside, rasterize
+from stylesplat.rendering.gaussians import activated, views_of, with_matrices_of
+from stylesplat.rendering.render import rasterize, render
 from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import drawn, evenly
@@ -92,7 +91,7 @@ def fit_canvas(
         with torch.enable_grad():
             view.error(leaves, canvas.is_disc, raised.to(view.image)).backward()
         now = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
-        adam_step(leaves, moments, now, step, seen=canvas.is_disc & view.shown)
+        adam_step(leaves, moments, now, step, visible=canvas.is_disc & view.shown)
         for leaf in leaves.values():
             leaf.grad = None
     found = {name: leaf.detach() for name, leaf in leaves.items()}
@@ -105,7 +104,7 @@ def _look(splats: Splats, canvas: Canvas, mask: Tensor, camera: Cameras) -> _Vie
     features = mask.to(splats.means)[:, None]
     image, _ = render(splats, camera, features=features)
     image, coverage = image.split((3, 1), dim=2)
-    views = views_of(beside(canvas.splats, camera))
+    views = views_of(with_matrices_of(canvas.splats, camera))
     shown = (cpu.project_gaussians(activated(canvas.splats), views[0]).radii > 0).all(dim=1)
     seen = replace(canvas.splats, identities=None, confidence=None)[shown]
     directions = seen.means - camera.positions.to(seen.means)

@@ -80,6 +80,8 @@ class PaintState:
     """The Gaussian of the scene before that each one belongs to."""
     relief: Float[Tensor, " N"]
     """The object's form as luminance that each Gaussian adds; see `form_relief`."""
+    boxes: Sequence[Box] = ()
+    """Where the object is seen, in the views to optimise on."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,8 @@ def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintSta
             small.
     """
     config, object = target.config, own_gaussians(context, target)
-    boxes = _used_boxes(object)
+    survey = require_boxes(object.context, object.target, context.cameras)
+    boxes = _used_boxes(survey, config)
     stages = _stages(context, target, typical_length(boxes))
     canvas_at = min(CANVAS_STAGE, len(stages) - 1)
     confined_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
@@ -148,6 +151,7 @@ def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintSta
                 base=object.unpainted,
                 parents=object.parents,
                 relief=relief,
+                boxes=survey,
             )
 
 
@@ -158,7 +162,8 @@ def check_visible(context: PaintContext, target: PaintTarget) -> None:
         StyleSplatError: As `paint_steps` does.
     """
     object = own_gaussians(context, target)
-    boxes = _used_boxes(object)
+    boxes = require_boxes(object.context, object.target, context.cameras)
+    boxes = _used_boxes(boxes, target.config)
     length = typical_length(boxes)
     first, *_ = _stages(context, target, length)
     object_views(object.context, object.target, boxes, first.length / length)
@@ -237,9 +242,9 @@ def target_features(
     return [torch.cat(group) for group in zip(*features, strict=True)]
 
 
-def _used_boxes(object: Paintable) -> list[Box]:
-    boxes = require_boxes(object.context, object.target, object.context.cameras)
-    if not object.target.config.published:
+def _used_boxes(boxes: Sequence[Box], config: StyleConfig) -> Sequence[Box]:
+    """Boxes of the views to optimise on."""
+    if not config.published:
         return boxes
     return evenly(boxes, math.ceil(PUBLISHED_VIEWS * len(boxes)))
 

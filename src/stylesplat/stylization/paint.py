@@ -23,6 +23,7 @@ from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.optimize import PaintState, check_visible, paint_steps
 from stylesplat.stylization.style_image import Picture, read_style
 from stylesplat.stylization.target import PaintContext, PaintTarget, check_targets, paint_context
+from stylesplat.stylization.views import Box, find_boxes
 
 LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
 REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
@@ -132,7 +133,7 @@ def paint_objects(
     for target in targets:
         began, family = time.perf_counter(), painted.family
         beneath = replace(context, splats=painted.splats)
-        layer, _ = paint_layer(beneath, replace(target, mask=target.mask[family]), family)
+        layer, *_ = paint_layer(beneath, replace(target, mask=target.mask[family]), family)
         painted = replace(painted, layers=(*painted.layers, layer))
         seconds[target.name] = time.perf_counter() - began
     return painted, seconds
@@ -149,7 +150,7 @@ def check_paintable(context: PaintContext, target: PaintTarget) -> None:
 
 def paint_layer(
     context: PaintContext, target: PaintTarget, family: Int[Tensor, " M"]
-) -> tuple[Layer, SceneCrop | None]:
+) -> tuple[Layer, SceneCrop | None, list[Box]]:
     """Paint an object on what lies beneath its layer.
 
     Args:
@@ -158,14 +159,17 @@ def paint_layer(
         family: The row of the base that each of the Gaussians beneath belongs to.
 
     Returns:
-        The layer, and of a large scene the part that it was painted in.
+        The layer; of a large scene the part that it was painted in; and the boxes of the object in
+        all views, held-out ones included.
     """
     crop = crop_scene(context, target.mask)
     part, own = _cropped(crop, context, target)
     state = _last_state(part, own)
     layer = layer_of(state, own, family if crop is None else family[crop.rows])
+    held_out = part.all_cameras[len(part.cameras) :]
+    boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
-    return layer, crop
+    return layer, crop, boxes
 
 
 def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) -> Layer:

@@ -9,10 +9,10 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
+from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
-from stylesplat.io.recipe_files import RECIPE, Intensity, listed
 from stylesplat.progress import say
-from stylesplat.scene.intensity import check_form
+from stylesplat.scene.arguments import check_form
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -188,14 +188,14 @@ def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject
         if "intensity" in entry
         else {}
     )
-    if None in (listed(entry.get("style")) or (None,)):  # colours that were never a file
+    if None in (as_tuple(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
     settings, own = _sorted_out(entry, OWN)
     recorded = "features" in own  # by us, so what is not under `settings` is now
     if recorded:
         settings.pop("intensity", None)
         settings |= {k: v for k, v in own.get("settings", {}).items() if k == "intensity"}
-    files, digests = listed(own.get("style")), listed(own.get("sha256"))
+    files, digests = as_tuple(own.get("style")), as_tuple(own.get("sha256"))
     config = with_settings(base.config, settings)
     style = Style(*_pictures(files, digests, base.folder), config=config, preset=base.preset)
     network = own if "features" in own else base.shared

@@ -12,13 +12,13 @@ from torch.nn import functional as F
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.one_view import render
+from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.margins import extent
+from stylesplat.selection.shapes import extent
 from stylesplat.stylization.views import Box, crop_to_box, typical_length
 
 VIEWS = 32

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say, track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
-from stylesplat.rendering.rasterize import rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
@@ -127,6 +127,12 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
     found = at_once(find, range(len(cameras)), splats.device)
     found = track(found, "looking for the object", total=len(cameras))
     return [box for box in found if box is not None]
+
+
+def boxes_in(boxes: Sequence[Box], cameras: Cameras) -> list[Box]:
+    """The boxes that lie in some cameras, by the cameras' names."""
+    names = {*cameras.names}
+    return [box for box in boxes if box.camera.names[0] in names]
 
 
 def typical_length(boxes: Sequence[Box]) -> float:

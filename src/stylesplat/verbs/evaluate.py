@@ -22,13 +22,10 @@ from stylesplat.scene.frames import posed_as
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.object_views import Box, find_boxes
-from stylesplat.stylization.paint_objects import moved, open_studio
-from stylesplat.stylization.paint_task import load_network
-from stylesplat.stylization.plain_settings import with_settings
+from stylesplat.stylization.config import Precision, StyleConfig, with_settings
 from stylesplat.stylization.style import Style, digest
-from stylesplat.stylization.style_config import Precision, StyleConfig
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.target import PaintTarget, load_network, paint_context
+from stylesplat.stylization.views import Box, find_boxes
 from stylesplat.verbs.stylize import flat_metrics
 
 SCHEMA = "stylesplat-evaluation-1"  # of what is measured; `compare` has it for each scene
@@ -126,12 +123,12 @@ def _closeness(
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
-        job = moved(StyleJob(layer.object, picked, style.read(), style.config), base)
-        studio = open_studio(
+        target = PaintTarget(layer.object, picked, style.read(), style.config).to(base)
+        context = paint_context(
             base, views, network, precision=cast(Precision | None, layer.precision)
         )
-        close = measure_style(studio, job, styled, boxes=boxes)
-        return close | measure_statistics(studio, job, styled, boxes=boxes)
+        close = measure_style(context, target, styled, boxes=boxes)
+        return close | measure_statistics(context, target, styled, boxes=boxes)
     except StyleSplatError as error:
         say(f"{layer.object} is not compared with its style: {error}")
         return {}

@@ -23,10 +23,10 @@ from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.paint_objects import check_jobs
-from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_images import Picture
-from stylesplat.stylization.style_job import StyleJob
+from stylesplat.stylization.config import Network
+from stylesplat.stylization.paint import check_targets
+from stylesplat.stylization.style_image import Picture
+from stylesplat.stylization.target import PaintTarget
 from stylesplat.verbs.stylize import stylize_unmeasured
 
 CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
@@ -90,8 +90,8 @@ def sheet(
     variations = [(key, tuple(values)) for key, values in (vary or {}).items()]
     plan = plan_sheet(several, variations, settings=settings)
     runs, picked = plan.runs(), find_object(scene, name)
-    jobs = [StyleJob(name, picked, style.read(), style.config) for style, _ in runs]
-    check_jobs(jobs[:1])
+    jobs = [PaintTarget(name, picked, style.read(), style.config) for style, _ in runs]
+    check_targets(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
     camera = close_up(splats, cameras, picked.to(splats.device), side=CELL)

@@ -24,21 +24,21 @@ from stylesplat.scene.compose import (
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.cut_scene import CutScene
+from stylesplat.stylization.config import Network
+from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.object_views import Box
-from stylesplat.stylization.paint_objects import (
-    MAX_MEMORY,
-    check_sight,
-    moved,
-    open_studio,
-    paint_layer,
-)
-from stylesplat.stylization.paint_task import PaintTask, load_network, paint_tasks
+from stylesplat.stylization.paint import check_paintable, paint_layer
 from stylesplat.stylization.style import Recipe, Style, StyledObject, as_recipe
-from stylesplat.stylization.style_config import Network
-from stylesplat.stylization.style_images import Picture
-from stylesplat.stylization.style_job import Studio
+from stylesplat.stylization.style_image import Picture
+from stylesplat.stylization.target import (
+    MAX_MEMORY,
+    PaintContext,
+    PaintTask,
+    load_network,
+    paint_context,
+    paint_tasks,
+)
+from stylesplat.stylization.views import Box
 
 ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over networks
 
@@ -79,14 +79,14 @@ class Studios:
     networks: "dict[Any, FeatureNetwork]"
     """Those that were loaded."""
 
-    def open(self, splats: Splats, task: PaintTask) -> Studio:
+    def open(self, splats: Splats, task: PaintTask) -> PaintContext:
         """The studio in which one object is painted, or measured."""
         training, held_out = self.scene.working_views()
         key = task.features, task.weights
         if key not in self.networks:
             styles = [each.style for each in self.tasks if (each.features, each.weights) == key]
             self.networks[key] = load_network(styles, *key)
-        return open_studio(
+        return paint_context(
             splats.to(self.device),
             training,
             self.networks[key],
@@ -163,7 +163,7 @@ def stylize_unmeasured(
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, precisions = dict[str, float](), dict[str, str]()
-    cuts, surveys = dict[str, CutScene](), dict[str, Sequence[Box]]()
+    cuts, surveys = dict[str, SceneCrop](), dict[str, Sequence[Box]]()
     for task in tasks:
         began = time.perf_counter()
         scene, cut, surveys[task.name] = _painted(studios, scene, task)
@@ -205,19 +205,19 @@ def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_sight(studios: Studios, scene: Scene, task: PaintTask) -> None:
     under, _ = beneath(scene, task.name)
-    studio = studios.open(under.splats, task)
-    check_sight(studio, moved(task.job(family(under)), studio.splats))
+    context = studios.open(under.splats, task)
+    check_paintable(context, task.target(family(under)).to(context.splats))
 
 
 def _painted(
     studios: Studios, scene: Scene, task: PaintTask
-) -> tuple[Scene, CutScene | None, Sequence[Box]]:
+) -> tuple[Scene, SceneCrop | None, Sequence[Box]]:
     """The scene with a new layer, the part that was looked at, if any, and where the object is."""
     under, place = beneath(scene, task.name)
     studio, rows = studios.open(under.splats, task), family(under)
-    job = moved(task.job(rows), studio.splats)
-    layer, cut, survey = paint_layer(studio, job, rows.to(studio.splats.device))
-    layer = task.recorded(layer, studio.precision_name)
+    target = task.target(rows).to(studio.splats)
+    layer, cut, survey = paint_layer(studio, target, rows.to(studio.splats.device))
+    layer = task.record(layer, studio.precision_name)
     of_base = cut and cut.of_base(rows.to(cut.rows.device))
     return with_layer(scene, place, layer), of_base, survey
 
@@ -240,7 +240,7 @@ def _by_network(tasks: Sequence[PaintTask]) -> list[list[PaintTask]]:
 def _measured(
     studios: Studios,
     tasks: Sequence[PaintTask],
-    cuts: Mapping[str, CutScene],
+    cuts: Mapping[str, SceneCrop],
     surveys: Mapping[str, Sequence[Box]],
     scene: Scene,
 ) -> dict[str, Any]:
@@ -257,7 +257,7 @@ def _measured(
     return flat_metrics(
         measure_painted(
             studio,
-            [task.job(rows) for task in tasks],
+            [task.target(rows) for task in tasks],
             splats.to(studio.splats.device),
             held_out=held_out,
             surveys=surveys,
