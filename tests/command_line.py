@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from stylesplat.__main__ import main
+from stylesplat.cli import main
 
 QUICK = ("--features", "compact", "--quality", "draft", "--device", "cpu")
 

@@ -11,7 +11,7 @@ def main() -> int:
     try:
         try:
             take_signals()
-            from stylesplat.__main__ import main as run
+            from stylesplat.cli import main as run
 
             return run()
         finally:

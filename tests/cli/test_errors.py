@@ -6,7 +6,7 @@ import pytest
 
 from balls import CAMERAS
 from command_line import complaint
-from stylesplat.__main__ import main
+from stylesplat.cli import main
 from stylesplat.cli.parse import parse_box, parse_point, parse_style
 from stylesplat.errors import StyleSplatError
 

@@ -8,7 +8,7 @@ import pytest
 
 from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from stylesplat.__main__ import main
+from stylesplat.cli import main
 from stylesplat.cli.parse import parse_named_box
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import read_label_map

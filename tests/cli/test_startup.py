@@ -9,7 +9,7 @@ import stylesplat
 
 PARSE = """
 import contextlib, sys
-from stylesplat.__main__ import main
+from stylesplat.cli import main
 with contextlib.suppress(SystemExit):
     main({arguments!r})
 print(*sorted({{"torch", "numba", "cv2", "torchvision", "viser"}} & sys.modules.keys()))

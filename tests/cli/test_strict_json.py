@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from painted_balls import TRAINED, painted, write_pictures
-from stylesplat.__main__ import main
+from stylesplat.cli import main
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import strict_json
 

@@ -10,8 +10,7 @@ import pytest
 
 import stylesplat as ss
 from command_line import complaint, run
-from stylesplat.__main__ import main
-from stylesplat.cli.__init__ import VERBS
+from stylesplat.cli import VERBS, main
 from stylesplat.io.splats.splat_files import read_splats
 
 README = Path(__file__).parents[2] / "README.md"

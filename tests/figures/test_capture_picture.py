@@ -7,13 +7,18 @@ import torch
 from torch import Tensor
 
 from still_life.photos import dome_cameras
-from stylesplat.figures.capture_picture import PANEL, SEEN, WEAK, capture_picture
+from stylesplat.figures.capture_picture import (
+    BLURRED,
+    PANEL,
+    SEEN,
+    UNSEEN,
+    WEAK,
+    capture_picture,
+)
 from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.compose import UNSEEN
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
-from stylesplat.structure_from_motion.image_measures import BLURRED
 from stylesplat.verbs.check import check
 
 DOME = dome_cameras(48, 48, 36)
