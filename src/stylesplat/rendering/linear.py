@@ -68,7 +68,7 @@ class Contributions:
         if self.bands is not None:
             sh0 = splats.sh0[:, 0].index_select(0, shown)  # its gradient is quicker than that of []
             colors = sh0 * SH_C0 + self.bands
-            return self.image(colors.relu() if clamp else colors)
+            return _Compose.apply(colors.relu() if clamp else colors, self)
         dirs = splats.means[shown] - self.origin
         sh = splats.sh0[shown], splats.shN[shown]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=clamp))

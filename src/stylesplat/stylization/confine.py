@@ -65,14 +65,14 @@ def confine_canvas(
         canvas = replace(canvas, splats=turned)
     checked = cameras[[*evenly(range(len(cameras)), VIEWS)]]
     outside = _find_outside(splats, mask, _crop_to_gaussians(splats[mask], checked))
-    rows, outside = _overflow(canvas, mask, outside)
+    rows, outside = _overflow(canvas, outside)
     scales = canvas.splats.scales.clone()
     scales[rows] = round_discs.scales[rows] + math.log(SMALLER)
     canvas = replace(canvas, splats=replace(canvas.splats, scales=scales))
     kept = torch.ones_like(canvas.is_disc)
     while outside:  # a removed disc may uncover others
         left = kept.nonzero()[:, 0]
-        rows, outside = _overflow(canvas.select(left), mask, outside)
+        rows, outside = _overflow(canvas.select(left), outside)
         kept[left[rows]] = False
     canvas = fade_hidden(splats, canvas.select(kept.nonzero()[:, 0]), mask, boxes)
     return fill_holes(splats, canvas, mask, boxes), kept
@@ -110,14 +110,13 @@ def _find_outside(
 
 
 def _overflow(
-    canvas: Canvas, mask: Tensor, outside: Sequence[Outside]
+    canvas: Canvas, outside: Sequence[Outside]
 ) -> tuple[Int[Tensor, " M"], list[Outside]]:
     """The discs that show outside the object, and the pixels outside that they may uncover."""
-    own, bare = mask[canvas.parents], without_looks(canvas.splats)
+    bare = without_looks(canvas.splats)
 
     def look(view: Outside) -> Tensor:
-        rows = _contributing(bare, own, *view)
-        return rows[rows >= canvas.count]
+        return _contributing(bare, canvas.is_disc, *view)
 
     found = [*track(at_once(look, outside), "checking the outline", total=len(outside))]
     uncovered = [
@@ -131,13 +130,14 @@ def _overflow(
 def _contributing(
     splats: Splats, mask: Tensor, camera: Cameras, pixels: Bool[Tensor, "H W"]
 ) -> Int[Tensor, " M"]:
-    """The object's Gaussians that contribute to some pixels of one camera."""
+    """Which of some Gaussians contribute to some pixels of one camera."""
+    low, high = pixel_bounds(splats, camera)
     suspects = mask.nonzero()[:, 0]
-    suspects = suspects[touching(*pixel_bounds(splats[suspects], camera), pixels)]
+    suspects = suspects[touching(low[suspects], high[suspects], pixels)]
     pixels = pixels & reached_pixels(splats[suspects], camera)
     if not pixels.any():
         return suspects[:0]
-    there = touching(*pixel_bounds(splats, camera), pixels).nonzero()[:, 0]
+    there = touching(low, high, pixels).nonzero()[:, 0]
     view = contributions(splats[there], camera, mask[there])
     return there[view.gaussians[view.weights(pixels) > 0]]
 

@@ -113,26 +113,33 @@ def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintSta
     stages = _stages(context, target, typical_length(boxes))
     canvas_at = min(CANVAS_STAGE, len(stages) - 1)
     confined_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
+    confined_at = max(canvas_at, confined_at)
     generator = torch.Generator().manual_seed(config.seed)
     views, goal, paint, done = list[ObjectView](), None, object.splats, 0
-    shares = _form_shares(object, boxes)
+    shares, relief = _form_shares(object, boxes), torch.zeros_like(object.splats.opacities)
+    color_views, color_length = list[ObjectView](), 0.0
     for number, stage in enumerate(stages):
         views.clear()  # before there are others: they take much memory
         anew = number == 0
         if number == canvas_at:
             object = lay(object, boxes, stages[-1].length)
             anew |= object.canvas is not None
-        if number == max(confined_at, canvas_at) and object.canvas is not None:
+        if number == confined_at and object.canvas is not None:
             object, kept = confine(object, boxes, None if anew else paint)
             if not anew:
                 paint = replace(object.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
+                relief = relief[kept]
         views += stage_views(object.context, object.target, boxes, stage, generator)
-        color_views = _color_views(object, boxes, stage, views)
+        if stage.window is None and len(views) >= COLOR_VIEWS:
+            color_views, color_length = evenly(views, COLOR_VIEWS), stage.length
+        elif number <= confined_at:  # later stages have the same Gaussians
+            color_length = min(stage.length, COLOR_LENGTH)
+            color_views = _color_views(object, boxes, color_length)
         if anew or goal is None:
             goal, paint = _begin(object, color_views, max(shares))
-        relief = form_relief(
-            object.before, object.splats, object.mask, color_views, stage.length, shares
-        )
+        if anew or number == len(stages) - 1:
+            rest = color_views, color_length, shares
+            relief = form_relief(object.before, object.splats, object.mask, *rest)
         objective = replace(_objective(object, goal, stage), form_shares=shares)
         targets = objective.targets(views, object.before, paint if stage.fine else None)
         steps = optimize_colors(paint, object.mask, targets, objective, stage.steps)
@@ -265,14 +272,9 @@ def _stages(context: PaintContext, target: PaintTarget, photo_length: float) -> 
     return stages
 
 
-def _color_views(
-    object: Paintable, boxes: Sequence[Box], stage: Stage, views: Sequence[ObjectView]
-) -> list[ObjectView]:
-    """Views of the whole object for its colours: the stage's own, if they show all of it."""
-    if stage.window is None and len(views) >= COLOR_VIEWS:
-        return evenly(views, COLOR_VIEWS)
-    zoom = min(stage.length, COLOR_LENGTH) / typical_length(boxes)
-    few = evenly(boxes, COLOR_VIEWS)
+def _color_views(object: Paintable, boxes: Sequence[Box], length: float) -> list[ObjectView]:
+    """A few views of the whole object, which is as long in them, for its colours."""
+    few, zoom = evenly(boxes, COLOR_VIEWS), length / typical_length(boxes)
     return object_views(object.context, object.target, few, zoom, max_memory=math.inf)
 
 

@@ -56,7 +56,8 @@ def paint(
             Gaussians or is not seen.
     """
     context, target = _one_object(splats, capture, mask, style, config, network)
-    return _blended(_last_state(context, target), context.splats, target)
+    layer, *_ = paint_layer(context, target, torch.arange(len(splats), device=splats.device))
+    return compose(context.splats, [layer])
 
 
 def paint_live(
@@ -85,8 +86,12 @@ def paint_live(
         StyleSplatError: As `paint` does.
     """
     context, target = _one_object(splats, capture, mask, style, config, network)
+    rows = torch.arange(len(splats), device=splats.device)
     for state in paint_steps(context, target):
-        yield replace(state, splats=_blended(state, context.splats, target))
+        if target.config.intensity != 1:
+            blended = compose(context.splats, [layer_of(state, target, rows)])
+            state = replace(state, splats=blended)
+        yield state
 
 
 @dataclass(frozen=True)
@@ -164,7 +169,13 @@ def paint_layer(
     """
     crop = crop_scene(context, target.mask)
     part, own = _cropped(crop, context, target)
-    state = _last_state(part, own)
+    state = None
+    with task(target.name, target.config.all_steps) as bar:
+        for state in paint_steps(part, own):
+            bar.advance()
+            if state.step % REPORT_EVERY == 0:
+                bar.note(f"NNFM {state.nnfm:.3f}")
+    assert state is not None  # there is at least one step
     layer = layer_of(state, own, family if crop is None else family[crop.rows])
     held_out = part.all_cameras[len(part.cameras) :]
     boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
@@ -245,23 +256,3 @@ def _one_object(
     target = PaintTarget("object", mask, (image,), config)
     check_targets([target])
     return paint_context(splats, cameras, network), target.to(splats)
-
-
-def _last_state(context: PaintContext, target: PaintTarget) -> PaintState:
-    """Take all steps, with a progress bar."""
-    state = None
-    with task(target.name, target.config.all_steps) as bar:
-        for state in paint_steps(context, target):
-            bar.advance()
-            if state.step % REPORT_EVERY == 0:
-                bar.note(f"NNFM {state.nnfm:.3f}")
-    assert state is not None  # there is at least one step
-    return state
-
-
-def _blended(state: PaintState, splats: Splats, target: PaintTarget) -> Splats:
-    """The splats with the painting so far, at the intensity that is wanted."""
-    if target.config.intensity == 1:
-        return state.splats
-    rows = torch.arange(len(splats), device=splats.device)
-    return compose(splats, [layer_of(state, target, rows)])

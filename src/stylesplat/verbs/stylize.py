@@ -28,7 +28,7 @@ from stylesplat.stylization.config import Network
 from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint import check_paintable, paint_layer
-from stylesplat.stylization.style import Recipe, Style, StyledObject, as_recipe
+from stylesplat.stylization.style import Recipe, Style, as_recipe
 from stylesplat.stylization.style_image import Picture
 from stylesplat.stylization.target import (
     MAX_MEMORY,
@@ -49,12 +49,10 @@ class Unmeasured:
 
     scene: Scene
     """As `stylize` returns it, but for the metrics that take measuring."""
-    painted: tuple[str, ...]
-    """The objects that were painted."""
     surveys: Mapping[str, Sequence[Box]]
-    """Where each of them shows in the views of the scene."""
+    """Where each painted object shows in the views of the scene, by name."""
     measures: Sequence[Callable[[Scene], dict[str, Any]]]
-    """What measures the objects of each network."""
+    """Functions that measure the objects of each network."""
 
     def measured(self) -> Scene:
         """The scene with all of its metrics; see `stylize`."""
@@ -65,22 +63,21 @@ class Unmeasured:
 
 
 @dataclass(frozen=True)
-class Studios:
-    """What opens a studio on what lies beneath a layer."""
+class PaintContexts:
+    """The paint contexts of a scene, whose objects share networks."""
 
     scene: Scene
-    """Whose views are looked at."""
+    """It has the views."""
     tasks: Sequence[PaintTask]
-    """All objects, which tell how deep a network has to be."""
+    """All objects: each network is as deep as the deepest of them needs."""
     max_memory: float
     """GiB for prepared views."""
     device: torch.device
-    """Where to compute."""
     networks: "dict[Any, FeatureNetwork]"
-    """Those that were loaded."""
+    """Networks that were loaded, by their names and files."""
 
-    def open(self, splats: Splats, task: PaintTask) -> PaintContext:
-        """The studio in which one object is painted, or measured."""
+    def of(self, splats: Splats, task: PaintTask) -> PaintContext:
+        """The context in which one object is painted on splats, or measured."""
         training, held_out = self.scene.working_views()
         key = task.features, task.weights
         if key not in self.networks:
@@ -154,36 +151,44 @@ def stylize_unmeasured(
     """
     start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
     tasks = paint_tasks(recipe, scene, features, weights)
-    studios = Studios(scene, tasks, max_memory, pick_device(device), {})
-    if len(tasks) > 1:  # one is looked at as soon when it is painted
+    contexts = PaintContexts(scene, tasks, max_memory, pick_device(device), {})
+    if len(tasks) > 1:  # so that no object is painted in vain
         for task in tasks:
-            _check_sight(studios, scene, task)
+            under, _ = beneath(scene, task.name)
+            context = contexts.of(under.splats, task)
+            check_paintable(context, task.target(family(under)).to(context.splats))
     shown = {layer.object for layer in scene.layers if layer.is_shown}
     anew = [task.name for task in tasks if task.name in shown]
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
-    seconds, precisions = dict[str, float](), dict[str, str]()
-    cuts, surveys = dict[str, SceneCrop](), dict[str, Sequence[Box]]()
+    seconds, precision = dict[str, float](), ""
+    crops, surveys = dict[str, SceneCrop](), dict[str, Sequence[Box]]()
     for task in tasks:
         began = time.perf_counter()
-        scene, cut, surveys[task.name] = _painted(studios, scene, task)
+        under, place = beneath(scene, task.name)
+        context, rows = contexts.of(under.splats, task), family(under).to(contexts.device)
+        target = task.target(rows.cpu()).to(context.splats)
+        layer, crop, surveys[task.name] = paint_layer(context, target, rows)
+        precision = context.precision_name
+        scene = with_layer(scene, place, task.record(layer, precision))
+        if crop is not None:
+            crops[task.name] = crop.of_base(rows)
         seconds[task.name] = time.perf_counter() - began
-        precisions[task.name] = next(
-            str(each.precision) for each in scene.layers if each.object == task.name
-        )
-        if cut is not None:
-            cuts[task.name] = cut
-    scene = _finished(scene, recipe.objects)
+    strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
+    forms = {each.name: each.form for each in recipe.objects if each.form is not None}
+    scene = with_strengths(scene, strengths, forms)
     metrics = {
         "seconds": time.perf_counter() - start,
         "steps": sum(task.style.config.all_steps for task in tasks),
-        "precision": precisions[tasks[-1].name],
+        "precision": precision,
         "seconds_by_object": {each.name: seconds[each.name] for each in recipe.objects},
         "train": before.metrics.get("train", before.metrics),
     }
-    measures = [partial(_measured, studios, each, cuts, surveys) for each in _by_network(tasks)]
-    names = tuple(task.name for task in tasks)
-    return Unmeasured(replace(scene, metrics=metrics), names, surveys, measures)
+    groups = dict[Any, list[PaintTask]]()
+    for task in tasks:
+        groups.setdefault((task.features, task.weights, task.precision), []).append(task)
+    measures = [partial(_measure, contexts, each, crops, surveys) for each in groups.values()]
+    return Unmeasured(replace(scene, metrics=metrics), surveys, measures)
 
 
 stylise = stylize
@@ -195,7 +200,7 @@ def with_layer(scene: Scene, place: int, layer: Layer) -> Scene:
 
 
 def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
-    """What was measured with one entry per number, and in it one per object."""
+    """Metrics with one entry per number, and in it one per object."""
     metrics = {name: value for name, value in measured.items() if name != "objects"}
     for each, numbers in measured["objects"].items():
         for name, value in numbers.items():
@@ -203,72 +208,38 @@ def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
     return metrics
 
 
-def _check_sight(studios: Studios, scene: Scene, task: PaintTask) -> None:
-    under, _ = beneath(scene, task.name)
-    context = studios.open(under.splats, task)
-    check_paintable(context, task.target(family(under)).to(context.splats))
-
-
-def _painted(
-    studios: Studios, scene: Scene, task: PaintTask
-) -> tuple[Scene, SceneCrop | None, Sequence[Box]]:
-    """The scene with a new layer, the part that was looked at, if any, and where the object is."""
-    under, place = beneath(scene, task.name)
-    studio, rows = studios.open(under.splats, task), family(under)
-    target = task.target(rows).to(studio.splats)
-    layer, cut, survey = paint_layer(studio, target, rows.to(studio.splats.device))
-    layer = task.record(layer, studio.precision_name)
-    of_base = cut and cut.of_base(rows.to(cut.rows.device))
-    return with_layer(scene, place, layer), of_base, survey
-
-
-def _finished(scene: Scene, objects: Sequence[StyledObject]) -> Scene:
-    """The scene with layers as strong as a recipe wants them in the end."""
-    strengths = {each.name: each.intensity for each in objects if each.intensity is not None}
-    forms = {each.name: each.form for each in objects if each.form is not None}
-    return with_strengths(scene, strengths, forms)
-
-
-def _by_network(tasks: Sequence[PaintTask]) -> list[list[PaintTask]]:
-    """The objects of each network."""
-    groups = dict[Any, list[PaintTask]]()
-    for task in tasks:
-        groups.setdefault((task.features, task.weights, task.precision), []).append(task)
-    return [*groups.values()]
-
-
-def _measured(
-    studios: Studios,
+def _measure(
+    contexts: PaintContexts,
     tasks: Sequence[PaintTask],
-    cuts: Mapping[str, SceneCrop],
+    crops: Mapping[str, SceneCrop],
     surveys: Mapping[str, Sequence[Box]],
     scene: Scene,
 ) -> dict[str, Any]:
-    """What painting some objects did, with one entry per number.
+    """Measure what painting some objects did, with one entry per number.
 
-    The scene before is made of the one after: two take much memory.
+    The scene before is made from the one after, as two take much memory.
     """
     names = [task.name for task in tasks]
     before = without_layers(scene, names)
     rows = family(before)
-    studio = studios.open(before.splats, tasks[0])
+    context = contexts.of(before.splats, tasks[0])
     splats, after = new_ones_last(scene, names)
     _, held_out = scene.working_views()
     return flat_metrics(
         measure_painted(
-            studio,
+            context,
             [task.target(rows) for task in tasks],
-            splats.to(studio.splats.device),
+            splats.to(contexts.device),
             held_out=held_out,
             surveys=surveys,
-            cuts=cuts,
+            cuts=crops,
             families=(rows, after),
         )
     )
 
 
 def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of two networks as one: objects together, counts added, else the later ones."""
+    """Join the numbers of two networks: objects together, counts added, else the later ones."""
     joined = {**earlier, **later}
     for name, value in earlier.items():
         if isinstance(value, dict):

@@ -15,7 +15,7 @@ from stylesplat.stylization.optimize import PaintState, paint_steps
 from stylesplat.stylization.paint import layer_of
 from stylesplat.stylization.style import Style, as_recipe
 from stylesplat.stylization.target import MAX_MEMORY, PaintTarget, PaintTask, paint_tasks
-from stylesplat.verbs.stylize import Studios, with_layer
+from stylesplat.verbs.stylize import PaintContexts, with_layer
 
 
 @dataclass(frozen=True)
@@ -26,22 +26,22 @@ class Live:
     """How far it is."""
     before: Scene
     """The scene as it was given."""
-    ground: Scene
+    beneath: Scene
     """What lies beneath the object's layer."""
     place: int
     """Of the layer in the stack."""
     task: PaintTask
     """The object and its style."""
-    job: PaintTarget
-    """Its Gaussians among those of `ground`, and settings."""
+    target: PaintTarget
+    """Its Gaussians among those of `beneath`, and settings."""
     precision: Precision
     """Of the features."""
 
     @property
     def layer(self) -> Layer:
         """What is painted so far."""
-        rows = family(self.ground).to(self.state.parents.device)
-        return self.task.record(layer_of(self.state, self.job, rows), self.precision)
+        rows = family(self.beneath).to(self.state.parents.device)
+        return self.task.record(layer_of(self.state, self.target, rows), self.precision)
 
     @property
     def splats(self) -> Splats:
@@ -92,7 +92,9 @@ def stylize_live(
     """
     (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
     under, place = beneath(scene, name)
-    studio = Studios(scene, tasks, max_memory, pick_device(device), {}).open(under.splats, task)
-    job = task.target(family(under)).to(studio.splats)
-    for state in paint_steps(studio, job):
-        yield Live(state, scene, under, place, task, job, studio.precision_name)
+    context = PaintContexts(scene, tasks, max_memory, pick_device(device), {}).of(
+        under.splats, task
+    )
+    target = task.target(family(under)).to(context.splats)
+    for state in paint_steps(context, target):
+        yield Live(state, scene, under, place, task, target, context.precision_name)
