@@ -25,12 +25,12 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
-from stylesplat.rendering.linear import GREY
 from stylesplat.stylization.features.compact import (
     CELLS,
     CONTRAST,
     DEPTHS,
     FOLD,
+    GREY,
     Compact,
     compact_from,
 )

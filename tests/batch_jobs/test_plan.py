@@ -170,7 +170,7 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
         (jobs("stylize: {style: {a: gs://b/wave.jpg}}"), "line 3: 'gs://b/wave.jpg' is an address"),
         (jobs("stylize: {recipe: no.yaml}"), "line 3: recipe: there is no "),
         (jobs("stylize: {style: a=wave.jpg}"), "line 3: style is a map"),
-        (jobs("stylize: {scale: fast}"), "line 3: --stroke-size"),
+        (jobs("stylize: {scale: fast}"), "line 3: Error parsing --scale/--stroke-size"),
         (jobs("stylize: {scale: [[1, 2]]}"), "line 3: scale takes one value"),
         (jobs("stylize: {region: [0, 0, 9, 9]}"), "line 3: region takes 4 values: write [[x, "),
         (jobs("stylize: {scale: []}"), "scale lists nothing"),

@@ -36,7 +36,7 @@ VIEW = CAMERAS.names[0]
         (["select", "{scene}", "--name", "x", "--box", VIEW + ":0,0,1,1"], "objects {scene}"),
         (["select", "{scene}", "--name", "x", "--text", ""], "text is empty"),
         (["select", "{scene}", "--name", "x", "--id", "3", "--model", "a/b"], "Pass --text"),
-        (["select", "{scene}", "--name", "x", "--text", "a", "--model", "{tmp}/no"], "not exist"),
+        (["select", "{scene}", "--name", "x", "--text", "a", "--model", "{tmp}/no"], "is no model"),
         (["select", "{scene}", "--name", "x", "--text", "a", "--model", "{tmp}"], "config.json"),
         (["stylize", "{scene}", "--style", "red", "-o", "{tmp}/y"], "OBJECT=IMAGE"),
         (["adjust", "{scene}", "--intensity", "0.5"], "is not styled"),

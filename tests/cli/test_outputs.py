@@ -30,7 +30,7 @@ WORK = (
     "stylesplat.export",
     "stylesplat.evaluate",
     "stylesplat.verbs.sfm.prepare",
-    "stylesplat.figures.object_sheet.object_sheet",
+    "stylesplat.figures.sheets.object_sheet",
     "stylesplat.demo.demo_run.copy_capture",
 )
 CALLS = {

@@ -136,11 +136,11 @@ def test_settings_start_from_the_preset():
     assert [(c.steps, c.seed, c.color) for c in configs] == [(9, seed, "free") for seed in (1, 2)]
     plan = plan_sheet(
         [(Path("a.png"), Path("b.png"))],
-        [("layers", ((3,), (2, 3))), ("view_dependence", ("keep",))],
+        [("layers", ((3,), (2, 3))), ("color", ("keep",))],
         settings={"preset": "default"},
     )
     assert [caption for caption, _ in plan.rows[0].cells] == ["layers 3", "layers 2, 3"]
-    assert [row.label for row in plan.rows] == ["view dependence keep"]
+    assert [row.label for row in plan.rows] == ["color keep"]
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,9 @@ import torch
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.figures.grid import CAPTION, MARGIN
-from stylesplat.figures.sheets import OUTLINE, PANEL, selection_picture
+from stylesplat.figures.sheets import OUTLINE, PANEL, THICKNESS, selection_picture
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
-from stylesplat.structure_from_motion.world_frame import THICKNESS
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 BLUE = pick(SPLATS, object_id=300, remove_outliers=False)

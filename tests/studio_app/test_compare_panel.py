@@ -12,7 +12,7 @@ def test_variants_tell_what_of_their_settings_is_unusual(session: Session):
     PaintQueue(session, device="cpu").paint(("3", "7"), quick_style(), "stripes")
     assert session.worker.settle()
     first, second = describe_variants(variants).splitlines()
-    assert first == "1. 3: stripes: steps 4, layers 1, max growth 2, object size 30"
+    assert first == "1. 3: stripes: steps 4, layers 1, object size 30"
     assert second.startswith("2. 7: stripes: ")
 
 

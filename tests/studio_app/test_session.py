@@ -116,7 +116,7 @@ def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
     session.on_progress.append(stop)
     queue.paint(("3", "7"), quick_style(), "stripes")
     assert session.worker.settle()
-    assert prepared[0].startswith("looking for") and len(prepared) < 3
+    assert prepared[0].startswith("finding") and len(prepared) < 3
     assert session.state is before and not session.painting and not queue.can_continue
     assert session.preview is None and not queue.waiting
     painted(session, "3")

@@ -50,7 +50,7 @@ def assert_as_said(styled: Scene, found: Mapping[str, Any]) -> None:
     shared = found.keys() & styled.metrics.keys()
     assert {"nnfm_after", "outside_psnr"} <= shared
     for name in shared:
-        assert found[name] == pytest.approx(styled.metrics[name], rel=0.01), name
+        assert found[name] == pytest.approx(styled.metrics[name], rel=0.03), name
 
 
 def test_a_trained_scene(capture: Capture):

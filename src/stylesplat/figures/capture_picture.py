@@ -9,12 +9,11 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.figures.grid import MARGIN, Row, draw_grid, legend, stacked
+from stylesplat.figures.grid import INK, MARGIN, Row, draw_grid, legend, stacked
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import seen_from
+from stylesplat.structure_from_motion.capture_statistics import STRIDE
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
-from stylesplat.studio_app.thumbnails import INK
-from stylesplat.training.state import STRIDE
 
 PANEL = 720  # pixels along a side of a panel
 BITS = 4  # fractional bits of the coordinates that cv2 draws at

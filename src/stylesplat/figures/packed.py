@@ -13,9 +13,8 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.io.splats.packing import morton_order, smallest_three
+from stylesplat.io.splats.packing import LARGEST, morton_order, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
-from stylesplat.io.tensors import LARGEST
 from stylesplat.progress import track
 from stylesplat.rendering.constants import MIN_ALPHA
 from stylesplat.rendering.sh import rgb_from_sh0

@@ -27,7 +27,7 @@ from stylesplat.stylization.config import (
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
-VARIED = SETTINGS | {"preset": Preset}  # what a sheet may vary
+VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,
     "features": Network | None,
