@@ -14,8 +14,8 @@ def tune_runtime() -> None:
 
     torch and numba each have a pool of OpenMP threads, and idle threads that spin take the cores
     from the other pool. Threads that sleep at once have to be woken for every small operation:
-    painting takes a fifth longer, at the same processor time. glibc returns large blocks to the system at every free, so that the images
-    of each step cost tens of thousands of page faults.
+    painting takes a fifth longer, at the same processor time. glibc returns large blocks to the
+    system at every free, so that the images of each step cost tens of thousands of page faults.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ.setdefault("GOMP_SPINCOUNT", SPINS)
