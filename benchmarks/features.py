@@ -41,7 +41,7 @@ from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
-from stylesplat.stylization.matching import nearest
+from stylesplat.stylization.matching import nearest_rows
 from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.paint import paint_context
 from stylesplat.stylization.style_image import read_style, resize, style_features
@@ -157,7 +157,7 @@ def _reached(
     for network in (bench.compact, bench.vgg19):
         queries = network(image)[0][view.cells[0]]
         (styles,) = style_features(painting, network, (3,), length=StyleConfig().scale * length)
-        chosen.append(nearest(queries, F.normalize(styles, dim=1)))
+        chosen.append(nearest_rows(queries, F.normalize(styles, dim=1)))
     assert queries is not None
     assert styles is not None
     ours, theirs = (float(F.cosine_similarity(queries, styles[c], dim=1).mean()) for c in chosen)

@@ -47,7 +47,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.matching import StyleIndex, nearest, nnfm_loss
+from stylesplat.stylization.matching import StyleIndex, nearest_rows, nnfm_loss
 from stylesplat.stylization.optimize import FINAL_RATE, paint_steps
 from stylesplat.stylization.paint import Painted, paint_context, paint_live, paint_objects
 from stylesplat.stylization.style_image import read_style, style_features
@@ -144,7 +144,7 @@ def shortcuts(bench: Bench) -> str:
     job = bench.job(FOX, steps=SHORTCUT_STEPS, object_size=SHORTCUT_SIZE, quality="draft")
 
     def exhaustive(self: StyleIndex, feats: Tensor) -> Tensor:
-        return nearest(feats, self.directions)
+        return nearest_rows(feats, self.directions)
 
     def run(
         name: str, dtype: torch.dtype, room: float, *, compressed: bool
@@ -204,7 +204,9 @@ def naive(bench: Bench, steps: int) -> tuple[float, Splats]:
 def naive_loss(feats: Tensor, cells: Tensor, target: Tensor) -> Tensor:
     """NNFM of the object, after the search for every pixel of the frame."""
     with torch.no_grad():
-        nearest(feats.reshape(-1, feats.shape[-1])[~cells.flatten()], F.normalize(target, dim=1))
+        nearest_rows(
+            feats.reshape(-1, feats.shape[-1])[~cells.flatten()], F.normalize(target, dim=1)
+        )
     return nnfm_loss(feats[cells], target)
 
 

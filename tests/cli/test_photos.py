@@ -12,8 +12,8 @@ from corner_photos import corner, write_photos
 from sfm_records import sfm_record
 from stylesplat.cli.photos import (
     capture_place,
-    find_capture,
     find_earlier_capture,
+    find_photos_capture,
     is_sfm_unfinished,
     view_of_photo,
 )
@@ -47,13 +47,13 @@ def write_record(folder: Path, photos: Path) -> Path:
 
 def test_a_capture_is_taken_as_it_is(tmp_path: Path):
     folder = write_capture(tmp_path / "garden")
-    assert find_capture(folder, beside=tmp_path / "scene") == folder
+    assert find_photos_capture(folder, beside=tmp_path / "scene") == folder
     assert [p.name for p in tmp_path.iterdir()] == ["garden"]
 
 
 def test_what_is_not_there_is_said(tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"There is no folder .*nothing: .* Check it"):
-        find_capture(tmp_path / "nothing", beside=tmp_path / "scene")
+        find_photos_capture(tmp_path / "nothing", beside=tmp_path / "scene")
 
 
 @pytest.mark.parametrize("near", ["My photos", "elsewhere/scene"])
@@ -64,7 +64,7 @@ def test_an_earlier_capture_is_found_beside_the_photos_and_the_scene(
     place = capture_place(photos, beside=tmp_path / near)
     assert place.name == "My photos-capture" and place.parent == (tmp_path / near).parent
     write_record(write_capture(place), photos)
-    assert find_capture(photos, beside=scene) == place
+    assert find_photos_capture(photos, beside=scene) == place
 
 
 def test_of_a_video_it_is_called_without_the_extension(tmp_path: Path):
@@ -92,12 +92,12 @@ def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
     write_record(write_capture(capture_place(photos, beside=photos)), others)
     assert find_earlier_capture(photos, beside=photos) is None
     with pytest.raises(StyleSplatError, match=r"something else\. Find them with .* -o CAPTURE`"):
-        find_capture(photos, beside=photos)
+        find_photos_capture(photos, beside=photos)
 
 
 def test_a_scene_is_not_called_like_the_capture(photos: Path, tmp_path: Path):
     with pytest.raises(StyleSplatError, match="Choose another name"):
-        find_capture(photos, beside=tmp_path / "My photos-capture")
+        find_photos_capture(photos, beside=tmp_path / "My photos-capture")
 
 
 def test_never_among_the_photos(photos: Path, tmp_path: Path):

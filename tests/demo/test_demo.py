@@ -15,7 +15,7 @@ import stylesplat as ss
 from chromium import as_url, launched, needs_chromium
 from stylesplat.demo import demo_run
 from stylesplat.demo.demo_run import ARCHIVE, STYLES, TRAINING, copy_capture, run_demo
-from stylesplat.demo.warm_up import stylize_noise, warm_up
+from stylesplat.demo.warm_up import stylize_noise, warm_up_stylization
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.config import StyleConfig
 
@@ -96,7 +96,9 @@ def made(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         return run_demo(out, archive=archive, training=training, styling=few, **options)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo_run, "warm_up", lambda capture: nullcontext())  # it has its own test
+        patch.setattr(
+            demo_run, "warm_up_stylization", lambda capture: nullcontext()
+        )  # it has its own test
         patch.setattr("stylesplat.verbs.orbit.FRAMES", 3)
         with patch.context() as interrupting:
             interrupting.setattr(demo_run, "stylize", stop)
@@ -159,6 +161,6 @@ def test_warm_up_ends_with_an_interruption(capture: Path, monkeypatch: pytest.Mo
         return started[-1]
 
     monkeypatch.setattr(subprocess, "Popen", start)
-    with pytest.raises(KeyboardInterrupt), warm_up(capture):
+    with pytest.raises(KeyboardInterrupt), warm_up_stylization(capture):
         raise KeyboardInterrupt
     assert started[0].poll() is not None, "it has ended"

@@ -82,7 +82,7 @@ def changed_json(whole: Any) -> st.SearchStrategy[bytes]:
     places = [*_places(whole)]
     changes = st.tuples(st.sampled_from(places), st.sampled_from(("set", "delete", "add")), values)
 
-    def change(chosen: list[tuple[tuple, str, Any]]) -> bytes:
+    def change(chosen: list[Any]) -> bytes:
         holder = {"": deepcopy(whole)}
         for path, how, value in chosen:
             _change(holder, path, how, value)

@@ -16,7 +16,7 @@ from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.page import MARK, BrowserMessage, parse_message
-from stylesplat.studio_app.paint_queue import PaintQueue, warm_up
+from stylesplat.studio_app.paint_queue import PaintQueue, warm_up_painting
 from stylesplat.studio_app.pick_panel import draw_label
 from stylesplat.studio_app.studio import StudioServer, studio
 
@@ -93,7 +93,7 @@ def test_warming_up_lets_what_is_asked_for_in(opened: StudioServer):
 
     def warm() -> None:
         session.worker.ask(lambda: done.append("click"))
-        warm_up(session.worker, device="cpu")
+        warm_up_painting(session.worker, device="cpu")
         done.append("warm")
 
     session.ask(warm, patient=True)

@@ -6,7 +6,12 @@ import torch
 from torch.nn.functional import normalize
 
 from stylesplat.stylization import matching
-from stylesplat.stylization.matching import build_index, cosine_distance, largest_columns, nearest
+from stylesplat.stylization.matching import (
+    build_index,
+    cosine_distance,
+    largest_columns,
+    nearest_rows,
+)
 
 
 def features(count: int, width: int = 96, *, seed: int, rank: int = 200) -> torch.Tensor:
@@ -26,7 +31,7 @@ def test_the_loss_is_that_of_the_exhaustive_search(
     index = build_index(style, dtype)
     found = index.nearest(feats.to(dtype))
     assert found.min() >= 0 and found.max() < styles
-    best = cosine_distance(feats, style[nearest(feats, normalize(style))])
+    best = cosine_distance(feats, style[nearest_rows(feats, normalize(style))])
     loss = cosine_distance(feats, style[found])
     # matches lost in compression, and in bfloat16 those that differ by its rounding
     assert best * 0.9999 <= loss < 1.005 * best

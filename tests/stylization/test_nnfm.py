@@ -3,7 +3,7 @@ import torch
 from torch.nn.functional import normalize
 
 from stylesplat.stylization import matching
-from stylesplat.stylization.matching import nearest, nnfm_loss
+from stylesplat.stylization.matching import nearest_rows, nnfm_loss
 
 EXACT = 1e-6  # a few roundings of float32
 
@@ -21,7 +21,7 @@ def test_is_the_distance_to_the_most_similar_row():
     feats, style = rows(20, 0), rows(30, 1)
     cosines = torch.cosine_similarity(feats[:, None], style[None], dim=-1)
     torch.testing.assert_close(nnfm_loss(feats, style), (1 - cosines.amax(dim=1)).mean())
-    assert torch.equal(nearest(feats, normalize(style)), cosines.argmax(dim=1))
+    assert torch.equal(nearest_rows(feats, normalize(style)), cosines.argmax(dim=1))
 
 
 def test_order_of_the_style_does_not_matter():
@@ -47,9 +47,9 @@ def test_opposite_features_are_two_apart():
 
 def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
     feats, style = rows(20, 0), normalize(rows(30, 1))
-    whole = nearest(feats, style)
+    whole = nearest_rows(feats, style)
     monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 70)
-    assert torch.equal(nearest(feats, style), whole)
+    assert torch.equal(nearest_rows(feats, style), whole)
 
 
 def test_gradient():

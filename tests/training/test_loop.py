@@ -17,7 +17,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.signals import TAKEN
 from stylesplat.training import loop
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import deferred_interrupt, fit, progress_meter, warm_up
+from stylesplat.training.loop import deferred_interrupt, fit, progress_meter, warm_up_training
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import PRESETS, TrainConfig
@@ -157,8 +157,8 @@ def test_of_several_processes_a_round_has_one_step(
     photos: list[int] = []
     run, state = begun(capture, config, 2, of_photos=True)
     monkeypatch.setattr(loop, "train_step", lambda run, state: photos.append(run.batch))
-    warm_up(run, state, Ranks(0, 2))
-    warm_up(run, state, ALONE)
+    warm_up_training(run, state, Ranks(0, 2))
+    warm_up_training(run, state, ALONE)
     assert photos == [1, 1, 2, 2]
 
 

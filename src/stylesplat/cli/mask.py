@@ -15,7 +15,7 @@ from stylesplat.cli.next_steps import next_lines, pasted, stylize_command, unuse
 from stylesplat.cli.objects import selection_file
 from stylesplat.cli.options import CONTINUES, Command, Device, OptionalOutput, refuse_given
 from stylesplat.cli.parse import parse_named_box, parse_stroke
-from stylesplat.cli.photos import find_capture, is_sfm_unfinished, view_of_photo
+from stylesplat.cli.photos import find_photos_capture, is_sfm_unfinished, view_of_photo
 from stylesplat.cli.results import optional_picture, save_or_rescue, write_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, partial_of, refuse_occupied, refuse_unwritable
@@ -101,7 +101,7 @@ class Mask(Command):
         boxes, strokes = self._drawn(None)
         lines = ((view, None) for view, _ in chain(*strokes.values()))
         drawn = chain(*boxes.values(), lines)
-        folder = find_capture(self.capture, beside=self.capture, drawn=drawn)
+        folder = find_photos_capture(self.capture, beside=self.capture, drawn=drawn)
         output = folder / OBJECT_MASK
         refuse_occupied(output, marker="", overwrite=True)  # label maps there are told later
         capture = ss.load(folder, masks=False)

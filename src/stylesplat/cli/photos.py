@@ -15,7 +15,7 @@ SUFFIX = "-capture"  # after the name of the photos' folder
 Drawn = Iterable[tuple[str, Sequence[float] | None]]
 
 
-def find_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
+def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
     """The capture that was given, or that of the photos or the video that were.
 
     An earlier capture of the same photos is used if it lies beside them or beside `beside`;
@@ -111,7 +111,7 @@ def view_of_photo(name: str, record: "SfmRecord | None") -> str:
 
 
 def is_sfm_unfinished(given: Path, *, beside: Path) -> bool:
-    """Whether `find_capture` would continue an interrupted run."""
+    """Whether `find_photos_capture` would continue an interrupted run."""
     from stylesplat.io.atomic import partial_of
 
     return is_there(partial_of(capture_place(given, beside=beside)) / "sfm")

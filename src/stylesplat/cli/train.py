@@ -16,7 +16,7 @@ import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
 from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
 from stylesplat.cli.options import CONTINUES, Command, Device, Flag, Output, refuse_given
-from stylesplat.cli.photos import find_capture, is_sfm_unfinished
+from stylesplat.cli.photos import find_photos_capture, is_sfm_unfinished
 from stylesplat.cli.results import describe_scene, save_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import MARK, changing, partial_of, refuse_occupied
@@ -122,7 +122,7 @@ class Train(Command):
         )
 
     def _capture(self) -> "ss.Capture":
-        folder = find_capture(self.capture, beside=self.output)
+        folder = find_photos_capture(self.capture, beside=self.output)
         return ss.load(folder, downscale=self.downscale, masks=self.masks)
 
     def _train(self, capture: "ss.Capture", config: TrainConfig) -> "ss.Scene":

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stylesplat.demo.report import REPORT, SHEET, write_report
-from stylesplat.demo.warm_up import warm_up
+from stylesplat.demo.warm_up import warm_up_stylization
 from stylesplat.figures.sheets import object_sheet
 from stylesplat.io.atomic import atomic_folder, refuse_occupied
 from stylesplat.io.images import write_image
@@ -93,7 +93,7 @@ def _train(capture: Path, output: Path, config: TrainConfig, *, overwrite: bool)
     if (output / SCENE).exists() and not overwrite:
         return open(output)
     checkpoint = output.with_name("training.partial") / "checkpoint.pt"
-    with warm_up(capture):
+    with warm_up_stylization(capture):
         scene = train(load(capture), config, checkpoint=checkpoint)
     for id, name in OBJECT_NAMES.items():
         scene = select(scene, name, id=id)

@@ -21,7 +21,7 @@ from stylesplat.verbs.stylize import stylize
 
 
 @contextmanager
-def warm_up(capture: Path) -> Iterator[None]:
+def warm_up_stylization(capture: Path) -> Iterator[None]:
     """Compile the kernels of stylisation in another process, which ends with the block."""
     command = [sys.executable, "-m", __name__, capture]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -27,7 +27,7 @@ QUANTILES = 256  # by which two projections are compared
 
 
 @dataclass(frozen=True)
-class Moments:
+class FeatureMoments:
     """Mean and covariance of a set of features."""
 
     count: int
@@ -63,11 +63,11 @@ def object_statistics_distance(
 ) -> float:
     """`style_statistics_distance` of an object's features in all views, averaged over blocks."""
 
-    def one_view(view: ObjectView) -> list[Moments]:
+    def one_view(view: ObjectView) -> list[FeatureMoments]:
         feats = network(render(splats, view.camera)[0].clamp(0, 1), blocks)
         return [moments(f[cells]) for f, cells in zip(feats, view.cells, strict=True)]
 
-    def merge(one: list[Moments], other: list[Moments]) -> list[Moments]:
+    def merge(one: list[FeatureMoments], other: list[FeatureMoments]) -> list[FeatureMoments]:
         return [pool(a, b) for a, b in zip(one, other, strict=True)]
 
     pooled = reduce(merge, map(one_view, views))
@@ -75,20 +75,20 @@ def object_statistics_distance(
     return float(torch.stack(distances).mean())
 
 
-def moments(feats: Float[Tensor, "P D"]) -> Moments:
+def moments(feats: Float[Tensor, "P D"]) -> FeatureMoments:
     """Mean and covariance of features, one per row."""
     covariance = feats.T.cov(correction=0).view(2 * feats.shape[1:])  # [D, D] for D = 1 too
-    return Moments(len(feats), feats.mean(dim=0), covariance)
+    return FeatureMoments(len(feats), feats.mean(dim=0), covariance)
 
 
-def pool(one: Moments, other: Moments) -> Moments:
+def pool(one: FeatureMoments, other: FeatureMoments) -> FeatureMoments:
     """The moments of two sets taken together (Chan et al. 1979), exact to rounding."""
     count = one.count + other.count
     share = other.count / count
     gap = other.mean - one.mean
     between = share * (1 - share) * torch.outer(gap, gap)
     within = torch.lerp(one.covariance, other.covariance, share)
-    return Moments(count, one.mean + share * gap, within + between)
+    return FeatureMoments(count, one.mean + share * gap, within + between)
 
 
 @torch.no_grad()
@@ -119,7 +119,7 @@ def _luminance(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "1 H W"]:
     return (image.clamp(0, 1) @ image.new_tensor(LUMA))[None]
 
 
-def _distance(found: Moments, style: Moments) -> Float[Tensor, ""]:
+def _distance(found: FeatureMoments, style: FeatureMoments) -> Float[Tensor, ""]:
     pairs = ((found.mean, style.mean), (found.covariance, style.covariance))
     relative = [(x - y).norm() / y.norm().clamp(min=TINY) for x, y in pairs]
     return torch.stack(relative).mean()

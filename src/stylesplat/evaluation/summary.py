@@ -74,18 +74,19 @@ def _colors(metrics: Mapping[str, Any], name: str) -> str:
     return f", {round(100 * share)} % of it in colours that the painting does not have"
 
 
-def differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[Any, Any]:
+def metric_differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[Any, Any]:
     """Subtract nested numbers; names that one of both lacks are left out.
 
     Example:
-        >>> differences({"psnr": 31.0, "iou": {"1": 0.5}}, {"psnr": 30.0, "iou": {"1": 0.75}})
+        >>> first = {"psnr": 30.0, "iou": {"1": 0.75}}
+        >>> metric_differences({"psnr": 31.0, "iou": {"1": 0.5}}, first)
         {'psnr': 1.0, 'iou': {'1': -0.25}}
     """
     found: dict[Any, Any] = {}
     for name, value in metrics.items():
         other = first.get(name)
         if isinstance(value, Mapping) and isinstance(other, Mapping):
-            found[name] = differences(value, other)
+            found[name] = metric_differences(value, other)
         elif _is_number(value) and _is_number(other):
             found[name] = value - other
     return found

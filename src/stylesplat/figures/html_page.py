@@ -103,7 +103,7 @@ def _url(content: bytes, suffix: str) -> str:
 
 
 @dataclass(frozen=True)
-class Column:
+class SceneColumn:
     """The pictures and numbers of one scene among others."""
 
     name: str
@@ -119,7 +119,7 @@ class Column:
 
 
 def comparison_page(
-    columns: Sequence[Column], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
+    columns: Sequence[SceneColumn], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
 ) -> str:
     """The page as HTML that needs no other file.
 
@@ -151,7 +151,7 @@ def comparison_page(
     )
 
 
-def number_rows(columns: Sequence[Column]) -> list[list[str]]:
+def number_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
     """A row per number that any scene has: its name, and for each scene value and difference.
 
     The first scene's differences are 0 and not shown.
@@ -171,7 +171,7 @@ def number_rows(columns: Sequence[Column]) -> list[list[str]]:
     ]
 
 
-def _gap_rows(columns: Sequence[Column]) -> list[list[str]]:
+def _gap_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
     names = dict.fromkeys(name for column in columns for name in column.from_first)
     return [[name, *(_cell(c.from_first.get(name), None) for c in columns)] for name in names]
 

@@ -27,7 +27,7 @@ from stylesplat.rendering.kernels import (
     vecs,
 )
 from stylesplat.rendering.kernels.blend import Picture
-from stylesplat.rendering.kernels.project_backward import Geometry
+from stylesplat.rendering.kernels.project_backward import GeometryRows
 from stylesplat.rendering.kernels.rows import Rows
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
@@ -103,7 +103,7 @@ class _Project(Function):
     @once_differentiable
     def backward(ctx, *v_projected):
         viewmat, *saved = ctx.saved_tensors
-        geometry, projected = Geometry(*saved[:3]), Projected(*saved[3:])
+        geometry, projected = GeometryRows(*saved[:3]), Projected(*saved[3:])
         known = (
             arrays(geometry),
             arrays(ctx.view._replace(viewmat=viewmat)),
@@ -113,7 +113,7 @@ class _Project(Function):
         v_viewmat = _viewmat_gradient(*known) if ctx.needs_input_grad[1] else None
         if not any(ctx.needs_input_grad[2:]):
             return None, v_viewmat, None, None, None, None
-        gradients = Geometry(*(t.new_empty(t.shape) for t in geometry))
+        gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
         project_backward.project_backward(*known, arrays(gradients), get_num_threads())
         return None, v_viewmat, *gradients, None
 

@@ -186,7 +186,7 @@ class _Compose(Function):
     def forward(ctx, colors, view):
         image = torch.empty_like(view.background)
         rows = torch.nn.functional.pad(colors.detach(), (0, 1)).view(-1)
-        linear_blocks.compose(
+        linear_blocks.render_linear(
             view.kept,
             rows.numpy(),
             view.background.view(-1).numpy(),

@@ -5,7 +5,7 @@ contour, some are haze or float beside it. All views together show where they co
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int, Int32
@@ -38,7 +38,7 @@ NO_IDS = torch.zeros(0, dtype=torch.long)
 
 
 @dataclass(frozen=True)
-class Place:
+class ObjectPixels:
     """An object's pixels in one view."""
 
     camera: Cameras
@@ -53,7 +53,7 @@ def find_places(
     picked: Bool[Tensor, " N"],
     cameras: Cameras,
     labels: Int[Tensor, " N"] | None = None,
-) -> list[Place]:
+) -> list[ObjectPixels]:
     """Find an object's pixels in some views.
 
     They are where the picked Gaussians cover half of a pixel, or less if the pixel has a label that
@@ -73,13 +73,13 @@ def find_places(
     ids = NO_IDS if labels is None else _own_ids(labels, picked)
     alone = bare[picked.nonzero()[:, 0]]
 
-    def find(camera: Cameras) -> Place:
+    def find(camera: Cameras) -> ObjectPixels:
         view = contributions(bare, camera, picked, in_view(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if len(ids) and unsure.any():
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
-        return Place(camera, pixels, _painted(view, pixels, len(splats)))
+        return ObjectPixels(camera, pixels, _painted(view, pixels, len(splats)))
 
     views = sampled_views(cameras)
     return [*track(at_once(find, views), "finding contours", total=len(views))]
@@ -91,7 +91,7 @@ def sampled_views(cameras: Cameras) -> list[Cameras]:
 
 
 def soft_shares(
-    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]
+    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[ObjectPixels]
 ) -> Float[Tensor, " N"]:
     """The share of each Gaussian's contribution that belongs to the object.
 
@@ -112,7 +112,7 @@ def soft_shares(
 
 @torch.no_grad()
 def inside_parts(
-    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]
+    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[ObjectPixels]
 ) -> Float[Tensor, " N"]:
     """The part of each picked Gaussian's contribution inside the object, 0..1; 0 for the others."""
     sums = torch.stack([place.painted for place in places]).sum(dim=0)
@@ -123,24 +123,6 @@ def inside_parts(
     unseen = mine & ~seen
     parts[unseen] = _of_neighbours(means[unseen], means[seen], parts[seen])
     return (parts * mine).to(splats.device)
-
-
-@torch.no_grad()
-def seen_anew(splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[Place]) -> list[Place]:
-    """The same places with the contributions of another scene's Gaussians.
-
-    Args:
-        splats: The scene, whose Gaussians came from those that the places were found for.
-        picked: The object's Gaussians.
-        places: The object's pixels.
-    """
-    bare, picked = without_looks(splats.to("cpu")), picked.cpu()
-
-    def see(place: Place) -> Place:
-        view = contributions(bare, place.camera, picked)
-        return replace(place, painted=_painted(view, place.pixels, len(splats)))
-
-    return [*track(at_once(see, places), "measuring contours", total=len(places))]
 
 
 def _painted(view: Contributions, pixels: Bool[Tensor, "H W"], count: int) -> Tensor:

@@ -241,12 +241,12 @@ def warm_up_at_first_client(server: "viser.ViserServer", worker: Worker, **optio
             server.get_event_loop().call_later(WARM_UP_AFTER, ask)
 
     def ask() -> None:
-        worker.ask(lambda: warm_up(worker, **options), patient=True)
+        worker.ask(lambda: warm_up_painting(worker, **options), patient=True)
 
     server.on_client_connect(join)
 
 
-def warm_up(worker: Worker, **options: Any) -> None:
+def warm_up_painting(worker: Worker, **options: Any) -> None:
     """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
     style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
     with observed(_YieldingObserver(worker)):

@@ -119,7 +119,7 @@ def fit(
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
     try:
-        warm_up(run, state, ranks)
+        warm_up_training(run, state, ranks)
         run = replace(run, pool=pool, ranks=ranks)
         checkpointer = Checkpointer(saved if ranks.number == 0 else None, state)
         with progress_meter(config, state, on_progress) as meter:
@@ -156,7 +156,7 @@ def _first(capture: Capture, rows: list[int], config: TrainConfig, device: torch
     return first_state(splats.to(device))
 
 
-def warm_up(run: Run, state: State, ranks: Ranks) -> None:
+def warm_up_training(run: Run, state: State, ranks: Ranks) -> None:
     """Compile the kernels before the clock starts, by rounds on a copy of the state.
 
     The rounds are those of one process; of several processes all photos of a round have one step.

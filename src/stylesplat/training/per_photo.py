@@ -51,7 +51,7 @@ def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, 
     return {name: each.to(run.device) for name, each in (_first_maps(run, points) | shifts).items()}
 
 
-def regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
+def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
     """Pulls the `PER_PHOTO` rows of a photo towards 0."""
     names = [name for name in PER_PHOTO if name in params]
     return sum((WEIGHTS[name] * params[name][row].square().sum() for name in names), 0.0)

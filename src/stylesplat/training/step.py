@@ -113,7 +113,7 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
             image = image + (1 - alphas[0]) * background
         target = per_photo.blown_out_target(image, target)
     loss, error = photometric_loss(image, target)
-    loss = loss + per_photo.regularizer(params, place)
+    loss = loss + per_photo.per_photo_regularizer(params, place)
     loss = loss + densification.regularizer(params, run.extent)
     if identities is not None and classes is not None:
         sampled = classes[y::stride, x::stride]

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.summary import differences
-from stylesplat.figures.html_page import Column
+from stylesplat.evaluation.summary import metric_differences
+from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import say
@@ -29,7 +29,7 @@ SCHEMA = "stylesplat-comparison-1"
 
 
 @dataclass(frozen=True)
-class Compared(Column):
+class Compared(SceneColumn):
     """A scene with its column of the comparison."""
 
     scene: Scene
@@ -104,7 +104,7 @@ def compare(
             notes.append(f"{name} has no numbers: {error}")
         pictures = _pictures(scene, shown, device)
         base = found[0] if found else None
-        gap = differences(metrics, base.metrics if base else metrics)
+        gap = metric_differences(metrics, base.metrics if base else metrics)
         far = picture_differences([*pictures], [*(base.pictures if base else pictures)])
         found.append(Compared(name, metrics, gap, far, pictures, scene))
     for note in notes:

@@ -13,7 +13,7 @@ import numpy as np
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec, vecs
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.rendering.kernels.rows import Place, spread
+from stylesplat.rendering.kernels.rows import RowPlace, spread_row
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
 
 BLOCKS = 16
@@ -79,10 +79,10 @@ def cross(row, dx, dy, transmittance):
 
     `dx` and `dy` are the pixels' places from its centre.
     """
-    x_part = dx * vec.fma(dx, spread(row, 2), dy * spread(row, 3))
-    eighth = vec.fma(dy * spread(row, 4), dy, x_part)
-    counts = vec.greater_equal(eighth, spread(row, 5))
-    raw = vec.exp_of_eighth(eighth) * spread(row, 6)
+    x_part = dx * vec.fma(dx, spread_row(row, 2), dy * spread_row(row, 3))
+    eighth = vec.fma(dy * spread_row(row, 4), dy, x_part)
+    counts = vec.greater_equal(eighth, spread_row(row, 5))
+    raw = vec.exp_of_eighth(eighth) * spread_row(row, 6)
     alpha = vec.select(counts, vec.minimum(raw, const.MAX_ALPHA), 0)
     weight = alpha * transmittance
     after = transmittance - weight
@@ -149,8 +149,8 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
     looked_at = 0
     for entry in entries:
         looked_at += 1
-        row = Place(rows.flat, ranks[entry] * rows.stride)
-        dx, dy = pixel_x - spread(row, 0), pixel_y - spread(row, 1)
+        row = RowPlace(rows.flat, ranks[entry] * rows.stride)
+        dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
         crossing = cross(row, dx, dy, transmittance)
         transmittance = crossing.after
         coverage = coverage + crossing.weight

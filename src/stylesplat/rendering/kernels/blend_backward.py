@@ -17,7 +17,7 @@ from stylesplat.rendering.kernels.blend import (
     tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inlined, inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import Place, Rows, spread
+from stylesplat.rendering.kernels.rows import RowPlace, Rows, spread_row
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
 
 AHEAD = 6  # entries by which rows are prefetched
@@ -148,15 +148,15 @@ def entry_gradients(channels, row, blocks, origin, desk, out):
     state, weights, corners = desk
     stride = block_stride(channels)
     totals = Totals(vecs.zeros(MOMENT_CHANNELS), vecs.zeros(head))
-    first_dx = (vec.columns() + origin[0]) - spread(row, 0)
-    first_dy = (vec.rows() + origin[1]) - spread(row, 1)
+    first_dx = (vec.columns() + origin[0]) - spread_row(row, 0)
+    first_dy = (vec.rows() + origin[1]) - spread_row(row, 1)
     todo = blocks
     while todo != 0:
         block = vec.lowest_bit(todo)
         todo &= todo - 1
         dx = first_dx + vec.spread(corners, block)
         dy = first_dy + vec.spread(corners, block + BLOCKS)
-        place = Place(state, block * stride)
+        place = RowPlace(state, block * stride)
         weight, totals = block_gradients(geometry, row, (dx, dy), place, totals)
         if len(tail) > 0:
             vec.store(weights, block * PIXELS, weight)
@@ -200,8 +200,8 @@ def blend_backward(channels, rows, lists, picture, v_picture, out):
                 prefetch_row(mine, ahead)
                 if masks[entry] == 0:
                     continue
-                row = Place(rows.flat, ranks[entry] * rows.stride)
-                place = Place(mine.flat, ranks[entry] * mine.stride)
+                row = RowPlace(rows.flat, ranks[entry] * rows.stride)
+                place = RowPlace(mine.flat, ranks[entry] * mine.stride)
                 entry_gradients(parts, row, np.int64(masks[entry]), origin, desk, place)
 
 

@@ -22,7 +22,7 @@ from stylesplat.rendering.kernels.blend import (
     tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import Place, spread
+from stylesplat.rendering.kernels.rows import RowPlace, spread_row
 
 COLORS = vecs.channels(3)
 NONE = vecs.channels(0)
@@ -68,7 +68,7 @@ def pass_block(row, corner, block):
     """Take from a block the light that a Gaussian blocks; what it adds to the pixels."""
     pixel_x, pixel_y = block_pixels(corner[0], corner[1])
     before = vec.load(block.flat, block.first)
-    crossing = cross(row, pixel_x - spread(row, 0), pixel_y - spread(row, 1), before)
+    crossing = cross(row, pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1), before)
     vec.store(block.flat, block.first, crossing.after)
     return crossing.weight
 
@@ -105,11 +105,11 @@ def keep_weights(rows, lists, picked, size, kept, threads):
                 if mine:
                     gaussians[place], kept_masks[place] = picked[rank], masks[entry]
                     place += 1
-                row = Place(rows.flat, rank * rows.stride)
+                row = RowPlace(rows.flat, rank * rows.stride)
                 while todo != 0:
                     block = vec.lowest_bit(todo)
                     todo &= todo - 1
-                    light_of_block = Place(light, block * PIXELS)
+                    light_of_block = RowPlace(light, block * PIXELS)
                     weight = pass_block(row, block_corner(corner, block), light_of_block)
                     if mine:
                         vec.store_halves(weights, pair * PIXELS, weight)
@@ -147,7 +147,7 @@ def write_tile(state, image, corner, size):
 
 @no_type_check
 @kernel
-def compose(kept, colors, background, image, size, threads):
+def render_linear(kept, colors, background, image, size, threads):
     """Fill a flat image with the background and what Gaussians of flat `colors` [M*4] add."""
     starts, firsts, gaussians, masks, weights = kept
     for thread in numba.prange(threads):

@@ -26,7 +26,7 @@ def dot(a, b):
 
 @no_type_check
 @inner
-def cross(a, b):
+def cross_product(a, b):
     """The vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
@@ -134,7 +134,7 @@ def image_axes(axes, p, view):
 def ellipse(a0, a1):
     """The standard deviations in x and y of an ellipse with these axes, and its conic."""
     cov_xx, cov_xy, cov_yy = dot(a0, a0) + const.EPS2D, dot(a0, a1), dot(a1, a1) + const.EPS2D
-    area = cross(a0, a1)
+    area = cross_product(a0, a1)
     # |a0 x a1|^2 + ...: positive by construction where xx yy - xy xy cancels
     det = dot(area, area) + const.EPS2D * (cov_xx + cov_yy - const.EPS2D)
     return vec.sqrt(cov_xx), vec.sqrt(cov_yy), (cov_yy / det, 0 - cov_xy / det, cov_xx / det)

@@ -29,7 +29,7 @@ from stylesplat.rendering.kernels.rows import (
 )
 
 
-class Geometry(NamedTuple):
+class GeometryRows(NamedTuple):
     """What of Gaussians is differentiated here, or the gradients of that."""
 
     means: Tensor

@@ -21,7 +21,7 @@ class Rows(NamedTuple):
     """Length of a row: a multiple of 16 floats, one cache line."""
 
 
-class Place(NamedTuple):
+class RowPlace(NamedTuple):
     """Where a row, or the pixels of a block, begin."""
 
     flat: np.ndarray
@@ -30,7 +30,7 @@ class Place(NamedTuple):
 
 @intrinsic
 @no_type_check
-def spread(typingctx, place, column):
+def spread_row(typingctx, place, column):
     """All lanes set to one number of the row at a place; see `vec.spread`."""
 
     def codegen(context, builder, signature, args):

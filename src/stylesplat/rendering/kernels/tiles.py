@@ -15,7 +15,7 @@ from torch import Tensor
 from stylesplat.rendering import constants as const
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import Place, Rows, spread
+from stylesplat.rendering.kernels.rows import RowPlace, Rows, spread_row
 
 TILE = 16
 BLOCK = 4
@@ -142,7 +142,7 @@ def block_mask(row, slopes, left, top):
     exponent is greatest over a box at the Gaussian's centre if that is inside, else on one of the
     two sides that face it: lane b tries both. See `side_slopes`.
     """
-    a, b, c = spread(row, 2), spread(row, 3), spread(row, 4)
+    a, b, c = spread_row(row, 2), spread_row(row, 3), spread_row(row, 4)
     slope_x, slope_y = slopes
     low_x, low_y = vec.fma(vec.columns(), BLOCK, left), vec.fma(vec.rows(), BLOCK, top)
     high_x, high_y = low_x + (BLOCK - 1), low_y + (BLOCK - 1)
@@ -152,7 +152,7 @@ def block_mask(row, slopes, left, top):
     best_x = vec.minimum(vec.maximum(near_y * slope_x, low_x), high_x)
     side_x = vec.fma(near_x, vec.fma(near_x, a, best_y * b), best_y * best_y * c)
     side_y = vec.fma(best_x, vec.fma(best_x, a, near_y * b), near_y * near_y * c)
-    threshold = spread(row, 5) - SLACK
+    threshold = spread_row(row, 5) - SLACK
     return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), threshold))
 
 
@@ -178,7 +178,7 @@ def list_entries(order, rows, radii, grid, starts, entries, counts, written):
     for chunk in numba.prange(chunks):
         entry = starts[chunk]
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            row, i = Place(flat, rank * stride), order[rank]
+            row, i = RowPlace(flat, rank * stride), order[rank]
             x, y = flat[row.first], flat[row.first + 1]
             slopes = side_slopes(row)
             first_x, last_x = tile_span(x, radii[i, 0], columns)
