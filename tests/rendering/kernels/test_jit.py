@@ -1,5 +1,6 @@
 """Kernels are compiled once and cached by numba, or run uncached where it cannot write."""
 
+import os
 from collections import defaultdict
 from pathlib import Path
 
@@ -9,7 +10,13 @@ from numba.core import event
 from numba.core.caching import CompileResultCacheImpl
 
 from stylesplat.rendering.kernels import jit
-from stylesplat.rendering.kernels.jit import COMPILING, NO_CACHE, announce_compilation, cached
+from stylesplat.rendering.kernels.jit import (
+    COMPILING,
+    NO_CACHE,
+    announce_compilation,
+    cached,
+    delete_stale_caches,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -46,3 +53,16 @@ def test_without_a_folder_kernels_run_all_the_same(said: list[str], monkeypatch)
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
     assert [cached()(plus_one)(1) for _ in range(2)] == [2, 2]
     assert said == [NO_CACHE]
+
+
+def test_caches_older_than_the_kernels_are_deleted(tmp_path: Path):
+    folder = tmp_path / "package" / "__pycache__"
+    folder.mkdir(parents=True)
+    old, new, other = (folder / name for name in ("a.f-1.py311.nbi", "b.nbc", "c.pyc"))
+    for each in (old, new, other):
+        each.touch()
+    for each in (old, other):
+        os.utime(each, (0, 0))
+    os.utime(new, (2**32, 2**32))  # a century from now
+    delete_stale_caches(tmp_path)
+    assert [each.exists() for each in (old, new, other)] == [False, True, True]

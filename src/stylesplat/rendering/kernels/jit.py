@@ -17,6 +17,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -61,7 +62,21 @@ def no_cache() -> None:
     say(NO_CACHE)
 
 
+def delete_stale_caches(package: Path) -> None:
+    """Delete cached kernels that are older than the newest source of the kernels.
+
+    numba looks at the source of each kernel alone. A type that another file has renamed since, as
+    by an upgrade of the package, is an AttributeError when such a cache is read.
+    """
+    with suppress(OSError):
+        newest = max(each.stat().st_mtime for each in Path(__file__).parent.glob("*.py"))
+        for cache in package.rglob("__pycache__/*.nb[ic]"):
+            if cache.stat().st_mtime < newest:
+                cache.unlink(missing_ok=True)
+
+
 announce_compilation()  # whoever loads kernels may have to compile them
+delete_stale_caches(Path(__file__).parents[2])
 
 ONLY_PRANGE = {
     "prange": True,
