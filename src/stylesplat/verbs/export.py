@@ -16,7 +16,7 @@ from stylesplat.scene.scene import ListedObjects, Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import listed_objects
-from stylesplat.stylization.scene_parts import cut_out, every_part, rows_of_part
+from stylesplat.selection.scene_parts import cut_out, every_part, rows_of_part
 
 LABEL, SHARE = "label", "share"  # columns of a .ply; the first is one that `import` reads
 

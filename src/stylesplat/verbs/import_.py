@@ -26,7 +26,7 @@ from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.objects import with_names
-from stylesplat.stylization.transfer_annotations import transfer_annotations
+from stylesplat.selection.transfer_annotations import transfer_annotations
 from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]

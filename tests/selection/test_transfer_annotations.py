@@ -11,7 +11,7 @@ from scenes import random_splats
 from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
 from stylesplat.scene.frames import SAME, Frame, move_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.transfer_annotations import match_gaussians
+from stylesplat.selection.transfer_annotations import match_gaussians
 
 KNOWN = replace(random_splats(600), identities=None)  # plain, as files have them
 TURN = torch.from_numpy(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix())
