@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numba import get_num_threads
 from torch import Tensor
 from torch.autograd import Function
@@ -170,6 +170,14 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
     picture = as_picture(image, alphas)
     blend.blend(vecs.channels(channels), tiled.rows, tiled.lists, picture, get_num_threads())
     return Drawing(tiled, image, alphas)
+
+
+def reaching(tiled: Tiled) -> Bool[np.ndarray, " R"]:
+    """Which ranks reach a pixel, after blending."""
+    _, ranks, masks = tiled.lists
+    reaching = np.zeros(len(tiled.order), bool)
+    reaching[ranks[masks != 0]] = True
+    return reaching
 
 
 def as_picture(image: Tensor, alphas: Tensor) -> Picture:

@@ -145,17 +145,9 @@ def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]
         tiled: What was drawn.
         picked: Which of that.
     """
-    shown = reaching(tiled) & picked.numpy()[tiled.order]
+    shown = cpu.reaching(tiled) & picked.numpy()[tiled.order]
     numbers = np.where(shown, np.cumsum(shown) - 1, -1).astype(np.int32)
     return numbers, torch.from_numpy(tiled.order[shown].astype(np.int64))
-
-
-def reaching(tiled: cpu.Tiled) -> Bool[np.ndarray, " R"]:
-    """Which ranks reach a pixel, after blending."""
-    _, ranks, masks = tiled.lists
-    reaching = np.zeros(len(tiled.order), bool)
-    reaching[ranks[masks != 0]] = True
-    return reaching
 
 
 def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:

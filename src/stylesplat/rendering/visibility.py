@@ -146,11 +146,10 @@ def visible_rows(
 def visible(near: InView, camera: Cameras) -> InView:
     """The Gaussians that reach a pixel of the camera, though others hide some."""
     from stylesplat.rendering import cpu
-    from stylesplat.rendering.linear import reaching
 
     colors = near.opacities.new_zeros(len(near.rows), 3)
     tiled = cpu.draw(near.projected, near.opacities, colors, camera.size).tiled
-    places = np.sort(tiled.order[reaching(tiled)])
+    places = np.sort(tiled.order[cpu.reaching(tiled)])
     return near.some(torch.from_numpy(places.astype(np.int64)))
 
 
