@@ -35,7 +35,8 @@ from stylesplat.verbs.stylize import stylize
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
-VGG19 = Path("/work/shared/weights/vgg19_conv1_1-conv3_4.safetensors")
+SHARED = Path(__file__).parents[3] / "shared"  # beside the checkout, where there is one
+VGG19 = SHARED / "weights" / "vgg19_conv1_1-conv3_4.safetensors"
 
 
 @pytest.fixture(scope="module")
