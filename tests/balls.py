@@ -1,13 +1,29 @@
-"""A still life of Gaussian balls whose objects are known exactly."""
+"""Scenes of Gaussian balls whose objects are known exactly: bare, striped, stretched, painted."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import torch
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional as F
 
+from stylesplat.io import scene_folder
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import mask_of
+from stylesplat.scene.framing import ring_cameras
+from stylesplat.scene.layer import Layer
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+from stylesplat.selection.identities import render_labels
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.style import Style
+from stylesplat.stylization.target import PaintTarget
+from stylesplat.verbs.stylize import stylize_unmeasured
 
 BALLS = {  # label id: centre (x right, y forward, z up) and colour
     3: ((-0.7, 0.0, 0.3), (0.9, 0.1, 0.1)),
@@ -81,3 +97,223 @@ def _splats() -> Splats:
 
 
 SPLATS, CAMERAS = _splats(), _cameras()
+
+
+# The balls as a splat that came without photos, and boxes around them in its views.
+
+PLAIN = replace(SPLATS, identities=None, classifier=None)
+VIEWS = ring_cameras(SPLATS, torch.tensor([0.0, 0.0, 1.0])).downscale(8)  # 120x90
+BARE = Scene(PLAIN, VIEWS)
+
+
+def around(id: int, view: str) -> tuple[str, tuple[float, float, float, float]]:
+    """A box around a ball in a view."""
+    labels = render_labels(SPLATS, VIEWS[VIEWS.index(view)])
+    y, x = (labels == id).nonzero().T.float()
+    low, high = (float(x.min()) - 3, float(y.min()) - 3), (float(x.max()) + 4, float(y.max()) + 4)
+    return view, (*low, *high)
+
+
+def of_ball(id: int) -> torch.Tensor:
+    start = 200 + 80 * [*BALLS].index(id)
+    return (torch.arange(len(SPLATS)) >= start) & (torch.arange(len(SPLATS)) < start + 80)
+
+
+def agreement(picked: torch.Tensor, id: int) -> float:
+    return float((picked & of_ball(id)).sum() / (picked | of_ball(id)).sum())
+
+
+# The still life with a ball of small Gaussians in its midst, finer than what is painted on it.
+
+COUNT = 1500  # Gaussians of the ball
+CENTRE = torch.tensor([0.0, 0.0, 0.4])
+WAYS = F.normalize(torch.randn(COUNT, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+LIGHT = 0.5 + 0.2 * WAYS[:, 2:].expand(-1, 3)  # from above
+PICKED = torch.arange(len(SPLATS) + COUNT) >= len(SPLATS)
+
+
+def dense_ball(colors: Tensor) -> Splats:
+    """The still life with the ball in some colours, one for each of its Gaussians."""
+    rows = torch.arange(len(SPLATS)).repeat(4)[:COUNT]
+    tensors = SPLATS[rows].tensors() | {
+        "means": 0.4 * WAYS + CENTRE,
+        "scales": torch.full((COUNT, 3), 0.02).log(),
+        "sh0": sh0_from_rgb(colors)[:, None],
+    }
+    both = {name: torch.cat([t, tensors[name]]) for name, t in SPLATS.tensors().items()}
+    return replace(SPLATS, **both)
+
+
+# The still life with Gaussians in one ball that are much larger than strokes.
+
+TABLE, BALL = 200, 80  # Gaussians before the balls, and of each
+LARGE = 40  # of the first ball's, which are stretched
+# What discs hide may let through what reaches pixels that it had finished: below MIN_TRANSMITTANCE
+UNSEEN = 1e-4
+
+
+def stretched(*, seed: int = 0) -> Splats:
+    """The still life with large, long Gaussians of any direction in the first ball."""
+    generator = torch.Generator().manual_seed(seed)
+    scales, quats = SPLATS.scales.clone(), SPLATS.quats.clone()
+    large = slice(TABLE, TABLE + LARGE)
+    scales[large] = torch.tensor([0.2, 0.1, 0.02]).log() + 0.2 * torch.randn(
+        LARGE, 3, generator=generator
+    )
+    quats[large] = torch.randn(LARGE, 4, generator=generator)
+    opacities = 2 * torch.randn(len(SPLATS), generator=generator) + 1
+    shN = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=generator)
+    confidence = torch.rand(len(SPLATS), generator=generator)
+    return replace(
+        SPLATS, scales=scales, quats=quats, opacities=opacities, shN=shN, confidence=confidence
+    )
+
+
+SCENE = stretched()
+ROWS = torch.arange(len(SCENE))
+STRETCHED_PICKED = (ROWS >= TABLE) & (ROWS < TABLE + BALL)
+
+
+# The balls with colours that depend on the view, and how one of them is quickly painted.
+
+FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, quality="draft")
+BANDS = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=torch.Generator().manual_seed(0))
+STRIPED_SCENE = replace(SPLATS, shN=BANDS)
+STRIPED_TABLE = 200  # Gaussians before the balls' 80 each
+
+
+def ball(number: int) -> torch.Tensor:
+    picked = torch.zeros(len(STRIPED_SCENE), dtype=torch.bool)
+    picked[STRIPED_TABLE + 80 * number : STRIPED_TABLE + 80 * (number + 1)] = True
+    return picked
+
+
+def same(one: Splats, other: Splats) -> bool:
+    return all(torch.equal(t, other.tensors()[name]) for name, t in one.tensors().items())
+
+
+def with_settings(job: PaintTarget, **settings) -> PaintTarget:
+    return replace(job, config=replace(job.config, **settings))
+
+
+# The balls with named objects, and quick ways to paint them.
+
+PAINTED_FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6)
+PAINTED_ROWS = torch.arange(len(SPLATS))
+RED, GREEN, BLUE = (
+    (PAINTED_ROWS >= start) & (PAINTED_ROWS < start + 80) for start in (200, 280, 360)
+)
+PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
+TRAINED = Scene(
+    splats=replace(
+        SPLATS,
+        shN=0.1 * torch.randn(len(SPLATS), 15, 3, generator=torch.Generator().manual_seed(0)),
+        confidence=PAINTED_ROWS / len(SPLATS),
+    ),
+    cameras=CAMERAS,
+    held_out=CAMERAS.names[:1],
+    objects={name: SceneObject(picked, {"ids": []}) for name, picked in PICKS.items()},
+    metrics={"psnr": 30.0},
+)
+
+
+def write_pictures(folder: Path) -> tuple[Path, Path]:
+    """Two pictures to paint with."""
+    generator = torch.Generator().manual_seed(1)
+    paths = folder / "wave.png", folder / "night.png"
+    for number, path in enumerate(paths):
+        pixels = torch.rand(64, 80, 3, generator=generator) * torch.tensor([1, number, 0.5])
+        Image.fromarray((255 * pixels).byte().numpy()).save(path)
+    return paths
+
+
+def painted(
+    scene: Scene,
+    name: str,
+    pictures: Sequence[Path] | Path,
+    network: Any = None,
+    *,
+    measured: bool = True,
+    **settings: Any,
+) -> Scene:
+    """A scene with one more object painted."""
+    pictures = [pictures] if isinstance(pictures, Path) else pictures
+    style = Style(*pictures, config=PAINTED_FAST, **settings)
+    done = stylize_unmeasured(scene, {name: style}, **(network or {}), device="cpu")
+    return done.measured() if measured else done.scene
+
+
+def write_painted(
+    folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
+) -> Path:
+    """The balls; red painted on a canvas, a second one on its own Gaussians; and two pictures.
+
+    Args:
+        folder: Gets `trained`, `once`, `twice` and the pictures.
+        second: The object's name or id.
+        pictures: What it is painted with, of the two.
+    """
+    wave, night = write_pictures(folder)
+    scene_folder.save(TRAINED, folder / "trained")
+    rest = {"measured": False}
+    once = painted(opened(folder / "trained"), "red", wave, **rest)
+    scene_folder.save(once, folder / "once")
+    pictured = pictures(wave, night)
+    twice = painted(opened(folder / "once"), second, pictured, quality="draft", **rest)
+    scene_folder.save(twice, folder / "twice")
+    return folder
+
+
+def contents(folder: Path, *but: str) -> dict[str, bytes]:
+    """The files of a scene, without some."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in but)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def opened(path: Path) -> Scene:
+    return scene_folder.open(path)
+
+
+def layer_of(scene: Scene, name: str) -> Layer:
+    """The layer of an object."""
+    (found,) = (layer for layer in scene.layers if layer.object == name)
+    return found
+
+
+def own_rows(scene: Scene, name: str) -> torch.Tensor:
+    """The Gaussians of a scene that belong to what a layer covers."""
+    return mask_of(layer_of(scene, name), scene)
+
+
+def assert_same_layers(one: Scene, other: Scene) -> None:
+    """To the bit."""
+    assert len(one.layers) == len(other.layers)
+    for mine, its in zip(one.layers, other.layers, strict=True):
+        for name, value in vars(mine).items():
+            found = getattr(its, name)
+            if isinstance(value, torch.Tensor):
+                assert torch.equal(value, found), name
+            elif isinstance(value, Splats):
+                assert_same_splats(value, found)
+            else:
+                assert value == found, name
+
+
+def assert_same_splats(one: Splats, other: Splats) -> None:
+    """To the bit."""
+    assert one.tensors().keys() == other.tensors().keys()
+    for name, tensor in one.tensors().items():
+        assert torch.equal(tensor, other.tensors()[name]), name
+    a, b = one.classifier, other.classifier
+    assert (a is None) == (b is None)
+    if a is not None and b is not None:
+        assert a.ids == b.ids
+        assert torch.equal(a.weight, b.weight) and torch.equal(a.bias, b.bias)
+
+
+def assert_same_objects(one: Scene, other: Scene) -> None:
+    """Names, Gaussians and how they were found."""
+    assert one.objects.keys() == other.objects.keys()
+    for name, each in one.objects.items():
+        assert torch.equal(each.picked, other.objects[name].picked), name
+        assert each.how == other.objects[name].how

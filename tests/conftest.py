@@ -9,7 +9,7 @@ import pytest  # isort: skip
 import torch  # isort: skip
 
 from stylesplat.progress import Silence, observed
-from tiny_network import network, stripes  # noqa: F401  (fixtures)
+from tiny_models import network, stripes  # noqa: F401  (fixtures)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
 

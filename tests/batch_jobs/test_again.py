@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from job_files import planned, pretend
+from processes import planned, pretend
 from stylesplat.batch_jobs.run_batch import RECORDS, fingerprints, read_records, run_in_order
 
 TEXT = """

@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 import stylesplat as ss
-from command_line import complaint, result
+from processes import complaint, result, wait_until
 from stylesplat.batch_jobs.run_batch import RECORDS, read_records
 from stylesplat.cli.options import CONTINUES
-from waits import wait_until
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux's /proc")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(ss.__file__).parents[1])}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from job_files import VERBS
+from processes import VERBS
 from stylesplat.batch_jobs.job_file import plan_batch
 
 TEXT = (Path(__file__).parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")

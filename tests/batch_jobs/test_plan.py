@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from job_files import VERBS, planned, write_jobs
+from processes import VERBS, planned, write_jobs
 from stylesplat.batch_jobs.job_file import plan_batch
 from stylesplat.batch_jobs.job_process import process_command
 from stylesplat.errors import StyleSplatError

@@ -13,12 +13,10 @@ from pathlib import Path
 import pytest
 
 import stylesplat as ss
-from command_line import complaint
-from job_files import planned
+from processes import complaint, planned, wait_until
 from stylesplat.batch_jobs.ray_tasks import ray_resources, refuse_oversized
 from stylesplat.batch_jobs.run_batch import RECORDS
 from stylesplat.errors import StyleSplatError
-from waits import wait_until
 
 NODES = Path(__file__).parents[1] / "ray_nodes.py"
 ENVIRONMENT = {

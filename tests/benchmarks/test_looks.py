@@ -12,8 +12,8 @@ from paintings import DRAWN, find_painting
 from traced_objects import SHAPES, Shape, arc, photograph
 
 import stylesplat as ss
-from balls import CAMERAS, enlarged
-from striped_balls import SCENE, ball
+from balls import CAMERAS, ball, enlarged
+from balls import STRIPED_SCENE as SCENE
 from stylesplat.scene.scene import Scene, SceneObject
 
 

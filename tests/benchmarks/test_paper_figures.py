@@ -22,8 +22,8 @@ from paper_figures.book import Book, Result, work_through
 from paper_figures.story import Table
 from paper_figures.subject import Effort, Subject, shown
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.weights import load_weights

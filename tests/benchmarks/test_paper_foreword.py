@@ -8,8 +8,8 @@ from paper_figures.foreword import Run, foreword
 from paper_figures.story import Table, Text
 from paper_figures.subject import MEDIUM, Subject
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.verbs.load import load

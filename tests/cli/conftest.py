@@ -4,9 +4,9 @@ import pytest
 import torch
 from PIL import Image
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from command_line import QUICK, run
+from capture_files import write_ball_capture
+from processes import QUICK, run
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
 

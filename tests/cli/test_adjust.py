@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 
 import stylesplat as ss
-from command_line import complaint, result, run
+from processes import complaint, result, run
 from stylesplat.selection.pick import pick
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from ball_photos import write_ball_capture
-from command_line import complaint, result, run
+from capture_files import write_ball_capture
+from processes import complaint, result, run
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from balls import CAMERAS
-from command_line import complaint
+from processes import complaint
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_box, parse_point, parse_style
 from stylesplat.errors import StyleSplatError

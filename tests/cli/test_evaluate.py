@@ -11,7 +11,7 @@ from PIL import Image
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from command_line import complaint, result, run
+from processes import complaint, result, run
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.io.scene_folder import revise
 from stylesplat.stylization.features import weights

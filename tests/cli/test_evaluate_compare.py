@@ -8,7 +8,7 @@ import pytest
 
 import stylesplat as ss
 from balls import SPLATS
-from command_line import complaint, result, run
+from processes import complaint, result, run
 
 
 @pytest.fixture

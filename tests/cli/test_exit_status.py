@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import stylesplat
-from command_line import complaint
+from processes import complaint
 from stylesplat.cli import main
 from stylesplat.cli.exit_status import BUG, OUT_OF_MEMORY
 from stylesplat.cli.objects import Objects

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from balls import SPLATS
-from command_line import complaint, result, run
+from processes import complaint, result, run
 from stylesplat.io.splats.splat_ply import read_splat_ply
 
 

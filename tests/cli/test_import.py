@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from command_line import complaint, result, run
+from processes import complaint, result, run
 
 
 def test_import_and_select_by_shape(scene: Path, capture: Path, tmp_path: Path, capsys):

@@ -16,11 +16,10 @@ from threading import Thread
 import pytest
 
 import stylesplat
-from command_line import QUICK, run
+from processes import QUICK, run, wait_until
 from stylesplat.cli.options import CONTINUES
 from stylesplat.cli.train import FINISHES
 from stylesplat.signals import WHOLE
-from waits import wait_until
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}

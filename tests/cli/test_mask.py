@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.cli import main
 from stylesplat.cli.parse import parse_named_box
 from stylesplat.io import scene_folder

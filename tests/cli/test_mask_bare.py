@@ -5,11 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from balls import BALLS
-from bare_balls import BARE, agreement, around
-from command_line import complaint, result, run
+from balls import BALLS, BARE, agreement, around
+from processes import as_nobody, complaint, public_folder, result, run
 from stylesplat.io import scene_folder
-from unprivileged import as_nobody, public_folder
 
 
 def test_as_it_is_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 import stylesplat as ss
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
-from command_line import complaint, result
+from capture_files import write_ball_capture
+from processes import complaint, result
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.io.scene_folder import revise
 

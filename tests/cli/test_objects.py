@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from command_line import complaint, result
+from processes import complaint, result
 from stylesplat.io import atomic
 from stylesplat.io.images import read_image
 from stylesplat.io.scene_folder import open

@@ -8,13 +8,11 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS
-from command_line import complaint, run
-from small_files import no_room
+from capture_files import write_ball_capture
+from processes import as_nobody, complaint, no_room, public_folder, run
 from stylesplat.io import images
 from stylesplat.io.kinds import SCENE
-from unprivileged import as_nobody, public_folder
 
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
 WORK = (

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from command_line import complaint, result, run
-from corner_photos import corner, write_photos
-from sfm_records import sfm_record
+from capture_files import corner, save_noise, sfm_record, write_capture, write_photos
+from processes import complaint, result, run
 from stylesplat.cli.photos import (
     capture_place,
     find_earlier_capture,
@@ -22,7 +21,6 @@ from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.verbs.load import load
 from stylesplat.verbs.sfm import source_digest
-from tiny_captures import save_noise, write_capture
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import stylesplat as ss
-from command_line import complaint, result, run
+from processes import complaint, result, run
 
 
 def test_rename_and_delete(scene: Path, capsys):

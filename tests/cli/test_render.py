@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS
-from command_line import complaint, result, run
+from processes import complaint, result, run
 from stylesplat.figures.pictures import label_colors
 from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import read_label_map

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from balls import CAMERAS, SPLATS
-from full_scenes import assert_same
+from scenes import assert_same
 from stylesplat.cli.results import save_or_rescue
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save

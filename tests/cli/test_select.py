@@ -4,8 +4,8 @@ from pathlib import Path
 
 import stylesplat as ss
 from balls import BALLS, CAMERAS
-from color_detector import ColorDetector
-from command_line import complaint, result
+from capture_files import ColorDetector
+from processes import complaint, result
 from stylesplat.io.images import read_image
 from stylesplat.selection.identities import render_labels
 

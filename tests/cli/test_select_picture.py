@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from command_line import result, run
+from processes import result, run
 from stylesplat.cli.objects import selection_file
 from stylesplat.cli.results import Answer
 from stylesplat.cli.select import Select

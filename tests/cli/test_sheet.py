@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS
-from command_line import QUICK, complaint, run
+from processes import QUICK, complaint, run
 from stylesplat.cli.batch_verbs import batch_verbs
 from stylesplat.cli.sheet import VARIED
 from stylesplat.errors import StyleSplatError

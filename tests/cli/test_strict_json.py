@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from painted_balls import TRAINED, painted, write_pictures
+from balls import TRAINED, painted, write_pictures
 from stylesplat.cli import main
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import strict_json

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import stylesplat as ss
-from command_line import QUICK, result, run
+from processes import QUICK, result, run
 
 PAINTED = ("sh0", "shN", "opacities")  # what a Gaussian changes that is painted or lies beneath
 

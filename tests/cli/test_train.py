@@ -10,7 +10,7 @@ import torch
 
 import stylesplat as ss
 from balls import CAMERAS
-from command_line import complaint, result, run
+from processes import complaint, result, run
 from stylesplat.io import atomic
 from stylesplat.training.loop import fit
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import stylesplat as ss
-from command_line import complaint, run
+from processes import complaint, run
 from stylesplat.cli import VERBS, main
 from stylesplat.io.splats.splat_files import read_splats
 

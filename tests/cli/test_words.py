@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from ball_photos import write_ball_capture
-from command_line import run
+from capture_files import write_ball_capture
+from processes import run
 from stylesplat.figures.grid import CAPTION, MARGIN
 from stylesplat.io.captures.capture_folder import EXACT
 

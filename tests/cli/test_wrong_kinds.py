@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from balls import CAMERAS, SPLATS
-from bare_balls import BARE
-from command_line import complaint, run
+from balls import BARE, CAMERAS, SPLATS
+from processes import complaint, run
 from stylesplat.io.kinds import SCENE
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS, enlarged
-from painted_balls import FAST, RED, TRAINED, write_pictures
+from balls import CAMERAS, RED, SPLATS, TRAINED, enlarged, write_pictures
+from balls import PAINTED_FAST as FAST
 from stylesplat.evaluation.changes import measure_changes
 from stylesplat.evaluation.summary import style_lines
 from stylesplat.rendering.sh import SH_C0

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from balls import CAMERAS
-from striped_balls import FAST, SCENE, ball, with_settings
+from balls import CAMERAS, FAST, ball, with_settings
+from balls import STRIPED_SCENE as SCENE
 from stylesplat.evaluation import style
 from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm, share_of_way
 from stylesplat.rendering.render import rasterize

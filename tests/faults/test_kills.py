@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 import stylesplat as ss
-from ball_photos import write_ball_capture
 from balls import CAMERAS
-from command_line import run
-from full_scenes import full_scene, plain_scene
+from capture_files import write_ball_capture
+from processes import run
+from scenes import full_scene, plain_scene
 
 CHANGES = {"os.rename", "os.link", "os.symlink", "os.mkdir", "os.rmdir", "os.remove"}
 FOR_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT

@@ -16,13 +16,11 @@ from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 
 import stylesplat as ss
-from ball_photos import write_ball_capture
 from balls import CAMERAS
-from full_scenes import COUNT, full_scene
-from job_files import VERBS, write_jobs
-from scenes import random_splats
+from capture_files import save_noise, write_ball_capture, write_capture
+from processes import VERBS, write_jobs
+from scenes import COUNT, full_scene, random_splats
 from stylesplat.batch_jobs.job_file import plan_batch
-from tiny_captures import save_noise, write_capture
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 LONGEST = 2000  # characters of a line that somebody is to read

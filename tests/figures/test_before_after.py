@@ -4,9 +4,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ball_photos import write_ball_capture
-from balls import CAMERAS, enlarged
-from painted_balls import TRAINED, painted, write_pictures
+from balls import CAMERAS, TRAINED, enlarged, painted, write_pictures
+from capture_files import write_ball_capture
 from stylesplat.figures.grid import CAPTION, MARGIN, PAPER
 from stylesplat.figures.sheets import NARROWEST, before_after, beside_photo, one_view
 from stylesplat.scene.scene import Scene

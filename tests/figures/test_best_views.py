@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from balls import CAMERAS, SPLATS, enlarged
-from painted_balls import BLUE, GREEN
+from balls import BLUE, CAMERAS, GREEN, SPLATS, enlarged
 from stylesplat.figures.best_views import (
     SEARCHED_VIEWS,
     best_rows,

@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from chromium import launched, needs_chromium
+from browser import launched, needs_chromium
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.browser import AtRest, serve_viewer
 from stylesplat.figures.live_splats import browser_camera, covariances, weightiest

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from balls import CAMERAS
-from bare_splats import figure, floaters, guitar, joined, room, shares
+from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS, enlarged
-from chromium import Page, as_url, launched, needs_chromium
-from splat_pages import element, read, scene
+from browser import Page, as_url, element, launched, needs_chromium, read, scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.packed import meant, nearest_entries, palette_of
 from stylesplat.figures.web_page import page_of

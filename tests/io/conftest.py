@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tiny_captures import write_capture
+from capture_files import write_capture
 
 
 @pytest.fixture

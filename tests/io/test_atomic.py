@@ -14,6 +14,7 @@ import pytest
 from filelock import FileLock
 
 import stylesplat
+from processes import as_nobody, public_folder
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import atomic
 from stylesplat.io.atomic import (
@@ -25,7 +26,6 @@ from stylesplat.io.atomic import (
     refuse_unwritable,
     revise_folder,
 )
-from unprivileged import as_nobody, public_folder
 
 MARKER = "scene.json"
 LONG = "a" * 250  # characters that a name may have, but not together with a draft's mark

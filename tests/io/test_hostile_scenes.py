@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from full_scenes import COUNT, full_scene
+from scenes import COUNT, full_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.scene import SceneObject

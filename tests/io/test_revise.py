@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from full_scenes import assert_same, contents, full_scene, plain_scene
+from scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import atomic, scene_folder
 from stylesplat.io.scene_folder import revise

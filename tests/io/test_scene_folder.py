@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from full_scenes import COUNT, assert_same, contents, full_scene, plain_scene
+from scenes import COUNT, assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise

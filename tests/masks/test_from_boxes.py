@@ -9,7 +9,8 @@ import pytest
 import torch
 from jaxtyping import config
 
-from ball_boxes import (
+from balls import CAMERAS
+from capture_files import (
     BALLS,
     CUP,
     HALF,
@@ -19,9 +20,8 @@ from ball_boxes import (
     agreement,
     fail_at_work,
     work_at_half_size,
+    write_ball_capture,
 )
-from ball_photos import write_ball_capture
-from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.grabcut import Box, Stroke

@@ -7,8 +7,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from right_ids import right_ids
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError

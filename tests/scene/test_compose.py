@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from plain_layers import SETTINGS, plain_layer
-from scenes import random_splats, two_cameras
+from scenes import SETTINGS, plain_layer, random_splats, two_cameras
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.compose import (
     beneath,

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from bare_splats import box, cloud, figure, floaters, guitar, joined, reaches, room
+from scenes import box, cloud, figure, floaters, guitar, joined, reaches, room
 from stylesplat.scene.content import content_of, extent_of
 
 

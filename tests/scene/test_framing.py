@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from balls import SPLATS
-from bare_splats import UP, figure, floaters, guitar, joined, painting, room, shares
+from scenes import UP, figure, floaters, guitar, joined, painting, room, shares
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of

@@ -6,7 +6,7 @@ import torch
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS, enlarged
-from plain_layers import plain_layer
+from scenes import plain_layer
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import SceneObject

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from balls import CAMERAS, SPLATS
-from color_detector import NOTHING, ColorDetector
+from capture_files import NOTHING, ColorDetector
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import far_apart

@@ -11,15 +11,8 @@ import pytest
 from PIL import ExifTags, Image, ImageCms
 
 import stylesplat
-from corner_photos import (
-    corner,
-    photograph_corner,
-    places_around,
-    towards,
-    turned,
-    write_photos,
-)
-from small_files import no_room
+from capture_files import corner, photograph_corner, places_around, towards, turned, write_photos
+from processes import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.progress import Silence, observed

@@ -8,7 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from pictures_of_walks import film, view
+from capture_files import film, view
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.video import write_video
 from stylesplat.structure_from_motion.prepare import prepare

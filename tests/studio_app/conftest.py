@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from studio_balls import session_in
+from browser import session_in
 from stylesplat.studio_app.session import Session
 
 

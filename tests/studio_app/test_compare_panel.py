@@ -1,4 +1,4 @@
-from studio_balls import quick_style
+from browser import quick_style
 from stylesplat.studio_app.compare_panel import Variant, describe_variants, make_variant
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.session import Session

@@ -10,8 +10,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS, enlarged
-from chromium import needs_chromium
-from studio_tab import Tab, center_of, studio_tab, until
+from browser import Tab, center_of, needs_chromium, studio_tab, until
 from stylesplat.figures.browser import camera_of
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from balls import CAMERAS, SPLATS, enlarged
-from studio_balls import quick_style, stripes
+from browser import quick_style, stripes
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.compose import strengths_of

@@ -135,7 +135,7 @@ def test_without_a_pick_it_says_what_to_do(change):
 def test_commands_name_the_same_gaussians(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     import shlex
 
-    from command_line import run
+    from processes import run
     from stylesplat.io.scene_folder import open, save
     from stylesplat.studio_app.save_panel import command_lines
 

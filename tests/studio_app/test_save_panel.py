@@ -3,7 +3,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from studio_balls import QUICK, stripes
+from browser import QUICK, stripes
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import open
 from stylesplat.studio_app.autosave import SceneStore

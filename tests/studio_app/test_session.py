@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from studio_balls import QUICK, quick_style, session_in, stripes
+from browser import QUICK, quick_style, session_in, stripes
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.live_splats import browser_camera
 from stylesplat.io.scene_folder import open

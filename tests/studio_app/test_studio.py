@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from studio_balls import QUICK, stripes
+from browser import QUICK, stripes
+from processes import as_nobody, public_folder
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene, SceneObject
@@ -16,7 +17,6 @@ from stylesplat.studio_app.history import replace_scene
 from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.studio import studio
 from stylesplat.stylization.style import Style
-from unprivileged import as_nobody, public_folder
 
 LONG = replace(QUICK, steps=5000)  # longer than any test
 

@@ -6,9 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS, enlarged
-from stretched_balls import PICKED, ROWS, SCENE, UNSEEN
-from striped_balls import same
+from balls import CAMERAS, ROWS, SCENE, SPLATS, UNSEEN, enlarged, same
+from balls import STRETCHED_PICKED as PICKED
 from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage

@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS
-from striped_balls import FAST, SCENE, ball
+from balls import CAMERAS, FAST, ball
+from balls import STRIPED_SCENE as SCENE
 from stylesplat.rendering.render import rasterize
 from stylesplat.stylization import crop_scene as cutting
 from stylesplat.stylization.crop_scene import SceneCrop, crop_scene

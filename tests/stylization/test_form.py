@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from balls import CAMERAS, enlarged
-from dense_ball import LIGHT, PICKED, WAYS, dense_ball
+from balls import CAMERAS, LIGHT, PICKED, WAYS, dense_ball, enlarged
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats

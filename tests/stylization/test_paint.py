@@ -9,8 +9,9 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS, enlarged
-from striped_balls import FAST, SCENE, TABLE, ball, same, with_settings
+from balls import CAMERAS, FAST, ball, enlarged, same, with_settings
+from balls import STRIPED_SCENE as SCENE
+from balls import STRIPED_TABLE as TABLE
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import rgb_from_sh0

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS
-from striped_balls import FAST, SCENE, ball
+from balls import CAMERAS, FAST, SPLATS, ball
+from balls import STRIPED_SCENE as SCENE
 from stylesplat.evaluation.statistics import TOLERANCE, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
 from stylesplat.rendering.sh import SH_C0

@@ -5,10 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS
-from dense_ball import COUNT, LIGHT, PICKED, WAYS
-from dense_ball import dense_ball as ball
-from painted_balls import assert_same_splats
+from balls import CAMERAS, COUNT, LIGHT, PICKED, WAYS, assert_same_splats
+from balls import dense_ball as ball
 from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import blur_colors

@@ -11,8 +11,8 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import pytest
 import torch
 
+from processes import no_room
 from scenes import random_splats
-from small_files import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.capture import Capture, fingerprint
 from stylesplat.scene.splats import Classifier

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from begun_runs import begun
+from processes import begun
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Silence, observed

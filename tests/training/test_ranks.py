@@ -13,8 +13,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from ball_photos import write_ball_capture
-from begun_runs import begun
+from capture_files import write_ball_capture
+from processes import begun
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture

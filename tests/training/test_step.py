@@ -7,7 +7,7 @@ import numba
 import pytest
 import torch
 
-from begun_runs import begun
+from processes import begun
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.capture import Capture
 from stylesplat.training.state import Run, State, first_state

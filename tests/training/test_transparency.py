@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ball_photos import write_cut_outs
 from balls import CAMERAS, enlarged
+from capture_files import write_cut_outs
 from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture

@@ -7,14 +7,12 @@ import numpy as np
 import pycolmap
 import pytest
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS
-from sfm_records import sfm_record
+from capture_files import save_noise, sfm_record, write_ball_capture, write_capture
 from stylesplat.io.captures.sfm_file import write_sfm
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
-from tiny_captures import save_noise, write_capture
 
 
 def finding(report: CaptureReport, what: str) -> tuple[str, str]:

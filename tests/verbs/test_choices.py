@@ -12,7 +12,7 @@ import torch
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from plain_layers import layer_towards
+from scenes import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.quick_splat import working_splat
 from stylesplat.rendering.render import rasterize

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.summary import flat
 from stylesplat.scene.frames import Frame, seen_from

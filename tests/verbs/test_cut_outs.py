@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from painted_balls import BLUE, PICKS, RED, TRAINED, assert_same_splats, write_painted
+from balls import BLUE, PICKS, RED, TRAINED, assert_same_splats, write_painted
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.io.splats.splat_ply import read_splat_ply

@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from ball_photos import write_ball_capture
-from balls import CAMERAS
-from painted_balls import TRAINED, painted, write_pictures
+from balls import CAMERAS, TRAINED, painted, write_pictures
+from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ball_photos import write_ball_capture
 from balls import BALLS, CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ball_photos import write_ball_capture
 from balls import BALLS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.selection.identities import class_probabilities

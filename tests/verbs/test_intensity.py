@@ -7,8 +7,8 @@ import pytest
 import torch
 from jaxtyping import Bool
 
-from balls import SPLATS
-from painted_balls import FAST, TRAINED, own_rows, painted, write_pictures
+from balls import PAINTED_FAST as FAST
+from balls import SPLATS, TRAINED, own_rows, painted, write_pictures
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene

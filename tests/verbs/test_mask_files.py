@@ -7,13 +7,13 @@ import pytest
 import torch
 from PIL import Image
 
+from capture_files import save_noise, write_capture
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import read_label_map, write_label_map, write_label_maps
 from stylesplat.scene.capture import Capture
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
-from tiny_captures import save_noise, write_capture
 
 WIDTH, HEIGHT = 12, 8
 

@@ -6,9 +6,8 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import BALLS, CAMERAS, SPLATS
-from bare_balls import BARE, PLAIN, VIEWS, agreement, around
-from command_line import run
+from balls import BALLS, BARE, CAMERAS, PLAIN, SPLATS, VIEWS, agreement, around
+from processes import run
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_label_map

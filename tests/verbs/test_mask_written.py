@@ -8,9 +8,17 @@ from typing import Any
 import pytest
 import torch
 
-from ball_boxes import BALLS, CUP, LARGE, VASE, agreement, fail_at_work, work_at_half_size
-from ball_photos import write_ball_capture
 from balls import CAMERAS
+from capture_files import (
+    BALLS,
+    CUP,
+    LARGE,
+    VASE,
+    agreement,
+    fail_at_work,
+    work_at_half_size,
+    write_ball_capture,
+)
 from stylesplat.cli.mask import PREVIEW, Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import read_image

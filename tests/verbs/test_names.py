@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ball_photos import write_ball_capture
 from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_names
 from stylesplat.scene.scene import Scene, name_fault

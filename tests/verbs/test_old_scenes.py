@@ -8,8 +8,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from balls import SPLATS
-from painted_balls import TRAINED, assert_same_splats, contents, opened, painted, write_pictures
+from balls import SPLATS, TRAINED, assert_same_splats, contents, opened, painted, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.scene import Scene

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from ball_photos import write_ball_capture
+from balls import GREEN, TRAINED, assert_same_splats, painted, write_pictures
+from balls import PAINTED_FAST as FAST
+from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
-from painted_balls import FAST, GREEN, TRAINED, assert_same_splats, painted, write_pictures
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust

@@ -9,10 +9,10 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from balls import SPLATS
-from painted_balls import (
-    FAST,
+from balls import PAINTED_FAST as FAST
+from balls import (
     RED,
+    SPLATS,
     TRAINED,
     assert_same_layers,
     assert_same_objects,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from painted_balls import BLUE, GREEN, RED, TRAINED, opened, write_painted
+from balls import BLUE, GREEN, RED, TRAINED, opened, write_painted
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.ply import read_ply_table

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from painted_balls import TRAINED, write_pictures
+from balls import TRAINED, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style

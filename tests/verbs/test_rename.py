@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS
-from painted_balls import TRAINED, assert_same_splats, painted, write_pictures
+from balls import CAMERAS, SPLATS, TRAINED, assert_same_splats, painted, write_pictures
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Bool
 
 from balls import BALLS, CAMERAS, SPLATS
-from color_detector import ColorDetector
-from plain_layers import layer_towards
+from capture_files import ColorDetector
+from scenes import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.compose import with_layers

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 import stylesplat as ss
-from corner_photos import corner, photograph_corner, places_around, towards, write_photos
+from capture_files import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.progress import Silence, Task, observed
 from stylesplat.scene.frames import seen_from

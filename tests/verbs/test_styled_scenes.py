@@ -6,11 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import SPLATS
-from painted_balls import (
-    FAST,
+from balls import (
     GREEN,
     RED,
+    SPLATS,
     TRAINED,
     assert_same_objects,
     assert_same_splats,
@@ -20,6 +19,7 @@ from painted_balls import (
     painted,
     write_painted,
 )
+from balls import PAINTED_FAST as FAST
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import revise, save
 from stylesplat.scene.compose import strengths_of

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import SPLATS
-from painted_balls import (
-    FAST,
+from balls import PAINTED_FAST as FAST
+from balls import (
+    SPLATS,
     TRAINED,
     assert_same_objects,
     assert_same_splats,
@@ -16,7 +16,7 @@ from painted_balls import (
     painted,
     write_painted,
 )
-from painted_balls import contents as all_contents
+from balls import contents as all_contents
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import save

@@ -10,12 +10,12 @@ import pytest
 import torch
 from PIL import ExifTags, Image
 
+from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
 from stylesplat.verbs.load import load
-from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise
 
 MakeCapture = Callable[..., Path]
 FISHEYE = ("OPENCV_FISHEYE", (60.0, 62.0, 31.0, 25.0, 0.04, -0.01, 0.003, -0.001))

@@ -5,11 +5,11 @@ import numpy as np
 import pycolmap
 import pytest
 
+from capture_files import HEIGHT, PINHOLE, WIDTH, lenses_of, reconstruction
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap import check_complete, read_colmap
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.kinds import find_sparse
-from tiny_captures import HEIGHT, PINHOLE, WIDTH, lenses_of, reconstruction
 
 BINARIES = ["cameras", "images", "points3D", "rigs", "frames"]
 

@@ -8,15 +8,14 @@ import pytest
 import torch
 from PIL import Image
 
-from ball_photos import write_cut_outs
 from balls import CAMERAS
+from capture_files import HEIGHT, WIDTH, write_capture, write_cut_outs
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo
 from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.verbs.load import load
-from tiny_captures import HEIGHT, WIDTH, write_capture
 
 SIZE = (WIDTH, HEIGHT)
 BARREL = Lens("OPENCV", WIDTH, HEIGHT, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))

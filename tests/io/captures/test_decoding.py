@@ -7,6 +7,7 @@ import pytest
 import torch
 from PIL import ExifTags, Image, ImageOps
 
+from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import images
 from stylesplat.io.captures.capture_folder import open_capture
@@ -15,7 +16,6 @@ from stylesplat.io.captures.photos import fit_photo
 from stylesplat.io.images import image_sizes, read_image
 from stylesplat.io.label_maps import read_label_map, write_label_map
 from stylesplat.stylization.style_image import read_style
-from tiny_captures import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
 
 SUFFIXES = ("png", "jpg", "webp", "tiff", "bmp", "gif", "ppm", "tga", "avif")
 PIXELS = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from capture_files import save_noise
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.progress import Silence, observed
 from stylesplat.verbs.load import load
-from tiny_captures import save_noise
 
 MakeCapture = Callable[..., Path]
 SEVEN = tuple(f"{number:03d}.png" for number in range(1, 8))

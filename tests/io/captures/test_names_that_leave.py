@@ -11,14 +11,14 @@ import pytest
 import torch
 from PIL import Image
 
-from command_line import complaint, run
+from capture_files import HEIGHT, WIDTH, save_noise, write_capture
+from processes import complaint, run
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import OBJECT_MASK
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.files import inside, require_regular
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.verbs.load import load
-from tiny_captures import HEIGHT, WIDTH, save_noise, write_capture
 
 POSE = np.eye(4).tolist()
 LENS = {"w": WIDTH, "h": HEIGHT, "fl_x": 60.0}

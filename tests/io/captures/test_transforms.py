@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from capture_files import lenses_of, save_noise
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.transforms import read_transforms, write_transforms
 from stylesplat.scene.cameras import Cameras
-from tiny_captures import lenses_of, save_noise
 
 # A camera at (1, 2, 3) that looks along +x with z up; OpenGL's columns are right, up, back
 POSE = [[0, 0, -1, 1.0], [-1, 0, 0, 2.0], [0, 1, 0, 3.0], [0, 0, 0, 1.0]]

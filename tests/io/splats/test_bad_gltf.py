@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from glb_files import (
+from scenes import (
     NAME,
     Json,
     as_gltf,
@@ -15,8 +15,8 @@ from glb_files import (
     glb_of,
     glb_parts,
     places,
+    random_splats,
 )
-from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.scene.splats import Splats

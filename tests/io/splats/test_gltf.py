@@ -8,8 +8,16 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from glb_files import NAME, as_gltf, attributes, changed_glb, extension, glb_of, glb_parts
-from scenes import random_splats
+from scenes import (
+    NAME,
+    as_gltf,
+    attributes,
+    changed_glb,
+    extension,
+    glb_of,
+    glb_parts,
+    random_splats,
+)
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.frames import Frame, move_splats

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from glb_files import NAME, Json, attribute, changed_glb, extension, glb_of
-from scenes import random_splats
+from scenes import NAME, Json, attribute, changed_glb, extension, glb_of, random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 

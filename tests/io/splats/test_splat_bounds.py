@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from full_scenes import COUNT, plain_scene
+from scenes import COUNT, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.io.tensors import GAUSSIANS
