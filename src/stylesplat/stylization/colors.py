@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float
@@ -18,6 +19,8 @@ NOISE = 1e-6  # variance added to both sides, so that flat colours can be invert
 VARIATION = 0.15  # deviation of the colours that `vary_colors` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
+PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern
+LEAST_DEVIATION = 0.5  # pixels of a blur's deviation; less blurs nothing
 HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
 NEAR = 6.0  # of Lab: a colour this near to the palette may stay
@@ -130,7 +133,35 @@ def _matrix_sqrt(matrix: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def blur_colors(splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[ObjectView]) -> Splats:
+def remove_pattern(
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    views: Sequence[ObjectView],
+    length: float,
+    share: float,
+) -> Splats:
+    """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
+
+    Args:
+        splats: The scene.
+        mask: The object's Gaussians.
+        views: Of the whole object.
+        length: The object's longer side in these views, in pixels.
+        share: 0 changes nothing, 1 removes all of it.
+    """
+    if share == 0:
+        return splats
+    smooth = blur_colors(splats, mask, views, PATTERN * length)
+    return replace(splats, sh0=torch.lerp(splats.sh0, smooth.sh0, share))
+
+
+@torch.no_grad()
+def blur_colors(
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    views: Sequence[ObjectView],
+    deviation: float = 0.0,
+) -> Splats:
     """Give Gaussians the mean colour of the pixels that they contribute to.
 
     Renders of this size match nothing finer than their pixels: there Gaussians differ by chance.
@@ -139,16 +170,40 @@ def blur_colors(splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[Object
         splats: The scene.
         mask: The object's Gaussians.
         views: Of the object, as small as the strokes are large.
+        deviation: Of a Gaussian blur of the renders, in pixels.
     """
     matte = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
     total, weights = torch.zeros_like(splats.sh0), torch.zeros_like(splats.sh0)
     for view in views:
         image, own = view.render(matte), view.pixels[..., None]
-        total += view.backproject(matte, image * own)
+        blurred = [smooth(channel, view.pixels, deviation) for channel in image.unbind(2)]
+        total += view.backproject(matte, torch.stack(blurred, dim=2))
         weights += view.backproject(matte, own.expand_as(image).to(image))
     mean = (total / weights.clamp(min=HIDDEN) - 0.5) / SH_C0
     visible = mask[:, None, None] & (weights > HIDDEN)
     return replace(splats, sh0=torch.where(visible, mean, splats.sh0))
+
+
+def smooth(
+    values: Float[Tensor, "H W"], mask: Bool[Tensor, "H W"], deviation: float
+) -> Float[Tensor, "H W"]:
+    """A Gaussian blur of values inside a mask, to which what lies outside adds nothing."""
+    if deviation < LEAST_DEVIATION:
+        return values * mask
+    inside = mask.to(values)
+    return inside * _blur(values * inside, deviation) / _blur(inside, deviation).clamp(min=1e-3)
+
+
+def _blur(values: Float[Tensor, "H W"], deviation: float) -> Float[Tensor, "H W"]:
+    """A Gaussian blur with zeros around, of no particular sum: two products of matrices."""
+    height, width = values.shape
+    return _kernel(height, deviation).to(values) @ values @ _kernel(width, deviation).to(values)
+
+
+@lru_cache(maxsize=32)
+def _kernel(size: int, deviation: float) -> Float[Tensor, "S S"]:
+    places = torch.arange(size, dtype=torch.float32)
+    return (-((places[:, None] - places) / deviation).square() / 2).exp()
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,10 @@ from stylesplat.stylization.strokes import align_to_strokes
 from stylesplat.stylization.views import Box
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
+COARSER = 2  # ratio of the photos' size to that of the check, which finds the same as at full size
 MARGIN = 16  # pixels around what the object may reach in them
 FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
-EDGE = 4  # pixels around what is covered that are its edge
+EDGE = 2  # pixels around what is covered that are its edge
 SMALLER = 0.6  # factor on the size of a disc that shows beside the object
 
 Outside = tuple[Cameras, Tensor]  # one camera, and the pixels [H, W] that show nothing of an object
@@ -63,7 +64,7 @@ def confine_canvas(
         turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing)
         turned = replace(round_discs, quats=turned.quats, scales=turned.scales)
         canvas = replace(canvas, splats=turned)
-    checked = cameras[[*evenly(range(len(cameras)), VIEWS)]]
+    checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(COARSER)
     outside = _find_outside(splats, mask, _crop_to_gaussians(splats[mask], checked))
     rows, outside = _overflow(canvas, outside)
     scales = canvas.splats.scales.clone()

@@ -6,7 +6,6 @@ everywhere (a pattern, fur, a weave) is decoration, which the style replaces.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 
 import torch
@@ -16,7 +15,7 @@ from torch import Tensor
 from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.colors import HIDDEN
+from stylesplat.stylization.colors import HIDDEN, smooth
 from stylesplat.stylization.views import ObjectView
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
@@ -28,7 +27,6 @@ SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compa
 EVEN, UNEVEN = 0.75, 0.88
 TINY = 1e-6  # energy of a band that the object hardly has
 FLAT_WEIGHT = 0.3  # weight of pixels where nothing stands out: paint stays calm there
-LEAST_DEVIATION = 0.5  # pixels of a deviation; less blurs nothing
 
 
 @dataclass(frozen=True)
@@ -156,25 +154,3 @@ def luminance_bands(
     luma = image @ image.new_tensor(LUMA) * mask
     levels = [smooth(luma, mask, size * length) for size in BAND_DEVIATIONS]
     return [fine - coarse for fine, coarse in pairwise(levels)]
-
-
-def smooth(
-    values: Float[Tensor, "H W"], mask: Bool[Tensor, "H W"], deviation: float
-) -> Float[Tensor, "H W"]:
-    """A Gaussian blur of values inside a mask, to which what lies outside adds nothing."""
-    if deviation < LEAST_DEVIATION:
-        return values * mask
-    inside = mask.to(values)
-    return inside * _blur(values * inside, deviation) / _blur(inside, deviation).clamp(min=1e-3)
-
-
-def _blur(values: Float[Tensor, "H W"], deviation: float) -> Float[Tensor, "H W"]:
-    """A Gaussian blur with zeros around, of no particular sum: two products of matrices."""
-    height, width = values.shape
-    return _kernel(height, deviation).to(values) @ values @ _kernel(width, deviation).to(values)
-
-
-@lru_cache(maxsize=32)
-def _kernel(size: int, deviation: float) -> Float[Tensor, "S S"]:
-    places = torch.arange(size, dtype=torch.float32)
-    return (-((places[:, None] - places) / deviation).square() / 2).exp()

@@ -21,6 +21,7 @@ from stylesplat.stylization.colors import (
     initial_colors,
     object_colors,
     project_to_palette,
+    remove_pattern,
     transfer_colors,
 )
 from stylesplat.stylization.config import ColorMode, Stage, StyleConfig
@@ -28,7 +29,6 @@ from stylesplat.stylization.form import SURVEY_LENGTH, form_relief, form_shares
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
 from stylesplat.stylization.paintable import Paintable, confine, lay, own_gaussians
-from stylesplat.stylization.pattern import remove_pattern
 from stylesplat.stylization.style_image import (
     check_size,
     coarsen_style,
@@ -136,7 +136,7 @@ def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintSta
             color_length = min(stage.length, COLOR_LENGTH)
             color_views = _color_views(object, boxes, color_length)
         if anew or goal is None:
-            goal, paint = _begin(object, color_views, max(shares))
+            goal, paint = _begin(object, color_views, color_length, max(shares))
         if anew or number == len(stages) - 1:
             rest = color_views, color_length, shares
             relief = form_relief(object.before, object.splats, object.mask, *rest)
@@ -287,12 +287,15 @@ def _form_shares(object: Paintable, boxes: Sequence[Box]) -> list[float]:
     return form_shares(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
 
 
-def _begin(object: Paintable, views: Sequence[ObjectView], form: float) -> tuple[_Goal, Splats]:
+def _begin(
+    object: Paintable, views: Sequence[ObjectView], length: float, form: float
+) -> tuple[_Goal, Splats]:
     """What the object is to look like, and the colours to start from.
 
     Args:
         object: What is painted.
         views: Of the object.
+        length: Its longer side in them, in pixels.
         form: The share of its detail that is form.
     """
     config, splats, mask = object.target.config, object.splats, object.mask
@@ -300,7 +303,7 @@ def _begin(object: Paintable, views: Sequence[ObjectView], form: float) -> tuple
     colors = torch.cat([picture.reshape(-1, 3) for picture in pictures])
     if config.published:
         return _Goal(pictures, colors, None), splats
-    splats = remove_pattern(splats, mask, views, config.pattern_removed(form))
+    splats = remove_pattern(splats, mask, views, length, config.pattern_removed(form))
     palette = None
     if config.color != "free":
         palette = build_palette(colors)
