@@ -49,7 +49,7 @@ from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex, nearest_rows, nnfm_loss
 from stylesplat.stylization.optimize import FINAL_RATE, paint_steps
-from stylesplat.stylization.paint import Painted, paint_context, paint_live, paint_objects
+from stylesplat.stylization.paint import Painted, paint_context, paint_objects
 from stylesplat.stylization.style_image import read_style, style_features
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import crop_views, find_boxes, typical_length
@@ -175,8 +175,8 @@ def shortcuts(bench: Bench) -> str:
 def naive(bench: Bench, steps: int) -> tuple[float, Splats]:
     """Seconds per step of the naive loop, and what it makes."""
     job = bench.job(FOX, quality="draft")
-    config = replace(job.config, lr=1e-9)
-    start = next(paint_live(*_arguments(bench, job), config=config, network=bench.network))
+    context = paint_context(bench.splats, bench.training, bench.network)
+    start = next(paint_steps(context, replace(job, config=replace(job.config, lr=1e-9))))
     rows = job.mask.nonzero()[:, 0]
     sh0 = start.splats.sh0[rows].requires_grad_()
     optimizer = torch.optim.Adam([sh0], lr=job.config.lr, eps=1e-15)
@@ -208,10 +208,6 @@ def naive_loss(feats: Tensor, cells: Tensor, target: Tensor) -> Tensor:
             feats.reshape(-1, feats.shape[-1])[~cells.flatten()], F.normalize(target, dim=1)
         )
     return nnfm_loss(feats[cells], target)
-
-
-def _arguments(bench: Bench, job: PaintTarget) -> tuple[Splats, Cameras, Tensor, Tensor]:
-    return bench.splats, bench.training, job.mask, bench.style
 
 
 class Run(NamedTuple):

@@ -1,5 +1,4 @@
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
@@ -21,11 +20,12 @@ from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import PRESETS, Precision
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.paint import (
     Painted,
+    layer_of,
     paint,
     paint_context,
-    paint_live,
     paint_objects,
 )
 from stylesplat.stylization.target import PaintTarget
@@ -255,32 +255,25 @@ def test_the_verb(job: PaintTarget, network: FeatureNetwork, tmp_path: Path):
         paint(SCENE, CAMERAS, job.mask, tmp_path / "none.png", **rest)
 
 
-def test_live_states_lead_to_the_same(job: PaintTarget, network: FeatureNetwork):
-    config = replace(FAST, intensity=0.7, quality="normal")
-    rest = (SCENE, CAMERAS, job.mask, job.styles[0])
-    live = paint_live(*rest, config=config, network=network)
+def test_states_lead_to_the_same(job: PaintTarget, network: FeatureNetwork):
+    job = with_settings(job, quality="normal")
+    context = paint_context(SCENE, CAMERAS, network)
+    live = paint_steps(context, job)
     early = list(islice(live, 5))
     assert [state.step for state in early] == [1, 2, 3, 4, 5]
     kept = early[-1].splats.sh0.clone()
     late = list(live)  # goes on
     assert [state.step for state in late] == list(range(6, 13))
     assert all(state.steps == 12 and math.isfinite(state.nnfm) for state in early + late)
-    assert same(late[-1].splats, paint(*rest, config=config, network=network))
+    layer = layer_of(late[-1], job, torch.arange(len(SCENE)))
+    assert same(compose(SCENE, [layer]), painted([job], network).splats)
     assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
     assert not torch.equal(early[-2].splats.sh0, kept)
     assert len(early[0].splats) == len(early[0].parents) == len(SCENE), "coarse steps come first"
     assert len(late[-1].splats) == len(late[-1].parents) > len(SCENE)
     assert same(early[0].base, SCENE)
-
-
-def test_a_shorter_look_costs_nothing_later(job: PaintTarget, network: FeatureNetwork):
-    """Whoever stops asking may start again, and gets the same."""
-    rest = (SCENE, CAMERAS, job.mask, job.styles[0])
-    live = paint_live(*rest, config=FAST, network=network)
-    next(live)
-    del live
-    again = paint_live(*rest, config=FAST, network=network)
-    assert same(deque(again, maxlen=1).pop().splats, paint(*rest, config=FAST, network=network))
+    again = next(paint_steps(context, job))
+    assert same(again.splats, early[0].splats), "who starts again gets the same"
 
 
 def test_unseen_objects(job: PaintTarget, network: FeatureNetwork):
@@ -341,10 +334,7 @@ def test_a_style_too_small_for_the_coarse_stage_is_painted_at_the_last_size(
     height, width = job.styles[0].shape[:2]
     scale = 1.2 * network_needs * max(height, width) / min(height, width) / 24
     small = with_settings(job, object_size=24, scale=scale, steps=4)
-    live = paint_live(
-        SCENE, CAMERAS, small.mask, small.styles[0], config=small.config, network=network
-    )
-    *_, last = live
+    *_, last = paint_steps(paint_context(SCENE, CAMERAS, network), small)
     assert (last.step, last.steps) == (4, 4)
     styled = painted([small], network)
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)

@@ -40,7 +40,9 @@ def test_the_pattern_goes_and_the_light_stays(views: list[ObjectView]):
 
 def test_a_share_takes_that_much_away(views: list[ObjectView]):
     splats = ball(LIGHT + NOISE)
-    none, half, full = (remove_pattern(splats, PICKED, views, LENGTH, share) for share in (0.0, 0.5, 1.0))
+    none, half, full = (
+        remove_pattern(splats, PICKED, views, LENGTH, share) for share in (0.0, 0.5, 1.0)
+    )
     assert_same_splats(none, splats)
     torch.testing.assert_close(half.sh0, (splats.sh0 + full.sh0) / 2)
 

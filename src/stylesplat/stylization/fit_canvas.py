@@ -28,7 +28,7 @@ from stylesplat.training.adam import Moments, adam_step
 VIEWS = 16
 LENGTH = 180  # longer side of the object in them, in pixels
 MARGIN = 8  # pixels around a box, where nothing is to show
-STEPS = 50
+STEPS = 35
 RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
 RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
 LAST = 0.1  # rate of the last step, as a share of the first's

@@ -163,7 +163,7 @@ def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintSta
 
 
 def check_visible(context: PaintContext, target: PaintTarget) -> None:
-    """Check before painting that an object can be painted.
+    """Check that an object can be painted, in less time than painting it takes.
 
     Raises:
         StyleSplatError: As `paint_steps` does.

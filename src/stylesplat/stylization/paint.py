@@ -1,7 +1,7 @@
-"""Painting objects: one, one step by step, or several; and the layers that come of it."""
+"""Painting objects: one or several, and the layers that come of it."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -55,43 +55,15 @@ def paint(
         StyleSplatError: If the picture is unreadable or too small, or the object has too few
             Gaussians or is not seen.
     """
-    context, target = _one_object(splats, capture, mask, style, config, network)
+    config = config or StyleConfig()
+    cameras = capture.cameras if isinstance(capture, Capture) else capture
+    network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
+    image = read_style(style, rotate=config.rotate, region=config.region)
+    target = PaintTarget("object", mask, (image,), config).to(splats)
+    check_targets([target])
+    context = paint_context(splats, cameras, network)
     layer, *_ = paint_layer(context, target, torch.arange(len(splats), device=splats.device))
     return compose(context.splats, [layer])
-
-
-def paint_live(
-    splats: Splats,
-    capture: Capture | Cameras,
-    mask: Bool[Tensor, " N"],
-    style: Picture,
-    *,
-    config: StyleConfig | None = None,
-    network: FeatureNetwork | None = None,
-) -> Iterator[PaintState]:
-    """As `paint`, step by step, to show it, to stop early or to go on later.
-
-    Example::
-
-        live = paint_live(splats, capture, mask, "wave.jpg")
-        for state in live:
-            show(state.splats)
-            if state.step == 100:
-                break  # keep state.splats, or go on: `for state in live`
-
-    Yields:
-        The state after every step, at the intensity of `config`.
-
-    Raises:
-        StyleSplatError: As `paint` does.
-    """
-    context, target = _one_object(splats, capture, mask, style, config, network)
-    rows = torch.arange(len(splats), device=splats.device)
-    for state in paint_steps(context, target):
-        if target.config.intensity != 1:
-            blended = compose(context.splats, [layer_of(state, target, rows)])
-            state = replace(state, splats=blended)
-        yield state
 
 
 @dataclass(frozen=True)
@@ -133,7 +105,7 @@ def paint_objects(
     targets = [target.to(context.splats) for target in targets]
     if len(targets) > 1:
         for target in targets:
-            check_paintable(context, target)
+            check_visible(context, target)
     painted, seconds = Painted(context.splats, ()), dict[str, float]()
     for target in targets:
         began, family = time.perf_counter(), painted.family
@@ -142,15 +114,6 @@ def paint_objects(
         painted = replace(painted, layers=(*painted.layers, layer))
         seconds[target.name] = time.perf_counter() - began
     return painted, seconds
-
-
-def check_paintable(context: PaintContext, target: PaintTarget) -> None:
-    """Check that an object can be painted, in less time than painting it takes.
-
-    Raises:
-        StyleSplatError: If it is not seen, or a style image is too small.
-    """
-    check_visible(*_cropped(crop_scene(context, target.mask), context, target))
 
 
 def paint_layer(
@@ -168,7 +131,9 @@ def paint_layer(
         all views, held-out ones included.
     """
     crop = crop_scene(context, target.mask)
-    part, own = _cropped(crop, context, target)
+    part, own = context, target
+    if crop is not None:
+        part, own = crop.context(context), crop.target(target)
     state = None
     with task(target.name, target.config.all_steps) as bar:
         for state in paint_steps(part, own):
@@ -232,27 +197,3 @@ def _group_means(
     means = sums / total.view(shape)
     single = (members.bincount(minlength=count) == 1)[members]
     return means.index_copy_(0, members[single], values[single])
-
-
-def _cropped(
-    crop: SceneCrop | None, context: PaintContext, target: PaintTarget
-) -> tuple[PaintContext, PaintTarget]:
-    return (context, target) if crop is None else (crop.context(context), crop.target(target))
-
-
-def _one_object(
-    splats: Splats,
-    capture: Capture | Cameras,
-    mask: Bool[Tensor, " N"],
-    style: Picture,
-    config: StyleConfig | None,
-    network: FeatureNetwork | None,
-) -> tuple[PaintContext, PaintTarget]:
-    """The arguments of `paint` and `paint_live`, checked."""
-    config = config or StyleConfig()
-    cameras = capture.cameras if isinstance(capture, Capture) else capture
-    network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
-    image = read_style(style, rotate=config.rotate, region=config.region)
-    target = PaintTarget("object", mask, (image,), config)
-    check_targets([target])
-    return paint_context(splats, cameras, network), target.to(splats)

@@ -21,7 +21,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.shapes import extent
 from stylesplat.stylization.views import Box, crop_to_box, typical_length
 
-VIEWS = 24
+VIEWS = 16
 LENGTH = 200  # longer side of the object in them, in pixels
 SOLID = 0.7  # coverage from which a pixel shows the surface
 BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it

@@ -27,7 +27,8 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Network
 from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint import check_paintable, paint_layer
+from stylesplat.stylization.optimize import check_visible
+from stylesplat.stylization.paint import paint_layer
 from stylesplat.stylization.style import Recipe, Style, as_recipe
 from stylesplat.stylization.style_image import Picture
 from stylesplat.stylization.target import (
@@ -156,7 +157,7 @@ def stylize_unmeasured(
         for task in tasks:
             under, _ = beneath(scene, task.name)
             context = contexts.of(under.splats, task)
-            check_paintable(context, task.target(family(under)).to(context.splats))
+            check_visible(context, task.target(family(under)).to(context.splats))
     shown = {layer.object for layer in scene.layers if layer.is_shown}
     anew = [task.name for task in tasks if task.name in shown]
     if anew:
