@@ -158,11 +158,11 @@ def test_declarations_that_do_not_fit(files: Files, tmp_path: Path, case: str, p
 
 
 PICTURES: dict[str, tuple[bytes, str]] = {
-    "smaller": (webp(4, 4, lossless=True), r"'quats.webp' has 4 x 4 pixels, where 12 x 12 are"),
-    "as large as can be": (webp(16383, 16383, lossless=True, method=0), "has 16383 x 16383 pixels"),
-    "lossy": (webp(12, 12, quality=50), "'quats.webp': it is a lossy or moving picture"),
-    "no picture": (b"no picture", "'quats.webp': it is no WebP picture"),
-    "empty": (b"", "'quats.webp': it is no WebP picture"),
+    "smaller": (webp(4, 4, lossless=True), r"'quats.webp': it has 4 x 4 pixels, where 12 x 12 are"),
+    "as large as can be": (webp(16383, 16383, lossless=True, method=0), "268402689 pixels"),
+    "lossy": (webp(12, 12, quality=50), "'quats.webp': it is no lossless WebP"),
+    "no picture": (b"no picture", "'quats.webp': it is no lossless WebP"),
+    "empty": (b"", "'quats.webp': it is no lossless WebP"),
     "no rotations": (webp(12, 12, lossless=True, exact=True), "100 rotations do not tell"),
 }
 
@@ -175,7 +175,7 @@ def test_pictures_that_do_not_fit(files: Files, tmp_path: Path, case: str):
 
 def test_a_picture_that_is_cut_off(files: Files, tmp_path: Path):
     cut = {**files, "scales.webp": files["scales.webp"][:-20]}
-    refused(bundled(cut, tmp_path / "a.sog"), "'scales.webp': it is damaged")
+    refused(bundled(cut, tmp_path / "a.sog"), "'scales.webp': ")
 
 
 def test_what_is_no_bundle(files: Files, tmp_path: Path):
@@ -183,7 +183,7 @@ def test_what_is_no_bundle(files: Files, tmp_path: Path):
     path.write_bytes(b"ply\nformat binary")
     refused(path, "it is no zip file")
     bundled({}, path)
-    refused(path, "there is no 'meta.json' in it")
+    refused(path, "'meta.json': it is not in the bundle")
     bundled(files, path)
     path.write_bytes(path.read_bytes()[:-30])
     refused(path, "Cannot read")
@@ -208,7 +208,7 @@ def test_names_that_lead_elsewhere(files: Files, tmp_path: Path, name: str):
     changed = declaring(files, lambda m: m["quats"].update(files=[name]))
     (tmp_path / "secret.webp").write_bytes(files["quats.webp"])
     refused(laid_out(changed, tmp_path / "folder"), "leads out of the folder")
-    refused(bundled(changed, tmp_path / "a.sog"), "there is no")
+    refused(bundled(changed, tmp_path / "a.sog"), "it is not in the bundle")
 
 
 def test_a_bundle_of_nobody(tmp_path: Path):
