@@ -18,12 +18,11 @@ from stylesplat.io.splats.compressed_ply import (
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
+from stylesplat.io.splats.gltf import read_gltf, write_glb, write_gltf
 from stylesplat.io.splats.packing import morton_order
-from stylesplat.io.splats.read_gltf import read_gltf
 from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree, read_splat_ply, write_splat_ply
 from stylesplat.io.splats.spz import read_spz, write_spz
-from stylesplat.io.splats.write_gltf import write_glb, write_gltf
 from stylesplat.scene.splats import Splats
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
