@@ -36,7 +36,6 @@ class Photo:
     """One photo of a capture: its file, its lens and the size it is wanted at."""
 
     path: Path
-    """The file."""
     upright: bool
     """Whether its EXIF rotation applies: some poses were found without it."""
     lens: Lens
