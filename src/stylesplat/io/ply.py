@@ -46,9 +46,7 @@ class PlyRows:
     """The vertices of a file, in blocks."""
 
     count: int
-    """Number of rows."""
     dtype: np.dtype
-    """Their columns."""
     blocks: Iterator[Shaped[np.ndarray, " B"]]
     """The rows in order."""
 
