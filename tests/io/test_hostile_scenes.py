@@ -99,17 +99,6 @@ def test_json_that_does_not_fit(folder: Path, name: str, change: Change):
     refused(folder, name)
 
 
-@pytest.mark.parametrize("name", ["scene", "cameras", "objects", "metrics", "layers"])
-@pytest.mark.parametrize(
-    "content",
-    [b"[" * 3000, b'{"a": ' + b"[" * 500 + b"]" * 500 + b"}", b"null", b"\xff\xfe"],
-    ids=range(4),
-)
-def test_json_that_is_none_or_deep(folder: Path, name: str, content: bytes):
-    (folder / f"{name}.json").write_bytes(content)
-    refused(folder, f"{name}.json")
-
-
 def with_tensor(name: str, value: torch.Tensor) -> Change:
     return lambda tensors: {**tensors, name: value}
 

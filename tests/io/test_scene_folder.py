@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from scenes import COUNT, assert_same, contents, full_scene, plain_scene
+from scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
@@ -42,13 +42,6 @@ def test_what_is_read_composes_to_the_same(tmp_path: Path):
     bare = without_layers(found)
     scene_folder.save(bare, tmp_path / "scene", overwrite=True)
     assert_same(scene_folder.open(tmp_path / "scene"), bare)
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_cameras_are_exact(tmp_path: Path, dtype: torch.dtype):
-    scene = plain_scene(dtype)
-    scene_folder.save(scene, tmp_path / "scene")
-    assert_same(scene_folder.open(tmp_path / "scene"), scene)
 
 
 def test_the_files_of_a_scene(tmp_path: Path):
@@ -165,31 +158,6 @@ def test_identities_that_were_not_lifted_have_no_confidence(tmp_path: Path):
     scene = replace(scene, splats=replace(scene.splats, confidence=None))
     scene_folder.save(scene, tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
-
-
-def test_confidence_of_another_scene(tmp_path: Path):
-    scene = full_scene()
-    splats = replace(scene.splats, confidence=None)
-    scene_folder.save(replace(scene, splats=splats), tmp_path / "scene")
-    path = tmp_path / "scene/identities.safetensors"
-    path.write_bytes(save({**load(path.read_bytes()), "confidence": torch.ones(COUNT - 1)}))
-    with pytest.raises(StyleSplatError, match=r"confidence has the shape \[5\]"):
-        scene_folder.open(tmp_path / "scene")
-
-
-def test_identities_without_a_classifier(tmp_path: Path):
-    scene_folder.save(full_scene(), tmp_path / "scene")
-    picks = tmp_path / "scene/picks.safetensors"
-    (tmp_path / "scene/identities.safetensors").write_bytes(picks.read_bytes())
-    with pytest.raises(StyleSplatError, match="it has no identities"):
-        scene_folder.open(tmp_path / "scene")
-
-
-def test_the_camera_file_is_plain_json(tmp_path: Path):
-    scene_folder.save(plain_scene(), tmp_path / "scene")
-    content = json.loads((tmp_path / "scene/cameras.json").read_text())
-    assert content["cameras"][1]["name"] == "sub/b.png"
-    assert content["cameras"][1]["size"] == [500, 400]
 
 
 def camera_with(**changes: object) -> Callable[[Scene], Scene]:

@@ -72,14 +72,6 @@ def test_what_is_there_stays_unless_told_otherwise(tmp_path: Path):
     assert {path.name for path in (tmp_path / "views").iterdir()} == {"a.png", "notes.txt"}
 
 
-def test_a_video_that_is_there(tmp_path: Path):
-    (tmp_path / "a.MP4").write_bytes(b"mine")
-    with pytest.raises(StyleSplatError, match="exists"):
-        refuse_taken(tmp_path / "a.MP4", overwrite=False)
-    refuse_taken(tmp_path / "a.MP4", overwrite=True)
-    refuse_taken(tmp_path / "b.mp4", overwrite=False)
-
-
 @pytest.mark.parametrize("name", ["a.avi", "a.EXR", "a.bmp", "a.m4v", "a.obj", "a.glb", "a.json"])
 def test_no_folder_has_the_name_of_a_picture_or_video(name: str, tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"not among the formats\. Use \.mp4, .*folder"):

@@ -12,7 +12,6 @@ from stylesplat.io.splats.splat_files import read_splats, write_splats
 
 SPZ = "KHR_gaussian_splatting_compression_spz_2"
 COUNT = 50
-SHARED = Path(__file__).parents[3] / "shared" / "data" / "splats"
 
 
 def with_spz(path: Path, packed: bytes, count: int, name: str = SPZ) -> Path:
@@ -66,16 +65,6 @@ def test_spz_within_is_read_and_placed_as_any_splats(tmp_path: Path, packed: Pat
     changed_glb(path, lambda d: d.update(nodes=[{"mesh": 0, "rotation": [1, 0, 0, 0]}]))
     again = read_splats(path)  # half a turn about x is what is left
     assert torch.equal(again.means, expected.means * torch.tensor([-1.0, -1.0, 1.0]))
-
-
-def test_older_spz_within(tmp_path: Path):
-    """Version 2 is what the extension's name asks for."""
-    sample = SHARED / "splat_transform_fixtures" / "minimal-v2.spz"
-    if not sample.exists():
-        pytest.skip("the sample files are not here")
-    expected = read_splats(sample)
-    path = with_spz(tmp_path / "a.glb", sample.read_bytes(), len(expected))
-    assert torch.equal(read_splats(path).scales, expected.scales)
 
 
 REFUSED = {

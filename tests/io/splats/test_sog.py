@@ -71,26 +71,6 @@ def test_every_number_is_as_near_as_its_bits_allow(tmp_path: Path):
         assert error.max() < 0.05 and error.square().mean().sqrt() < 0.005
 
 
-def test_a_palette_as_large_as_the_splats_is_exact_but_for_its_bytes(tmp_path: Path):
-    splats = PLAIN[torch.arange(64)]
-    write_splats(splats, tmp_path / "a.sog")
-    found = read_splats(tmp_path / "a.sog")
-    error = (found.shN - splats[morton_order(splats.means)].shN).abs()
-    assert error.square().mean().sqrt() < 0.01 * splats.shN.std()
-
-
-def test_what_was_read_is_written_again_as_it_was(tmp_path: Path):
-    """Rounded numbers are on the grid; only the codebooks of so few numbers are found anew."""
-    write_splats(PLAIN, tmp_path / "a.sog")
-    once = read_splats(tmp_path / "a.sog")
-    write_splats(once, tmp_path / "b.sog")
-    twice = read_splats(tmp_path / "b.sog")
-    order = morton_order(once.means)
-    torch.testing.assert_close(twice.means, once.means[order], rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(twice.opacities, once.opacities[order], rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(twice.sh0, once.sh0[order], rtol=0, atol=0.01)
-
-
 def test_extremes(tmp_path: Path):
     """WebP drops colours that opacities of 0 hide, unless told not to; one place has no size."""
     splats = replace(
