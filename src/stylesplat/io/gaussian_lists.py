@@ -166,7 +166,6 @@ def _read(path: Path, count: int, names: Sequence[str]) -> ListedObjects | Array
 
 
 def _choice(found: Sequence[str], names: Sequence[str]) -> str:
-    """The first of the names that is there."""
     for name in names:
         if name in found:
             return name

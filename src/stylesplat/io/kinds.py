@@ -56,7 +56,6 @@ def kind_of(path: Path) -> Kind:
 
 
 def is_posed(folder: Path) -> bool:
-    """Whether a folder has camera poses."""
     return find_sparse(folder) is not None or is_file(folder / TRANSFORMS)
 
 

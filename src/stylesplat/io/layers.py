@@ -41,8 +41,6 @@ class _Source(msgspec.Struct):
 
 
 class _Layer(msgspec.Struct):
-    """One layer in `layers.json`."""
-
     file: Annotated[str, Meta(pattern=FILE)]
     object: str
     kind: Literal["paint"] = "paint"

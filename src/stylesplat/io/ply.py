@@ -43,12 +43,9 @@ class _Element(NamedTuple):
 
 @dataclass(frozen=True)
 class PlyRows:
-    """The vertices of a file, in blocks."""
-
     count: int
     dtype: np.dtype
     blocks: Iterator[Shaped[np.ndarray, " B"]]
-    """The rows in order."""
 
 
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
@@ -85,7 +82,6 @@ def report_extra(path: Path | str, count: int, unit: str = "byte") -> None:
 
 
 def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
-    """Write a structured array as little-endian binary PLY."""
     write_ply_rows(PlyRows(len(table), table.dtype, iter([table])), path)
 
 

@@ -38,7 +38,6 @@ class Declared:
     low: float | int = -LARGEST
     high: float | int = LARGEST
     unique: bool = False
-    """Whether all values differ."""
     optional: bool = False
 
 
@@ -57,7 +56,6 @@ PICKED = Declared(("N",), torch.bool)
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Write tensors by name."""
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as draft:
         draft.touch()

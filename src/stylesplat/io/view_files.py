@@ -114,12 +114,10 @@ def is_video(output: Path, count: int) -> bool:
 
 
 def is_gif(output: Path) -> bool:
-    """Whether the video is a GIF."""
     return output.suffix.lower() == GIF
 
 
 def _is_file(output: Path) -> bool:
-    """Whether views are written into one file."""
     return output.suffix.lower() in (*VIDEOS, *COLORS, *TIFF)
 
 

@@ -49,7 +49,6 @@ class CaptureFiles:
     masks: Path | Literal[False] | None
     """The folder of label maps; False if none are wanted."""
     points: Float[Tensor, "M 3"] | None
-    """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
     cut_out: bool
     """Whether the photos are transparent around the object."""

@@ -61,12 +61,10 @@ def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
 
 
 def posed_images(model: "pycolmap.Reconstruction") -> list["pycolmap.Image"]:
-    """The images that have a pose, sorted by name."""
     return sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
 
 
 def viewmats_of(images: Sequence["pycolmap.Image"]) -> Float64[Tensor, "C 4 4"]:
-    """The world-to-camera matrices of images that have a pose."""
     viewmats = torch.eye(4, dtype=torch.float64).repeat(len(images), 1, 1)
     viewmats[:, :3] = torch.from_numpy(np.stack([i.cam_from_world().matrix() for i in images]))
     return viewmats

@@ -59,7 +59,6 @@ class Lens:
 
     @property
     def camera(self) -> "pycolmap.Camera":
-        """The same as a camera of pycolmap."""
         from stylesplat.io.captures.colmap_library import pycolmap
 
         return pycolmap.Camera(
@@ -73,11 +72,9 @@ class Lens:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether there is no distortion."""
         return self.camera.is_undistorted()
 
     def scaled(self, width: int, height: int) -> "Lens":
-        """The same lens for a photo of another size."""
         camera = self.camera
         camera.rescale(width, height)
         return Lens.from_colmap(camera)

@@ -35,9 +35,7 @@ class PosedFiles:
     viewmats: Float[Tensor, "C 4 4"]
     """World to camera, OpenCV axes, as read: 64 bits, not checked."""
     points: Float[Tensor, "M 3"] | None
-    """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
-    """Colours of `points`."""
 
     def __post_init__(self) -> None:
         for name in self.names:

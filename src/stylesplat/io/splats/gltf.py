@@ -233,7 +233,6 @@ def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
 
 
 def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
-    """The primitives of a mesh that are splats."""
     meshes = gltf.document.meshes
     if mesh >= len(meshes):
         raise gltf.refusal(f"a node shows mesh {mesh} of {len(meshes)}")
@@ -241,7 +240,6 @@ def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
 
 
 def _matrix(gltf: Gltf, node: Node) -> Float[np.ndarray, "4 4"]:
-    """The transform of a node to its parent."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T  # column-major
     matrix = np.eye(4)

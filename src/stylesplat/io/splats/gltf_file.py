@@ -140,12 +140,10 @@ class Gltf:
     """Buffers by URI or index."""
 
     def refusal(self, fault: str, remedy: str = AGAIN) -> StyleSplatError:
-        """The error for a file that cannot be read."""
         return _refusal(self.path, fault, remedy)
 
     @property
     def size(self) -> int:
-        """Bytes of the loaded buffers."""
         return sum(map(len, self.loaded.values()))
 
     def accessor(self, index: int, name: str) -> Accessor:
@@ -182,7 +180,6 @@ class Gltf:
         return 2.0**-24 if dtype.kind == "f" else 1 / np.iinfo(dtype).max
 
     def view_bytes(self, index: int, name: str) -> memoryview:
-        """The bytes of a buffer view."""
         view = self._view(index, name)
         packed = next((each for each in view.extensions if "compression" in each), None)
         if packed is not None:

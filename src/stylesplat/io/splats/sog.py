@@ -97,7 +97,6 @@ class _Palette(msgspec.Struct):
 
     count: Annotated[int, Meta(ge=1, le=PALETTE)]
     bands: Literal[1, 2, 3]
-    """The degree."""
     codebook: Codebook
     files: tuple[PhotoName, PhotoName]
     """The picture of the entries, and that of each Gaussian's entry."""
@@ -327,7 +326,6 @@ def _webp_size(files: Mapping[str, bytes], name: str) -> tuple[int, int]:
 
 
 def _webp_pixels(files: Mapping[str, bytes], name: str, size: tuple[int, int]) -> Texels:
-    """The pixels of a lossless picture of a known size, row by row."""
     with _open_webp(files, name) as image:
         if image.size != size:
             has, due = (f"{width} x {height}" for width, height in (image.size, size))

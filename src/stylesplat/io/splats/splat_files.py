@@ -122,6 +122,5 @@ def write_splats(
 
 
 def _suffix(path: Path) -> str:
-    """The suffix that tells the format."""
     name = path.name.lower()
     return COMPRESSED if name.endswith(COMPRESSED) else path.suffix.lower()
