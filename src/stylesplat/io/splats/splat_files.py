@@ -11,8 +11,8 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import SOG_META, no_splat
+from stylesplat.io.ply import MAX_HEADER
 from stylesplat.io.splats.compressed_ply import (
-    MAX_HEADER,
     is_compressed,
     read_compressed_ply,
     write_compressed_ply,
