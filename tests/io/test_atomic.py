@@ -190,15 +190,6 @@ def test_a_revision_keeps_links_and_what_it_does_not_change(
 
 
 @pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
-def test_good_places_stay_as_they_are(refuse: Callable, tmp_path: Path):
-    refuse(tmp_path / "new")
-    refuse(tmp_path / "deep/er/new")
-    refuse(tmp_path / "a name: with 'signs'.ply")
-    refuse_occupied(tmp_path, marker=MARKER)
-    assert not names(tmp_path)
-
-
-@pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
 @pytest.mark.parametrize(
     ("place", "fault"),
     [

@@ -32,22 +32,6 @@ def test_poses_points_and_names(make_capture: Callable[..., Path], text: bool, s
     assert posed.point_colors.tolist() == [[10 * i, 20, 30] for i in range(4)]
 
 
-@pytest.mark.parametrize(
-    ("model", "params"),
-    [
-        ("SIMPLE_PINHOLE", [60.0, 31.0, 25.0]),
-        ("PINHOLE", [60.0, 62.0, 31.0, 25.0]),
-        ("SIMPLE_RADIAL", [60.0, 31.0, 25.0, 0.1]),
-        ("RADIAL", [60.0, 31.0, 25.0, 0.1, 0.01]),
-        ("OPENCV", [60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.002, 0.003]),
-        ("OPENCV_FISHEYE", [60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.002, 0.003]),
-    ],
-)
-def test_camera_models(make_capture: Callable[..., Path], model: str, params: list[float]):
-    lens = lenses_of(read(make_capture(model, params, count=1)))[0]
-    assert (lens.model, lens.params) == (model, tuple(params))
-
-
 def test_smaller_copies_stand_in_for_images(make_capture: Callable[..., Path]):
     folder = make_capture(images="images_4")
     (folder / "images_8").mkdir()

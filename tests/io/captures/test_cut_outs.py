@@ -1,7 +1,6 @@
 """Photos with transparency, from the file to the capture."""
 
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -121,19 +120,3 @@ def test_colours_that_nobody_sees_do_not_leak(tmp_path: Path, lens: Lens, factor
     width, height = photo.size
     small = photo.resized(width // factor, height // factor).read_with_alpha().int()
     assert (small[..., 0] - small[..., 3]).abs().max() <= 1  # both are rounded
-
-
-def test_colours_and_alpha_are_decoded_together(cut_outs: Path, monkeypatch: pytest.MonkeyPatch):
-    capture = load(cut_outs)
-    opened: list[str] = []
-    real = Image.open
-
-    def note(file: BinaryIO, **options: Any) -> Image.Image:
-        opened.append(file.name)
-        return real(file, **options)
-
-    monkeypatch.setattr(Image, "open", note)
-    for row in range(len(capture)):
-        assert capture.photos[row] is not None and capture.labels(row) is not None
-        assert capture.alpha(row) is not None
-    assert len(opened) == len(set(opened)) > 1

@@ -108,15 +108,6 @@ def test_shrinking_averages_the_pixels_covered(tmp_path: Path):
     np.testing.assert_allclose(photo.read().numpy(), expected, atol=0.5)  # rounding to 8 bits
 
 
-def test_undistortion_comes_before_shrinking(tmp_path: Path):
-    lens = Lens("OPENCV", 64, 48, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))
-    pixels = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
-    photo = fit_photo(save(tmp_path / "a.png", pixels), lens)
-    assert photo.size == lens.pinhole().size != (64, 48)
-    np.testing.assert_array_equal(photo.read().numpy(), lens.undistort(pixels))
-    assert photo.resized(20, 15).read().shape == (15, 20, 3)
-
-
 def test_no_such_file(tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"There is no image .*a\.png"):
         read_image(tmp_path / "a.png")

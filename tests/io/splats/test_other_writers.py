@@ -24,14 +24,8 @@ def test_what_gsplat_exports_is_read_and_as_ours(name: str, tmp_path: Path):
     exporter = pytest.importorskip("gsplat.exporter", reason="gsplat is not installed")
     splats = opaque()
     suffix = {"ply": ".ply", "ply_compressed": ".compressed.ply", "splat": ".splat"}[name]
-    tensors = [
-        splats.means,
-        splats.scales,
-        splats.quats,
-        splats.opacities,
-        splats.sh0,
-        splats.shN,
-    ]
+    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+    tensors = [getattr(splats, field) for field in names]
     exporter.export_splats(*tensors, format=name, save_to=str(tmp_path / f"a{suffix}"))
     theirs = read_splats(tmp_path / f"a{suffix}")
     if name == "ply":
