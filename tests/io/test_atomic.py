@@ -4,8 +4,6 @@ import errno
 import os
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -98,18 +96,6 @@ def test_a_disk_that_is_full_only_at_the_end(tmp_path: Path, monkeypatch: pytest
     assert tree(tmp_path) == {"a.txt": "old"}
 
 
-def test_a_file_is_on_the_disk_before_it_gets_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    done: list[str] = []
-    fsync, replace = os.fsync, os.replace
-    monkeypatch.setattr(os, "fsync", lambda file: (done.append("sync"), fsync(file)))
-    monkeypatch.setattr(os, "replace", lambda *paths: (done.append("name"), replace(*paths)))
-    with atomic_path(tmp_path / "a.txt") as draft:
-        draft.write_text("new")
-    assert done == ["sync", "name", "sync"], "the file, its name, its folder"
-
-
 @pytest.mark.parametrize("exists", [False, True])
 def test_a_new_or_empty_folder(exists: bool, tmp_path: Path):
     target = tmp_path / "deep" / "scene"
@@ -160,23 +146,6 @@ def test_overwrite_keeps_the_other_files_of_a_foreign_folder(tmp_path: Path):
     assert names(tmp_path) == ["home"] and not (target / "sub").exists()
 
 
-def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    target = fill(tmp_path / "out", scene_json="old")
-    rename, calls = Path.rename, []
-
-    def second_fails(self: Path, to: Path) -> Path:
-        calls.append(to)
-        if len(calls) == 2:
-            raise OSError(errno.EIO, "Input/output error")
-        return rename(self, to)
-
-    monkeypatch.setattr(Path, "rename", second_fails)
-    monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
-    with pytest.raises(StyleSplatError, match="Input/output error"), claim(target) as draft:
-        fill(draft, scene_json="new")
-    assert len(calls) == 3 and tree(tmp_path) == {"out/scene.json": "old"}
-
-
 def test_nothing_is_written_through_a_link_that_leads_outside(tmp_path: Path):
     victim, folder = fill(tmp_path / "victim", a_txt="precious"), fill(tmp_path / "f", b_txt="1")
     (folder / "sub").symlink_to(victim)
@@ -218,15 +187,6 @@ def test_a_revision_keeps_links_and_what_it_does_not_change(
     assert (folder / "photos").readlink() == tmp_path
     assert (folder / "gone").readlink() == Path("nowhere")
     assert names(tmp_path) == ["scene"]
-
-
-@pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
-def test_good_places_stay_as_they_are(refuse: Callable, tmp_path: Path):
-    refuse(tmp_path / "new")
-    refuse(tmp_path / "deep/er/new")
-    refuse(tmp_path / "a name: with 'signs'.ply")
-    refuse_occupied(tmp_path, marker=MARKER)
-    assert not names(tmp_path)
 
 
 @pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
@@ -326,32 +286,6 @@ def test_another_process_is_told_of_and_refused(
     with changing(tmp_path / "scene"):  # a killed process does not keep it
         pass
     assert names(tmp_path) == [] and len(said) == 1
-
-
-def test_a_waiting_process_gets_the_lock(tmp_path: Path, said: list[str]):
-    other = hold(tmp_path / ".scene.lock", 1.0)
-    with changing(tmp_path / "scene"):
-        assert len(said) == 1
-    other.communicate()
-
-
-def test_threads_exclude_one_another(tmp_path: Path):
-    inside, most = 0, 0
-
-    def enter() -> None:
-        nonlocal inside, most
-        with changing(tmp_path / "scene"):
-            inside += 1
-            most = max(most, inside)
-            time.sleep(0.01)
-            inside -= 1
-
-    threads = [threading.Thread(target=enter) for _ in range(5)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert most == 1 and names(tmp_path) == []
 
 
 COUNTER = """

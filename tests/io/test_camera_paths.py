@@ -75,14 +75,6 @@ def test_a_path_passes_its_key_frames_smoothly(tmp_path: Path):
     assert len(read_camera_path(file, CAMERAS, fps=10, seconds=4).cameras) == 40
 
 
-def test_a_closed_path_returns(tmp_path: Path):
-    file = written(keys(*views(0, 2, 4, 6), closed=True, seconds=1, fps=32), tmp_path)
-    path = read_camera_path(file, CAMERAS).cameras
-    assert torch.allclose(path.viewmats[::8], CAMERAS.viewmats[::2], atol=1e-5)
-    steps = (path.positions.roll(-1, 0) - path.positions).norm(dim=1)
-    assert steps.max() < 1.3 * steps.min()
-
-
 def test_places_and_lenses_in_numbers(tmp_path: Path):
     eye = {"position": [0, -4, 2], "look_at": [0, 0, 0.5]}
     file = written(keys({**eye, "fov": 90}, {**eye, "fov": 30}, fps=1, seconds=3), tmp_path)

@@ -29,6 +29,7 @@ def test_json_is_strict(tmp_path: Path):
         (None, "No such file"),
         ("{", "not valid JSON"),
         ("[1]", "expected a JSON object"),
+        ('{"a":' * 200 + "1" + "}" * 200, "nested more than 100 deep"),
         ("\xff", "not valid JSON"),
     ],
 )
@@ -69,6 +70,8 @@ def test_only_plain_files_are_read(tmp_path: Path):
         ("pipe", "no plain file"),
         ("", "it is a folder"),
         ("lost", "No such file"),
+        ("a" * 300, "name too long"),
+        ("a\0b", "cannot be the name of a file"),
     ):
         with pytest.raises(StyleSplatError, match=fault):
             read_bytes(tmp_path / name)

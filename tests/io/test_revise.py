@@ -105,21 +105,6 @@ def test_a_folder_of_layers_that_leads_elsewhere_is_not_written_into(tmp_path: P
     assert scene_folder.open(folder).painted_objects == ("7", "Brücke")
 
 
-def test_a_revision_copies_nothing_and_keeps_what_is_not_ours(tmp_path: Path):
-    folder = tmp_path / "scene"
-    scene_folder.save(full_scene(), folder)
-    (folder / "selections").mkdir()
-    (folder / "selections" / "fox.png").write_bytes(b"a fox")
-    (folder / "notes.txt").write_text("mine")
-    scene, before = scene_folder.open(folder), inodes(folder)
-    revise(scene, replace(scene, metrics={"psnr": 1.0}), folder)
-    after = inodes(folder)
-    assert {name for name in before | after if before.get(name) != after.get(name)} == {
-        "metrics.json"
-    }
-    assert [path.name for path in tmp_path.iterdir()] == ["scene"]
-
-
 class Killed(BaseException):
     """The end of the process, as far as a test can have it."""
 
@@ -166,20 +151,6 @@ def test_a_revision_is_whole_or_not_at_all(
         assert for_good or [path.name for path in tmp_path.iterdir()] == ["scene"], calls[number]
 
 
-def test_a_folder_that_one_stands_in_stays_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """A shell would else be left in a folder that is gone."""
-    folder = tmp_path / "scene"
-    scene_folder.save(full_scene(), folder)
-    scene = scene_folder.open(folder)
-    monkeypatch.chdir(folder)
-    revise(scene, without_layers(scene), Path())
-    assert_same(scene_folder.open("."), without_layers(scene))
-    assert not Path("recipe.json").exists()
-    assert [path.name for path in tmp_path.iterdir()] == ["scene"]
-
-
 def test_a_reader_never_mixes_two_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = tmp_path / "scene"
     scene_folder.save(full_scene(), folder)
@@ -195,21 +166,3 @@ def test_a_reader_never_mixes_two_states(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(scene_folder, "read_cameras", meanwhile)
     assert_same(scene_folder.open(folder), plain_scene())
     assert times == 2
-
-
-def test_a_scene_that_always_changes_is_not_read_for_ever(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    folder = tmp_path / "scene"
-    scene_folder.save(full_scene(), folder)
-    read, times = scene_folder.read_cameras, []
-
-    def meanwhile(path: Path):
-        times.append(path)
-        os.utime(folder, ns=(len(times), len(times)))
-        return read(path)
-
-    monkeypatch.setattr(scene_folder, "read_cameras", meanwhile)
-    with pytest.raises(StyleSplatError, match="was changed all 5 times"):
-        scene_folder.open(folder)
-    assert len(times) == 5

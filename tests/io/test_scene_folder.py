@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from scenes import COUNT, assert_same, contents, full_scene, plain_scene
+from scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
@@ -42,13 +42,6 @@ def test_what_is_read_composes_to_the_same(tmp_path: Path):
     bare = without_layers(found)
     scene_folder.save(bare, tmp_path / "scene", overwrite=True)
     assert_same(scene_folder.open(tmp_path / "scene"), bare)
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_cameras_are_exact(tmp_path: Path, dtype: torch.dtype):
-    scene = plain_scene(dtype)
-    scene_folder.save(scene, tmp_path / "scene")
-    assert_same(scene_folder.open(tmp_path / "scene"), scene)
 
 
 def test_the_files_of_a_scene(tmp_path: Path):
@@ -96,41 +89,17 @@ def test_no_scene(tmp_path: Path):
     ("name", "content", "match"),
     [
         ("scene.json", b"{", "not valid JSON"),
-        ("scene.json", b"{}", "not of version 1"),
         ("scene.json", b'{"version": 3}', "not of version 1"),
-        (
-            "scene.json",
-            b'{"version": 1, "settings": 3}',
-            r"Expected `object`, got `int` - at `\$.settings`",
-        ),
-        (
-            "scene.json",
-            b'{"version": 1, "settings": {"downscale": "x"}}',
-            r"Expected `float`, got `str` - at `\$.settings.downscale`",
-        ),
-        ("splats.ply", b"", "not a PLY file"),
+        ("scene.json", b'{"version": 1, "settings": 3}', r"got `int` - at `\$.settings`"),
         ("splats.ply", None, "No such file"),
-        ("cameras.json", None, "No such file"),
-        ("cameras.json", b"{}", "required field `dtype`"),
-        (
-            "cameras.json",
-            b'{"dtype": "float32", "cameras": [{"name": "a"}]}',
-            "required field `size`",
-        ),
         ("cameras.json", b'{"dtype": "float32", "cameras": 1}', "Expected `array`, got `int`"),
         ("objects.json", b"[]", "expected a JSON object"),
         ("picks.safetensors", b"1234", "Make the scene again"),
         ("picks.safetensors", None, "No such file"),
         ("identities.safetensors", b"1234", "Make the scene again"),
-        ("base.ply", None, "No such file"),
         ("base.ply", b"", "not a PLY file"),
-        ("layers/01-fox.safetensors", b"1234", "Make the scene again"),
         ("layers/02-7.safetensors", None, "No such file"),
-        ("metrics.json", b"", "not valid JSON"),
-        ("layers.json", b"", "not valid JSON"),
-        ("layers.json", b"{}", "required field `layers`"),
         ("layers.json", b'{"layers": []}', "Expected `array` of length >= 1"),
-        ("layers.json", b'{"layers": [1]}', "Expected `object`, got `int`"),
     ],
 )
 def test_damaged_files(tmp_path: Path, name: str, content: bytes | None, match: str):
@@ -165,31 +134,6 @@ def test_identities_that_were_not_lifted_have_no_confidence(tmp_path: Path):
     scene = replace(scene, splats=replace(scene.splats, confidence=None))
     scene_folder.save(scene, tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
-
-
-def test_confidence_of_another_scene(tmp_path: Path):
-    scene = full_scene()
-    splats = replace(scene.splats, confidence=None)
-    scene_folder.save(replace(scene, splats=splats), tmp_path / "scene")
-    path = tmp_path / "scene/identities.safetensors"
-    path.write_bytes(save({**load(path.read_bytes()), "confidence": torch.ones(COUNT - 1)}))
-    with pytest.raises(StyleSplatError, match=r"confidence has the shape \[5\]"):
-        scene_folder.open(tmp_path / "scene")
-
-
-def test_identities_without_a_classifier(tmp_path: Path):
-    scene_folder.save(full_scene(), tmp_path / "scene")
-    picks = tmp_path / "scene/picks.safetensors"
-    (tmp_path / "scene/identities.safetensors").write_bytes(picks.read_bytes())
-    with pytest.raises(StyleSplatError, match="it has no identities"):
-        scene_folder.open(tmp_path / "scene")
-
-
-def test_the_camera_file_is_plain_json(tmp_path: Path):
-    scene_folder.save(plain_scene(), tmp_path / "scene")
-    content = json.loads((tmp_path / "scene/cameras.json").read_text())
-    assert content["cameras"][1]["name"] == "sub/b.png"
-    assert content["cameras"][1]["size"] == [500, 400]
 
 
 def camera_with(**changes: object) -> Callable[[Scene], Scene]:

@@ -78,16 +78,6 @@ def test_no_gif_of_nothing_or_of_several_sizes(tmp_path: Path):
     assert not any(tmp_path.iterdir())
 
 
-def test_the_upper_left_corner_stays_where_it_is(tmp_path: Path):
-    image = torch.zeros(37, 51, 3, dtype=torch.uint8)
-    image[:8, :16] = 255
-    write_video([image], tmp_path / "a.mp4")
-    with av.open(tmp_path / "a.mp4") as container:
-        found = next(container.decode(video=0)).to_ndarray(format="gray")
-    bright = found > 128
-    assert bright[:8, :16].all() and bright.sum() == 8 * 16
-
-
 @pytest.mark.parametrize("frames", [[], [torch.zeros(1, 50, 3, dtype=torch.uint8)]])
 def test_nothing_to_show(tmp_path: Path, frames: list[torch.Tensor]):
     with pytest.raises(StyleSplatError, match="needs frames of 2x2 pixels or more"):

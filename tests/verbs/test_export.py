@@ -145,9 +145,7 @@ def test_unknown_suffix(tmp_path: Path, name: str):
 def test_files_are_replaced_only_if_told_so(tmp_path: Path):
     path = tmp_path / "a.ply"
     path.write_text("old")
-    with pytest.raises(
-        StyleSplatError, match=r"a\.ply exists already.*--overwrite.*overwrite=True"
-    ):
+    with pytest.raises(StyleSplatError, match=r"a\.ply exists.*--overwrite.*overwrite=True"):
         export(random_splats(), path)
     assert path.read_text() == "old"
     export(random_splats(), path, overwrite=True)

@@ -8,20 +8,21 @@ import ctypes
 import errno
 import hashlib
 import os
-import re
+import secrets
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from uuid import uuid4
-
-from filelock import FileLock, Timeout
+from typing import TYPE_CHECKING
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import cannot_write, is_file, is_folder, is_there, real_path, real_place
 from stylesplat.progress import say
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 REPLACING = "`--overwrite` (in Python overwrite=True)"  # how a user allows a replacement
 PARTIAL = ".partial"  # suffix of the folder that keeps the work of an interrupted run
@@ -30,24 +31,16 @@ DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it w
 MAX_NAME_BYTES = 255  # of one part of a path, on all common file systems
 PATIENCE = 10.0  # seconds to wait for another process: `select` takes as long, `train` longer
 ANYBODY = 0o666  # mode of a lock file: another user may lock the same place later
-AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's <fcntl.h>: relative to the cwd; swap two names
-RENAME_SWAP = 2  # the same of macOS
 
 
 def mark() -> str:
     """Twelve random digits that make a hidden name unique."""
-    return uuid4().hex[:12]
+    return secrets.token_hex(6)
 
 
 def _draft_name(path: Path) -> Path:
     """A new hidden name in the folder of a path, with the same suffix."""
     return path.with_name(f".{path.stem}.{mark()}{path.suffix}")
-
-
-def left_beside(path: Path) -> list[Path]:
-    """The drafts of a path that killed processes left."""
-    ours = re.compile(rf"\.{re.escape(path.stem)}\.{MARK}{re.escape(path.suffix)}")
-    return [p for p in path.parent.glob(".*") if ours.fullmatch(p.name)]
 
 
 def partial_of(path: Path) -> Path:
@@ -131,20 +124,52 @@ def changing(path: Path | str) -> Iterator[None]:
     made = [parent for parent in path.parents if not parent.exists()]
     with suppress(OSError):  # the writer reports an unusable place
         path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(_lock_file(path), is_singleton=True, fallback_to_soft=False, mode=ANYBODY)
-    held = False
+    lock = _acquire(path)
     try:
-        held = _acquire(lock, path)
         yield
     finally:
-        if held and lock.lock_counter == 1:
-            with suppress(OSError):
-                Path(lock.lock_file).unlink()  # before the release: a waiting process notices
-        if held:
+        if lock is not None:
+            if lock.lock_counter == 1:
+                with suppress(OSError):
+                    Path(lock.lock_file).unlink()  # before the release: a waiting process notices
             lock.release()
         for parent in made:
             with suppress(OSError):  # it is used by now
                 parent.rmdir()
+
+
+def _acquire(path: Path) -> "FileLock | None":
+    """The held lock of a path; None, after a warning, on a file system without locks."""
+    from filelock import FileLock, Timeout  # loads asyncio, which few commands need
+
+    if os.access(path.parent, os.W_OK | os.X_OK):
+        file = path.with_name(f".{path.name}.lock")
+    else:
+        digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+        file = Path(tempfile.gettempdir()) / f"stylesplat-{digest}.lock"
+    lock = FileLock(file, is_singleton=True, fallback_to_soft=False, mode=ANYBODY)
+    try:
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            say(f"Waiting for another stylesplat that changes {path}.")
+            lock.acquire(timeout=PATIENCE)
+    except Timeout as error:
+        raise StyleSplatError(
+            f"Cannot change {path}: another stylesplat is at work on it. "
+            "Wait until it is done, or end it."
+        ) from error
+    except (OSError, NotImplementedError) as error:
+        # Whoever writes reports a name that is too long, or a folder that cannot be made
+        if getattr(error, "errno", None) not in (errno.ENAMETOOLONG, errno.ENOENT):
+            _warn_unlocked(path.parent)
+        return None
+    return lock
+
+
+@cache
+def _warn_unlocked(folder: Path) -> None:
+    say(f"{folder} is on a file system without locks. Change it from one process at a time.")
 
 
 def refuse_occupied(path: Path | str, *, marker: str, overwrite: bool = False) -> None:
@@ -237,34 +262,12 @@ def _replace_folder(draft: Path, path: Path) -> None:
     _sync_folder(path.parent)
 
 
-def _move_files(draft: Path, path: Path, gone: Iterable[Path]) -> None:
+def _move_files(draft: Path, path: Path, gone: Sequence[Path]) -> None:
     """Move the files of a draft into a folder one by one, and delete some there.
 
     Whatever could be refused is refused before the first one is moved.
     """
-    gone = [*gone]
-    _refuse_obstacles(path, [*_files_in(draft), *gone])
-    try:
-        _finish_move(draft, path, gone)
-    except KeyboardInterrupt:  # what has begun is completed
-        _finish_move(draft, path, gone)
-        raise
-    _sync_folders(path)
-
-
-def _finish_move(draft: Path, path: Path, gone: list[Path]) -> None:
-    for name in _files_in(draft):
-        (path / name).parent.mkdir(parents=True, exist_ok=True)
-        (draft / name).replace(path / name)
-    for name in gone:
-        (path / name).unlink(missing_ok=True)
-        with suppress(OSError):  # not empty
-            (path / name).parent.rmdir()
-
-
-def _refuse_obstacles(path: Path, names: Iterable[Path]) -> None:
-    """Raise a StyleSplatError for a link that leads outside, and for a folder in a file's place."""
-    for name in names:
+    for name in (*_files_in(draft), *gone):
         target = path / name
         there = next(parent for parent in target.parents if os.path.lexists(parent))
         if not there.resolve().is_relative_to(path):
@@ -276,6 +279,22 @@ def _refuse_obstacles(path: Path, names: Iterable[Path]) -> None:
             raise StyleSplatError(
                 f"Cannot write {target}: {taken} is in the way. Move it elsewhere."
             )
+
+    def move() -> None:
+        for name in _files_in(draft):
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            (draft / name).replace(path / name)
+        for name in gone:
+            (path / name).unlink(missing_ok=True)
+            with suppress(OSError):  # not empty
+                (path / name).parent.rmdir()
+
+    try:
+        move()
+    except KeyboardInterrupt:  # what has begun is completed
+        move()
+        raise
+    _sync_folders(path)
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -299,9 +318,9 @@ def _exchange(one: Path, other: Path) -> bool:
     except (OSError, TypeError):  # Windows
         return False
     paths = os.fsencode(one), os.fsencode(other)
-    if hasattr(system, "renameat2"):  # Linux
-        return system.renameat2(AT_FDCWD, paths[0], AT_FDCWD, paths[1], RENAME_EXCHANGE) == 0
-    return hasattr(system, "renamex_np") and system.renamex_np(*paths, RENAME_SWAP) == 0  # macOS
+    if hasattr(system, "renameat2"):  # Linux; -100: relative to the current folder; 2: exchange
+        return system.renameat2(-100, paths[0], -100, paths[1], 2) == 0
+    return hasattr(system, "renamex_np") and system.renamex_np(*paths, 2) == 0  # macOS; 2: swap
 
 
 def _sync_folders(folder: Path) -> None:
@@ -318,36 +337,3 @@ def _sync_folder(path: Path) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
-
-
-def _lock_file(path: Path) -> Path:
-    if os.access(path.parent, os.W_OK | os.X_OK):
-        return path.with_name(f".{path.name}.lock")
-    digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
-    return Path(tempfile.gettempdir()) / f"stylesplat-{digest}.lock"
-
-
-def _acquire(lock: FileLock, path: Path) -> bool:
-    """Returns whether the lock is held: a file system without locks gets a warning instead."""
-    try:
-        try:
-            lock.acquire(blocking=False)
-        except Timeout:
-            say(f"Waiting for another stylesplat that changes {path}.")
-            lock.acquire(timeout=PATIENCE)
-    except Timeout as error:
-        raise StyleSplatError(
-            f"Cannot change {path}: another stylesplat is at work on it. "
-            "Wait until it is done, or end it."
-        ) from error
-    except (OSError, NotImplementedError) as error:
-        # Whoever writes reports a name that is too long, or a folder that cannot be made
-        if getattr(error, "errno", None) not in (errno.ENAMETOOLONG, errno.ENOENT):
-            _warn_unlocked(path.parent)
-        return False
-    return True
-
-
-@cache
-def _warn_unlocked(folder: Path) -> None:
-    say(f"{folder} is on a file system without locks. Change it from one process at a time.")

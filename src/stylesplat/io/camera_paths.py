@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 import msgspec
 import torch
-from jaxtyping import Float
 from msgspec import Meta
 from torch import Tensor
 
@@ -30,8 +29,6 @@ Matrix = Annotated[list[Number], Meta(min_length=16, max_length=16)]
 
 
 class _Pose(msgspec.Struct):
-    """A frame of nerfstudio's path."""
-
     camera_to_world: Matrix
     """Row by row, in OpenGL's axes: y up, z back."""
     fov: Degrees
@@ -59,8 +56,6 @@ class _Key(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _Keys(msgspec.Struct, forbid_unknown_fields=True):
-    """Our own path."""
-
     keyframes: Annotated[list[_Key], Meta(min_length=2, max_length=10_000)]
     seconds: Annotated[float, Meta(gt=0, le=MOST_FRAMES)] = SECONDS
     fps: Rate = FPS
@@ -72,9 +67,7 @@ class CameraPath:
     """A path with a camera for each frame."""
 
     cameras: Cameras
-    """A camera for each frame."""
     fps: float
-    """Frames a second."""
 
 
 @check_arguments
@@ -138,23 +131,19 @@ def _key_frames(keys: _Keys, views: Cameras, what: str) -> KeyFrames:
             viewmats.append(views.viewmats[index].double().cpu())
             focal = float(views.Ks[index, 1, 1]) / float(views.sizes[index, 1])
         elif key.view is None and key.position is not None and key.look_at is not None:
-            viewmats.append(_looking(key.position, key.look_at, up, f"{what}: key frame {row}"))
+            eye, focus = torch.tensor(key.position).double(), torch.tensor(key.look_at).double()
+            viewmats.append(look_at(eye[None], focus, up)[0])
+            if not are_rigid(viewmats[-1][None]).all():
+                raise StyleSplatError(
+                    f"{what}: key frame {row} looks nowhere, or straight up or down. Move it a "
+                    "little."
+                )
         else:
             raise StyleSplatError(
                 f"{what}: key frame {row} needs a view, or a position and look_at. {REMEDY}"
             )
         focals.append(focal if key.fov is None else _focal(key.fov))
     return KeyFrames(torch.stack(viewmats), torch.tensor(focals))
-
-
-def _looking(
-    position: Vector, target: Vector, up: Float[Tensor, "3"], what: str
-) -> Float[Tensor, "4 4"]:
-    eye, focus = torch.tensor(position).double(), torch.tensor(target).double()
-    viewmat = look_at(eye[None], focus, up)
-    if not are_rigid(viewmat).all():
-        raise StyleSplatError(f"{what} looks nowhere, or straight up or down. Move it a little.")
-    return viewmat[0]
 
 
 def _focal(fov: float) -> float:

@@ -57,7 +57,6 @@ def write_cameras(cameras: Cameras, path: Path) -> None:
 
 
 def read_cameras(path: Path) -> Cameras:
-    """Read the cameras of a scene."""
     content = read_json_as(path, _File, REMEDY)
     dtype = torch.float32 if content.dtype == "float32" else torch.float64
     cameras = Cameras(

@@ -77,8 +77,18 @@ def decoding(path: Path) -> Iterator[None]:
         yield
     except StyleSplatError:
         raise
+    except FileNotFoundError as error:
+        raise StyleSplatError(
+            f"There is no image {path}. Check the name and the folder."
+        ) from error
     except Exception as error:
-        raise _unreadable(path, error) from error
+        if isinstance(error, MemoryError) or getattr(error, "code", None) == NO_MEMORY:
+            raise StyleSplatError(
+                f"There is not enough memory to read the image {path}. Scale the photos down."
+            ) from error
+        raise StyleSplatError(
+            f"Cannot read the image {path}: {reason(error)}. Replace the file."
+        ) from error
 
 
 def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
@@ -116,7 +126,6 @@ def exif_of(image: Image.Image) -> Image.Exif:
 
 
 def orientation(image: Image.Image) -> int:
-    """The EXIF orientation, 1 to 8."""
     return exif_of(image).get(ExifTags.Base.Orientation, UPRIGHT)
 
 
@@ -143,7 +152,6 @@ def map_rows(
 
 
 def pixels_of(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
-    """RGB or RGBA of an opened picture."""
     if image.mode == "F":
         raise ValueError("its pixels are floating-point numbers")
     if image.mode.startswith("I"):  # 16-bit grey, which convert("RGB") would clip
@@ -222,13 +230,3 @@ def _too_large(path: Path) -> StyleSplatError:
         f"The picture {path} has more than {MAX_PIXELS // 10**6} megapixels (JPEGs may have "
         f"{MAX_JPEG_PIXELS // 10**6}). Scale it to half its width and height."
     )
-
-
-def _unreadable(path: Path, error: Exception) -> StyleSplatError:
-    if isinstance(error, FileNotFoundError):
-        return StyleSplatError(f"There is no image {path}. Check the name and the folder.")
-    if isinstance(error, MemoryError) or getattr(error, "code", None) == NO_MEMORY:
-        return StyleSplatError(
-            f"There is not enough memory to read the image {path}. Scale the photos down."
-        )
-    return StyleSplatError(f"Cannot read the image {path}: {reason(error)}. Replace the file.")

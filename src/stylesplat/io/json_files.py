@@ -88,12 +88,8 @@ def strict_json(content: Any, *, indent: int | None = None) -> str:
 def _is_deep(content: dict[str, Any]) -> bool:
     level: list[Any] = [content]
     for _ in range(MAX_DEPTH):
-        level = [
-            item
-            for each in level
-            for item in (each.values() if isinstance(each, dict) else each)
-            if isinstance(item, dict | list)
-        ]
+        inner = (item for x in level for item in (x.values() if isinstance(x, dict) else x))
+        level = [item for item in inner if isinstance(item, dict | list)]
     return bool(level)
 
 

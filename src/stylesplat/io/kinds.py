@@ -56,7 +56,6 @@ def kind_of(path: Path) -> Kind:
 
 
 def is_posed(folder: Path) -> bool:
-    """Whether a folder has camera poses."""
     return find_sparse(folder) is not None or is_file(folder / TRANSFORMS)
 
 
@@ -87,15 +86,12 @@ def no_scene(path: Path) -> StyleSplatError:
         return _error(fault, "Check it, or make a scene with `stylesplat train PHOTOS -o SCENE`")
     if kind == "part of a scene":
         return _error(f"{path} is a part of the scene {path.parent}", "Give the whole folder")
-    if kind == "splat":
-        return _error(f"{path} is a splat, not a scene", _import_hint(path))
-    if kind in TRAINABLE:
-        return _error(f"{path} is {_article(kind)}, not a scene", _train_hint(path, kind))
+    if kind == "splat" or kind in TRAINABLE:
+        return _error(f"{path} is {_article(kind)}, not a scene", _way_to_scene(path, kind))
     inner = _entries(path, _is_scene)
     if inner:
-        return _error(
-            f"{path} is not a scene, but holds some: {some(inner, whole=True)}", "Give one of them"
-        )
+        fault = f"{path} is not a scene, but holds some: {some(inner, whole=True)}"
+        return _error(fault, "Give one of them")
     fault = f"{path} is {_article(kind)}, not a scene"
     return _error(f"{fault}: it has no scene.json", "Give the folder that `train` or `import` made")
 
@@ -103,33 +99,31 @@ def no_scene(path: Path) -> StyleSplatError:
 def no_capture(path: Path) -> StyleSplatError:
     """The error for a path that should be a capture and is none."""
     kind = kind_of(path)
-    if kind == "nothing":
-        fault = f"There is no folder {path}: nothing has that name"
-        return _error(fault, "Check it, or give the folder of the photos")
-    if kind in ("scene", "part of a scene"):
-        return _scene_for_capture(path if kind == "scene" else path.parent)
-    if kind == "splat":
-        return _error(f"{path} is a splat, not photos", _import_hint(path))
-    if kind == "part of a capture":
-        fault = f"{path} holds the photos of the capture {path.parent}, whose poses are known"
-        return _error(fault, "Give that folder")
-    if kind in ("photos", "video"):
-        fault = f"{path} is {_article(kind)}, not a capture: no camera poses are known"
-        way = f"stylesplat sfm {shlex.quote(str(path))} -o CAPTURE"
-        return _error(
-            fault, f"Find the cameras first: `{way}`; or give the capture that was made of it"
-        )
-    if kind == "picture":
-        return _error(f"{path} is one picture, not a capture", "Give the folder of all photos")
-    if kind == "empty folder":
-        fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30 or more"
-        return _error(fault, "Check the name, or put photos that overlap into it")
+    match kind:
+        case "nothing":
+            fault = f"There is no folder {path}: nothing has that name"
+            return _error(fault, "Check it, or give the folder of the photos")
+        case "scene" | "part of a scene":
+            return _scene_for_capture(path if kind == "scene" else path.parent)
+        case "splat":
+            return _error(f"{path} is a splat, not photos", _way_to_scene(path, kind))
+        case "part of a capture":
+            fault = f"{path} holds the photos of the capture {path.parent}, whose poses are known"
+            return _error(fault, "Give that folder")
+        case "photos" | "video":
+            fault = f"{path} is {_article(kind)}, not a capture: no camera poses are known"
+            way = f"Find the cameras first: `stylesplat sfm {shlex.quote(str(path))} -o CAPTURE`"
+            return _error(fault, f"{way}; or give the capture that was made of it")
+        case "picture":
+            fault = f"{path} is one picture, not a capture"
+            return _error(fault, "Give the folder of all photos")
+        case "empty folder":
+            fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30"
+            return _error(f"{fault} or more", "Check the name, or put photos that overlap into it")
     inner = _entries(path, is_posed)
     if inner:
-        return _error(
-            f"{path} is not a capture, but holds some: {some(inner, whole=True)}",
-            "Give one of them",
-        )
+        fault = f"{path} is not a capture, but holds some: {some(inner, whole=True)}"
+        return _error(fault, "Give one of them")
     needed = "sparse/0/cameras.bin (or .txt) nor transforms.json"
     fault = f"{path} is {_article(kind)}, not a capture: it has neither {needed}, nor photos"
     return _error(fault, "Check the name, or give the folder of the photos")
@@ -142,17 +136,15 @@ def no_splat(path: Path) -> StyleSplatError:
         return _error(f"There is no file {path}", "Check the name")
     if kind in ("scene", "part of a scene"):
         scene = path if kind == "scene" else path.parent
-        way = f"stylesplat objects {shlex.quote(str(scene))}"
-        fault = f"{scene} is a scene already, not a file of splats"
-        return _error(fault, f"Go on with it: `{way}` lists its objects")
+        way = f"`stylesplat objects {shlex.quote(str(scene))}` lists its objects"
+        return _error(f"{scene} is a scene already, not a file of splats", f"Go on with it: {way}")
     if kind in TRAINABLE:
         fault = f"{path} is {_article(kind)}, not a file of splats"
-        return _error(fault, _train_hint(path, kind))
+        return _error(fault, _way_to_scene(path, kind))
     inner = _entries(path, lambda entry: kind_of(entry) == "splat")
     if inner:
-        return _error(
-            f"{path} is a folder that holds {some(inner, whole=True)}", "Give one of these files"
-        )
+        fault = f"{path} is a folder that holds {some(inner, whole=True)}"
+        return _error(fault, "Give one of these files")
     suffix = "" if path.is_dir() else f" with the suffix {path.suffix!r}"
     fault = f"{path} is {_article(kind)}{suffix}, not a file of splats"
     return _error(fault, f"Give one that ends in {', '.join(SPLATS)}, or convert it")
@@ -219,20 +211,12 @@ def _article(kind: Kind) -> str:
     return "an empty folder" if kind == "empty folder" else f"a {kind}"
 
 
-def _train_hint(path: Path, kind: Kind) -> str:
+def _way_to_scene(path: Path, kind: Kind) -> str:
     source = path.parent if kind == "part of a capture" else path
-    way = f"stylesplat train {shlex.quote(str(source))} -o {_scene_name(source)}"
-    return f"A scene is made of it by `{way}`"
-
-
-def _import_hint(path: Path) -> str:
-    way = f"stylesplat import {shlex.quote(str(path))} -o {_scene_name(path)}"
-    return f"A scene is made of it by `{way}`"
-
-
-def _scene_name(path: Path) -> str:
-    """A name for the scene that is made of a path."""
-    return shlex.quote(f"{path.resolve().stem if path.is_file() else path.resolve().name}-scene")
+    name = source.resolve().stem if source.is_file() else source.resolve().name
+    verb = "import" if kind == "splat" else "train"
+    command = f"stylesplat {verb} {shlex.quote(str(source))} -o {shlex.quote(f'{name}-scene')}"
+    return f"A scene is made of it by `{command}`"
 
 
 def _error(fault: str, remedy: str) -> StyleSplatError:

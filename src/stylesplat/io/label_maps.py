@@ -63,7 +63,6 @@ class DrawnLabels:
     size: tuple[int, int]
     """Width and height."""
     read: Callable[[], OwnLabels]
-    """Reads it."""
     what: str
     """Its name in messages."""
 
@@ -129,7 +128,13 @@ def fit_labels(drawn: DrawnLabels, photo: Photo) -> Callable[[], OwnLabels]:
             f"The label map {drawn.what} is {width}x{height}, which is not the shape of its photo "
             f"({photo.lens.width}x{photo.lens.height}). Make it from that photo."
         )
-    return partial(_undistorted, drawn, photo)
+
+    def undistorted() -> OwnLabels:
+        whole = resize_labels(drawn.read().int(), photo.lens.size[::-1]).numpy()
+        pixels = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
+        return resize_labels(pixels, photo.size[::-1])
+
+    return undistorted
 
 
 def refuse_label_maps(capture: Capture, folder: Path, *, overwrite: bool) -> None:
@@ -171,12 +176,6 @@ def write_label_maps(
         write_names({id: capture.object_names[id] for id in ids}, draft)
         stale += [] if ids else [NAMES]
     return written
-
-
-def _undistorted(drawn: DrawnLabels, photo: Photo) -> OwnLabels:
-    whole = resize_labels(drawn.read().int(), photo.lens.size[::-1]).numpy()
-    undistorted = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
-    return resize_labels(undistorted, photo.size[::-1])
 
 
 def _map_path(folder: Path, name: str) -> Path:

@@ -28,6 +28,8 @@ FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no s
 MAX_NAME_PART = 40  # characters of an object's name in a file's
 UNIT = {"low": 0.0, "high": 1.0}
 CANVAS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+# What `layers.json` has of a layer as it is
+PLAIN = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
 AGAIN = "Style the scene again."
 Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
 Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
@@ -39,8 +41,6 @@ class _Source(msgspec.Struct):
 
 
 class _Layer(msgspec.Struct):
-    """One layer in `layers.json`."""
-
     file: Annotated[str, Meta(pattern=FILE)]
     object: str
     kind: Literal["paint"] = "paint"
@@ -153,10 +153,9 @@ def _identity(layer: Layer) -> tuple[int, ...]:
 
 
 def _entry(number: int, layer: Layer) -> dict[str, Any]:
-    names = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
     return {
         "file": file_name(number, layer),
-        **{name: getattr(layer, name) for name in names},
+        **{name: getattr(layer, name) for name in PLAIN},
         "styles": [vars(source) for source in layer.styles],
         "weights": layer.weights and vars(layer.weights),
     }
@@ -188,8 +187,8 @@ def _declared(count: int) -> dict[str, Declared]:
     """What the file of a layer on a base of `count` Gaussians holds."""
     index = Declared(("R",), torch.int64, low=0, high=count - 1)
     row = Declared(("R",))
-    canvas = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
-    canvas["shN"] = ("canvas bands", 3)
+    shapes = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
+    shapes["shN"] = ("canvas bands", 3)
     return {
         "rows": replace(index, unique=True),
         "shares": replace(row, **UNIT),
@@ -201,7 +200,7 @@ def _declared(count: int) -> dict[str, Declared]:
         "canvas_relief": replace(row, shape=("C",), low=-1.0),
         "canvas_before": replace(GAUSSIANS["sh0"], shape=("C", 1, 3)),
         **{
-            f"canvas_{name}": replace(GAUSSIANS[name], shape=("C", *canvas[name]))
+            f"canvas_{name}": replace(GAUSSIANS[name], shape=("C", *shapes[name]))
             for name in CANVAS
         },
     }
@@ -215,9 +214,8 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
                 f"Cannot read {path}: {name} has a wrong number of bands. {AGAIN}"
             )
         tensors[name] = pad_bands(tensors[name])
-    plain = ("object", "strength", "form", "visible", "kind", "settings", "features", "precision")
+    columns: dict[str, Any] = {name: getattr(entry, name) for name in PLAIN}
     own = ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")
-    columns: dict[str, Any] = {name: getattr(entry, name) for name in plain}
     columns |= {name: tensors[name] for name in own}
     means, quats, scales, opacities, sh0, shN = (tensors[f"canvas_{name}"] for name in CANVAS)
     return Layer(

@@ -30,7 +30,7 @@ REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
 
 
-class _Element(NamedTuple):
+class PlyElement(NamedTuple):
     """Rows of one kind, as the header announces them."""
 
     name: str
@@ -43,14 +43,9 @@ class _Element(NamedTuple):
 
 @dataclass(frozen=True)
 class PlyRows:
-    """The vertices of a file, in blocks."""
-
     count: int
-    """Number of rows."""
     dtype: np.dtype
-    """Their columns."""
     blocks: Iterator[Shaped[np.ndarray, " B"]]
-    """The rows in order."""
 
 
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
@@ -87,7 +82,6 @@ def report_extra(path: Path | str, count: int, unit: str = "byte") -> None:
 
 
 def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
-    """Write a structured array as little-endian binary PLY."""
     write_ply_rows(PlyRows(len(table), table.dtype, iter([table])), path)
 
 
@@ -106,18 +100,21 @@ def write_ply_rows(rows: PlyRows, path: Path | str) -> None:
 
 def _open_rows(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
     """The rows, and how many bytes or lines the header does not announce."""
-    content = file.read(MAX_HEADER)
-    end = re.search(rb"^end_header\r?\n", content, re.MULTILINE)
-    if not re.match(rb"ply\r?\n", content) or end is None:
-        raise ValueError("it is not a PLY file")
-    header = content[: end.start()].decode("ascii", errors="replace").splitlines()
-    encoding, vertices, later = _parse(header)
-    file.seek(end.end())
+    encoding, elements, start = parse_header(file.read(MAX_HEADER))
+    filled = [element for element in elements if element.rows or element.name == VERTEX]
+    if not filled or not filled[0].columns:
+        raise ValueError("its header names no vertices")
+    vertices, *later = filled
+    if vertices.name != VERTEX:
+        raise ValueError(f"expected vertices first, but its header has 'element {vertices.name}'")
+    if vertices.lists:
+        raise ValueError(f"expected plain vertices, but their {vertices.lists[0]!r} is a list")
+    file.seek(start)
     if encoding == ASCII:
         table, extra = _ascii_rows(file.read(), vertices, later)
         return PlyRows(len(table), table.dtype, iter([table])), extra, "line"
     dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
-    size = os.fstat(file.fileno()).st_size - end.end()
+    size = os.fstat(file.fileno()).st_size - start
     extra = _extra_bytes(size, vertices.rows, dtype, later)
     blocks = (
         np.fromfile(file, dtype, min(at_once, vertices.rows - start))
@@ -126,15 +123,18 @@ def _open_rows(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
     return PlyRows(vertices.rows, dtype, blocks), extra, "byte"
 
 
-def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
-    """The encoding, the vertices, and the elements after them."""
-    encoding, elements = "", list[_Element]()
-    for line in header:
+def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
+    """The encoding and the elements of a PLY file, and how many bytes its header has."""
+    end = re.search(rb"^end_header\r?\n", content[:MAX_HEADER], re.MULTILINE)
+    if not re.match(rb"ply\r?\n", content) or end is None:
+        raise ValueError("it is not a PLY file")
+    encoding, elements = "", list[PlyElement]()
+    for line in content[: end.start()].decode("ascii", errors="replace").splitlines():
         match line.split():
             case ["format", name, "1.0"] if name in (ASCII, LITTLE_ENDIAN, BIG_ENDIAN):
                 encoding = name
             case ["element", name, number]:
-                elements.append(_Element(name, int(number), [], []))
+                elements.append(PlyElement(name, int(number), [], []))
             case ["property", kind, name] if elements and kind in PLY_TYPES:
                 elements[-1].columns.append((name, PLY_TYPES[kind]))
             case ["property", "list", kind, _, name] if elements and kind in PLY_TYPES:
@@ -147,18 +147,12 @@ def _parse(header: list[str]) -> tuple[str, _Element, list[_Element]]:
     negative = [element for element in elements if element.rows < 0]
     if negative:
         raise ValueError(f"its header claims {negative[0].rows} rows of {negative[0].name}")
-    filled = [element for element in elements if element.rows or element.name == VERTEX]
-    if not encoding or not filled or not filled[0].columns:
-        raise ValueError("its header names no format or no vertices")
-    first = filled[0]
-    if first.name != VERTEX:
-        raise ValueError(f"expected vertices first, but its header has 'element {first.name}'")
-    if first.lists:
-        raise ValueError(f"expected plain vertices, but their {first.lists[0]!r} is a list")
-    return encoding, first, filled[1:]
+    if not encoding:
+        raise ValueError("its header names no format")
+    return encoding, elements, end.end()
 
 
-def _extra_bytes(size: int, count: int, dtype: np.dtype, later: list[_Element]) -> int:
+def _extra_bytes(size: int, count: int, dtype: np.dtype, later: list[PlyElement]) -> int:
     """How many of the bytes after the header it does not announce."""
     first = count * dtype.itemsize
     if size < first:
@@ -174,7 +168,7 @@ def _extra_bytes(size: int, count: int, dtype: np.dtype, later: list[_Element]) 
 
 
 def _ascii_rows(
-    body: bytes, vertices: _Element, later: list[_Element]
+    body: bytes, vertices: PlyElement, later: list[PlyElement]
 ) -> tuple[Shaped[np.ndarray, " N"], int]:
     """The vertices, and how many lines the header does not announce."""
     lines = body.decode("ascii", errors="replace").splitlines()

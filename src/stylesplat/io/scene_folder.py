@@ -114,16 +114,17 @@ def open(path: Path | str) -> Scene:
         StyleSplatError: If the folder is no scene, or a file of it is missing, damaged, or made
             for other splats.
     """
-    return _read_unchanged(_scene_folder(path), bands=True)
+    return _read_unchanged(path, bands=True)
 
 
 def open_without_bands(path: Path | str) -> Scene:
     """Read a scene without the higher bands of colour, which are three quarters of it."""
-    return _read_unchanged(_scene_folder(path), bands=False)
+    return _read_unchanged(path, bands=False)
 
 
-def _read_unchanged(folder: Path, *, bands: bool) -> Scene:
+def _read_unchanged(path: Path | str, *, bands: bool) -> Scene:
     """Read a scene, and read it again if another process changed the folder meanwhile."""
+    folder = _scene_folder(path)
     for _ in range(ATTEMPTS):
         before = _state(folder)
         try:
@@ -275,7 +276,20 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
         write_json(scene.metrics, folder / METRICS)
     old = before is not None and read_json(folder / SCENE, most=MAX_JSON).get("version") != VERSION
     if old or differs("info", "capture", "held_out", "downscale"):
-        write_json(_info(scene, place), folder / SCENE)
+        relative = {}
+        if scene.capture is not None:
+            with suppress(ValueError):  # on another drive of Windows
+                way = os.path.relpath(scene.capture.resolve(), place.resolve())
+                relative["capture_relative"] = way
+        info = {
+            **scene.info,
+            "version": VERSION,
+            "capture": scene.capture,
+            **relative,
+            "test_views": scene.held_out,
+            "settings": {**scene.info.get("settings", {}), "downscale": scene.downscale},
+        }
+        write_json(info, folder / SCENE)
 
 
 def _write_identities(splats: Splats, path: Path) -> None:
@@ -291,22 +305,6 @@ def _write_identities(splats: Splats, path: Path) -> None:
     if splats.confidence is not None:
         tensors["confidence"] = splats.confidence
     write_tensors(tensors, path)
-
-
-def _info(scene: Scene, place: Path) -> dict[str, Any]:
-    settings = {**scene.info.get("settings", {}), "downscale": scene.downscale}
-    relative = {}
-    if scene.capture is not None:
-        with suppress(ValueError):  # on another drive of Windows
-            relative["capture_relative"] = os.path.relpath(scene.capture.resolve(), place.resolve())
-    return {
-        **scene.info,
-        "version": VERSION,
-        "capture": scene.capture,
-        **relative,
-        "test_views": scene.held_out,
-        "settings": settings,
-    }
 
 
 def _scene_folder(path: Path | str) -> Path:

@@ -1,9 +1,11 @@
 """Tensors on disk: safetensors files whose names, types, shapes and ranges are declared."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import safetensors
 import safetensors.torch
@@ -33,15 +35,10 @@ class Declared:
     shape: tuple[int | str, ...]
     """Letters are sizes that the tensors of a file share; `N` is the number of Gaussians."""
     dtype: torch.dtype = torch.float32
-    """The type."""
     low: float | int = -LARGEST
-    """The smallest value, of numbers."""
     high: float | int = LARGEST
-    """The largest value, of numbers."""
     unique: bool = False
-    """Whether all values differ."""
     optional: bool = False
-    """Whether the file may lack it."""
 
 
 GAUSSIANS = {
@@ -59,7 +56,6 @@ PICKED = Declared(("N",), torch.bool)
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Write tensors by name."""
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as draft:
         draft.touch()
@@ -70,13 +66,20 @@ def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
 
 def read_tensors(path: Path, declared: Mapping[str, Declared], **sizes: int) -> dict[str, Tensor]:
     """Read the declared tensors of a file, which may hold no others; `sizes` are of letters."""
-    return _checked(path, _load(path), declared, sizes)
+    with _opened(path) as file:
+        tensors = {name: file.get_tensor(name).clone() for name in file.keys()}
+    try:
+        check_tensors(tensors, declared, sizes)
+    except ValueError as error:
+        raise StyleSplatError(f"Cannot read {path}: {error}. {REMEDY}") from error
+    return tensors
 
 
 def read_named(path: Path, each: Declared, **sizes: int) -> dict[str, Tensor]:
     """Read any number of tensors of one declaration, whatever their names."""
-    tensors = _load(path)
-    return _checked(path, tensors, dict.fromkeys(tensors, each), sizes)
+    with _opened(path) as file:
+        names = [*file.keys()]
+    return read_tensors(path, dict.fromkeys(names, each), **sizes)
 
 
 def check_tensors(
@@ -104,18 +107,14 @@ def check_range(name: str, tensor: Tensor, declared: Declared) -> None:
         low, high = tensor.aminmax()  # one pass, enough for nearly every tensor; NaN is in neither
         finite = low > -math.inf and high < math.inf  # the declared range may be infinite
         if not (finite and declared.low <= low and high <= declared.high):
-            _raise_range(name, tensor, declared)
+            infinite = int((~tensor.isfinite()).sum()) if tensor.is_floating_point() else 0
+            if infinite:
+                raise ValueError(f"{infinite} values of {name} are not finite")
+            bad = int(((tensor < declared.low) | (tensor > declared.high)).sum())
+            bounds = f"{declared.low:g} to {declared.high:g}"
+            raise ValueError(f"{bad} values of {name} are out of range, which is {bounds}")
     if declared.unique and len(tensor.unique()) < len(tensor):
         raise ValueError(f"{name} are not all different")
-
-
-def _raise_range(name: str, tensor: Tensor, declared: Declared) -> None:
-    infinite = int((~tensor.isfinite()).sum()) if tensor.is_floating_point() else 0
-    if infinite:
-        raise ValueError(f"{infinite} values of {name} are not finite")
-    bad = int(((tensor < declared.low) | (tensor > declared.high)).sum())
-    bounds = f"{declared.low:g} to {declared.high:g}"
-    raise ValueError(f"{bad} values of {name} are out of range, which is {bounds}")
 
 
 def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, int]) -> None:
@@ -137,23 +136,12 @@ def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, 
         raise ValueError(f"{name} claims more values than it holds")
 
 
-def _checked(
-    path: Path,
-    tensors: dict[str, Tensor],
-    declared: Mapping[str, Declared],
-    sizes: Mapping[str, int],
-) -> dict[str, Tensor]:
-    try:
-        check_tensors(tensors, declared, sizes)
-    except ValueError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. {REMEDY}") from error
-    return tensors
-
-
-def _load(path: Path) -> dict[str, Tensor]:
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """An opened file; whatever a damaged one raises in the block becomes a StyleSplatError."""
     read_bytes(path, first=1)  # reports a file that cannot be read
     try:
         with safetensors.safe_open(path, "pt") as file:
-            return {name: file.get_tensor(name).clone() for name in file.keys()}
+            yield file
     except DAMAGED as error:
         raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error

@@ -18,8 +18,6 @@ from stylesplat.progress import track
 
 
 class _Codec(NamedTuple):
-    """How frames are encoded and put into a file."""
-
     container: str
     name: Literal["libx264", "libvpx-vp9", "libwebp_anim"]
     settings: dict[str, str]
@@ -27,7 +25,6 @@ class _Codec(NamedTuple):
     options: dict[str, str]
     """Of the container."""
     pixels: Literal["yuv420p", "bgra"] = "yuv420p"
-    """The encoder's input."""
 
 
 FASTSTART = {"movflags": "faststart"}  # the index comes first, so a download plays at once
@@ -91,12 +88,19 @@ def write_gif(
     All frames share their 256 colours, or they would flicker. GIFs know 50, 33.3, 25, 20, ...
     frames a second.
     """
-    pictures = [_gif_frame(frame) for frame in frames]
+    pictures = []
+    for frame in frames:
+        pictures.append(Image.fromarray(frame.cpu().numpy()))
+        pictures[-1].thumbnail((GIF_SIDE, GIF_SIDE), Image.Resampling.LANCZOS)
     if not pictures:
         raise StyleSplatError(f"Cannot write {path}: there are no frames. Choose other views.")
     if len({picture.size for picture in pictures}) > 1:
         raise _sizes_differ(path)
-    palette = _palette(pictures)
+    sample = pictures[:: -(-len(pictures) // GIF_SAMPLES)]  # one below the other
+    column = Image.new("RGB", (sample[0].width, sample[0].height * len(sample)))
+    for row, picture in enumerate(sample):
+        column.paste(picture, (0, row * picture.height))
+    palette = column.quantize(GIF_COLORS)
     counted = track(pictures, "reducing colours", unit="frame")
     first, *others = (picture.quantize(palette=palette) for picture in counted)
     delay = max(GIF_DELAY, round(1000 / fps / GIF_STEP) * GIF_STEP)
@@ -117,22 +121,6 @@ def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> av.VideoFrame:
         dst_color_range=ColorRange.MPEG,
         interpolation=SMOOTH_COLOR,
     )
-
-
-def _gif_frame(frame: UInt8[Tensor, "H W 3"]) -> Image.Image:
-    picture = Image.fromarray(frame.cpu().numpy())
-    picture.thumbnail((GIF_SIDE, GIF_SIDE), Image.Resampling.LANCZOS)
-    return picture
-
-
-def _palette(pictures: list[Image.Image]) -> Image.Image:
-    """The colours of a sample of frames, one below the other."""
-    sample = pictures[:: -(-len(pictures) // GIF_SAMPLES)]
-    width, height = sample[0].size
-    column = Image.new("RGB", (width, height * len(sample)))
-    for row, picture in enumerate(sample):
-        column.paste(picture, (0, row * height))
-    return column.quantize(GIF_COLORS)
 
 
 def _sizes_differ(path: Path | str) -> StyleSplatError:

@@ -12,6 +12,8 @@ from stylesplat.io.atomic import atomic_folder, changing, refuse_file, refuse_oc
 from stylesplat.io.files import inside
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.json_files import write_json
+from stylesplat.io.kinds import PHOTOS, SPLATS
+from stylesplat.io.kinds import VIDEOS as PHOTO_VIDEOS
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.io.video import CODECS, write_gif, write_video
 
@@ -21,24 +23,9 @@ COLORS = (PNG, ".jpg", ".jpeg", WEBP)  # one picture; several make WebP an anima
 WITH_ALPHA = (PNG, WEBP)
 # Suffixes of files, which nobody wants as the name of a folder
 FOREIGN = (
-    *(".avi", ".m4v", ".wmv", ".flv", ".mpg", ".mpeg", ".ogv", ".apng", ".avif", ".bmp", ".exr"),
-    *(".hdr", ".heic", ".jxl", ".pdf", ".ppm", ".psd", ".svg", ".tga", ".zip", ".ts", ".3gp"),
-    *(".obj", ".ply", ".glb", ".gltf", ".spz", ".sog", ".splat", ".ksplat", ".npy", ".npz"),
-    *(
-        ".html",
-        ".usd",
-        ".usdz",
-        ".json",
-        ".yaml",
-        ".yml",
-        ".txt",
-        ".csv",
-        ".md",
-        ".tar",
-        ".gz",
-        ".7z",
-        ".rar",
-    ),
+    *(".apng", ".exr", ".flv", ".hdr", ".jxl", ".ksplat", ".npy", ".npz", ".obj", ".ogv", ".ts"),
+    *(".7z", ".csv", ".gz", ".html", ".json", ".md", ".mpeg", ".pdf", ".psd", ".rar", ".svg"),
+    *(".tar", ".txt", ".usd", ".usdz", ".yaml", ".yml", ".zip", *SPLATS, *PHOTOS, *PHOTO_VIDEOS),
 )
 SCALE = "depth.json"  # beside depths of 16 bits: the size of a step
 
@@ -50,10 +37,12 @@ def png_names(names: Sequence[str], suffix: str = PNG) -> list[str]:
         >>> png_names(["cam0/1.jpg", "cam1/1.jpg", "a.jpg", "a.png", "../b.jpg"])
         ['cam0/1.png', 'cam1/1.png', 'a.jpg.png', 'a.png.png', '_/b.png']
     """
-    inside = [_inside(name) for name in names]
-    plain = [path.with_suffix(suffix).as_posix() for path in inside]
-    whole = [f"{path.as_posix()}{suffix}" for path in inside]
-    pairs = list(zip(plain, whole, strict=True))
+    pairs = []
+    for name in names:
+        path = PurePosixPath(name)
+        parts = path.parts[1:] if path.is_absolute() else path.parts
+        path = PurePosixPath(*("_" if part == ".." else part for part in parts or ("_",)))
+        pairs.append((path.with_suffix(suffix).as_posix(), f"{path.as_posix()}{suffix}"))
     wanted = Counter(name for pair in pairs for name in {*pair})
     return [short if wanted[short] == 1 else long for short, long in pairs]
 
@@ -61,7 +50,7 @@ def png_names(names: Sequence[str], suffix: str = PNG) -> list[str]:
 def refuse_taken(output: Path, *, overwrite: bool) -> None:
     """Raise a StyleSplatError unless `write_views` can write here; ask before the work."""
     suffix = output.suffix.lower()
-    if suffix in FOREIGN and not output.is_dir():
+    if suffix in FOREIGN and not _is_file(output) and not output.is_dir():
         raise StyleSplatError(
             f"Cannot render into {output}: {suffix} is not among the formats. Use "
             f"{', '.join(VIDEOS)} for a video, {', '.join((*COLORS, *TIFF))} for one picture, or "
@@ -125,12 +114,10 @@ def is_video(output: Path, count: int) -> bool:
 
 
 def is_gif(output: Path) -> bool:
-    """Whether the video is a GIF."""
     return output.suffix.lower() == GIF
 
 
 def _is_file(output: Path) -> bool:
-    """Whether views are written into one file."""
     return output.suffix.lower() in (*VIDEOS, *COLORS, *TIFF)
 
 
@@ -166,10 +153,3 @@ def _write_picture(picture: ViewPicture, path: Path) -> None:
         write_numbers(picture, path)
     else:
         write_label_map(picture, path)
-
-
-def _inside(name: str) -> PurePosixPath:
-    """A photo's name as a path that stays in its folder."""
-    path = PurePosixPath(name)
-    parts = path.parts[1:] if path.is_absolute() else path.parts
-    return PurePosixPath(*("_" if part == ".." else part for part in parts or ("_",)))

@@ -8,11 +8,10 @@ import numpy as np
 import pycolmap
 import pytest
 import torch
-from PIL import ExifTags, Image
+from PIL import Image
 
 from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
 from stylesplat.verbs.load import load
@@ -111,17 +110,6 @@ def test_label_maps_are_found_or_given(make_capture: MakeCapture, tmp_path: Path
     assert [None if m is None else int(m.max()) for m in given] == [700, None, None]
 
 
-def test_damaged_label_maps_can_be_left_out(make_capture: MakeCapture, tmp_path: Path):
-    folder = make_capture()
-    (folder / "object_mask").mkdir()
-    (folder / "object_mask/002.png").write_bytes(b"no picture")
-    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*002\.png"):
-        load(folder)
-    assert load(folder, masks=False).label_maps is None
-    write_label_map(torch.full((HEIGHT, WIDTH), 7), tmp_path / "mine/001.png")
-    assert load(folder, masks=tmp_path / "mine").label_maps is not None
-
-
 def test_objects_are_called_what_lies_beside_their_label_maps(
     make_capture: MakeCapture, tmp_path: Path
 ):
@@ -139,22 +127,6 @@ def test_objects_are_called_what_lies_beside_their_label_maps(
         load(folder)
 
 
-def test_one_reading_at_several_sizes(make_capture: MakeCapture):
-    folder = make_capture(*BARREL)
-    write_label_map(torch.full((HEIGHT, WIDTH), 5), folder / "object_mask/002.png")
-    files = open_capture(folder)
-    assert torch.equal(files.cameras.Ks, load(folder).cameras.Ks)
-    (folder / "sparse/0/points3D.bin").unlink()
-    for factor in (2.0, 1.0, 3.0):
-        capture = files.at(factor)
-        assert torch.equal(capture.cameras.Ks, files.cameras.downscale(factor).Ks)
-        width, height = capture.cameras.size
-        assert capture.photos[1].shape == (height, width, 3)
-        assert capture.label_maps is not None and capture.label_maps[1] is not None
-        assert capture.label_maps[1].shape == (height, width)
-        assert capture.points is not None and capture.path == folder
-
-
 def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):
     folder = make_capture(images="images_2")
     for i in range(3):
@@ -164,49 +136,12 @@ def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):
     assert cameras.Ks[0].tolist() == [[30, 0, 15.5], [0, 31, 12.5], [0, 0, 1]]
 
 
-def test_a_photo_that_lies_on_its_side(make_capture: MakeCapture):
-    folder = make_capture()
-    exif = Image.Exif()
-    exif[ExifTags.Base.Orientation] = 8
-    with Image.open(folder / "images/001.png") as image:
-        upright = np.asarray(image)
-    Image.fromarray(np.rot90(upright, -1).copy()).save(folder / "images/001.png", exif=exif)
-    np.testing.assert_array_equal(load(folder).photos[0], upright)
-
-
 def test_no_capture(tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"There is no folder .*none"):
         load(tmp_path / "none")
     (tmp_path / "notes.txt").touch()
     with pytest.raises(StyleSplatError, match=r"not a capture: .*sparse/0.*transforms\.json"):
         load(tmp_path)
-
-
-def test_a_corrupt_photo(make_capture: MakeCapture):
-    folder = make_capture()
-    (folder / "images/002.png").write_bytes(b"no picture")
-    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*002\.png"):
-        load(folder)
-
-
-def test_a_photo_of_another_shape(make_capture: MakeCapture):
-    folder = make_capture()
-    save_noise(folder / "images/002.png", (48, 48))
-    with pytest.raises(StyleSplatError, match=r"002\.png is 48x48, .*64x48"):
-        load(folder)
-
-
-def test_a_truncated_reconstruction(make_capture: MakeCapture):
-    folder = make_capture()
-    path = folder / "sparse/0/images.bin"
-    path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(StyleSplatError, match=r"images\.bin is truncated"):
-        load(folder)
-
-
-def test_cameras_without_images(make_capture: MakeCapture):
-    with pytest.raises(StyleSplatError, match="0 images, none of them posed"):
-        load(make_capture(count=0))
 
 
 @pytest.mark.parametrize(
@@ -228,13 +163,3 @@ def test_poses_that_are_none(make_capture: MakeCapture, tmp_path: Path, pose: li
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(StyleSplatError, match=r"1 of the 3 poses .* NaN .* that of 002\.png"):
         load(tmp_path)
-
-
-def test_a_shift_that_is_none(make_capture: MakeCapture):
-    folder = make_capture()
-    model = pycolmap.Reconstruction(folder / "sparse/0")
-    shift = np.array([0.0, np.nan, 0.0])
-    model.frame(1).rig_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(), shift)
-    model.write(folder / "sparse/0")
-    with pytest.raises(StyleSplatError, match=r"1 of the 3 poses .* NaN .* that of 003\.png"):
-        load(folder)

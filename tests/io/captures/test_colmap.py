@@ -1,7 +1,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pycolmap
 import pytest
 
@@ -31,22 +30,6 @@ def test_poses_points_and_names(make_capture: Callable[..., Path], text: bool, s
     assert posed.points is not None and posed.point_colors is not None
     assert posed.points.tolist() == [[i, 0.5, 5.0] for i in range(4)]
     assert posed.point_colors.tolist() == [[10 * i, 20, 30] for i in range(4)]
-
-
-@pytest.mark.parametrize(
-    ("model", "params"),
-    [
-        ("SIMPLE_PINHOLE", [60.0, 31.0, 25.0]),
-        ("PINHOLE", [60.0, 62.0, 31.0, 25.0]),
-        ("SIMPLE_RADIAL", [60.0, 31.0, 25.0, 0.1]),
-        ("RADIAL", [60.0, 31.0, 25.0, 0.1, 0.01]),
-        ("OPENCV", [60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.002, 0.003]),
-        ("OPENCV_FISHEYE", [60.0, 62.0, 31.0, 25.0, 0.1, 0.01, 0.002, 0.003]),
-    ],
-)
-def test_camera_models(make_capture: Callable[..., Path], model: str, params: list[float]):
-    lens = lenses_of(read(make_capture(model, params, count=1)))[0]
-    assert (lens.model, lens.params) == (model, tuple(params))
 
 
 def test_smaller_copies_stand_in_for_images(make_capture: Callable[..., Path]):
@@ -103,16 +86,6 @@ def test_a_track_of_any_length_takes_no_memory(make_capture: Callable[..., Path]
         check_complete(path.parent)
 
 
-@pytest.mark.parametrize("side", [0, 2**21, 2**63])
-def test_cameras_of_impossible_size(make_capture: Callable[..., Path], side: int):
-    path = make_capture() / "sparse/0/cameras.bin"
-    content = bytearray(path.read_bytes())
-    content[16:24] = side.to_bytes(8, "little")  # after the number of cameras, an id and a model
-    path.write_bytes(content)
-    with pytest.raises(StyleSplatError, match="impossible numbers"):
-        read(path.parents[2])
-
-
 def test_rigs_of_several_cameras_are_complete(tmp_path: Path):
     model = reconstruction(*PINHOLE, count=0)
     rig = pycolmap.Rig(rig_id=7)
@@ -145,15 +118,3 @@ def test_malformed_text(make_capture: Callable[..., Path], name: str, text: str)
     (folder / "sparse/0" / f"{name}.txt").write_text(text)
     with pytest.raises(StyleSplatError, match="Cannot read the reconstruction"):
         read(folder)
-
-
-def test_a_missing_file(make_capture: Callable[..., Path]):
-    folder = make_capture()
-    (folder / "sparse/0/images.bin").unlink()
-    with pytest.raises(StyleSplatError, match=r"Cannot read the reconstruction .*do not exist"):
-        read(folder)
-
-
-def test_a_camera_that_is_none(make_capture: Callable[..., Path]):
-    with pytest.raises(StyleSplatError, match="impossible numbers"):
-        read(make_capture(params=[60.0, np.nan, 31.0, 25.0]))

@@ -1,23 +1,19 @@
 """Photos with transparency, from the file to the capture."""
 
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS
 from capture_files import HEIGHT, WIDTH, write_capture, write_cut_outs
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo
-from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.verbs.load import load
 
-SIZE = (WIDTH, HEIGHT)
 BARREL = Lens("OPENCV", WIDTH, HEIGHT, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))
 PINHOLE = Lens("PINHOLE", WIDTH, HEIGHT, (60.0, 62.0, 31.0, 25.0))
 
@@ -61,12 +57,6 @@ def test_what_is_opaque_is_an_object(cut_outs: Path):
         assert set(labels.unique().tolist()) == {0, 1}
 
 
-def test_the_object_can_be_left_out(cut_outs: Path):
-    capture = load(cut_outs, masks=False)
-    assert capture.label_maps is None and capture.object_names == {}
-    assert capture.alphas is not None
-
-
 def test_label_maps_come_before_alpha(cut_outs: Path):
     write_label_map(torch.full((36, 48), 5), cut_outs / "object_mask/0003.png")
     capture = load(cut_outs)
@@ -98,31 +88,12 @@ def test_opaque_photos_with_an_alpha_channel_are_ordinary(tmp_path: Path):
     assert int(capture.photos[2].unique()) == 100
 
 
-def test_photos_of_a_lens_that_are_opaque_are_ordinary(tmp_path: Path):
-    # Undistorting leaves borders that no photo covers; these are not transparency.
-    folder = write_capture(tmp_path / "a", "OPENCV", (60.0, 62.0, 31.0, 25.0, 0.2, 0, 0, 0))
-    for i in range(3):
-        save_rgba(folder / f"images/{i + 1:03d}.png")
-    assert load(folder).alphas is None
-
-
 def test_ordinary_photos_are_not_decoded_to_find_out(tmp_path: Path):
     folder = write_capture(tmp_path / "a")
     for i in range(3):
         path = folder / f"images/{i + 1:03d}.png"
         path.write_bytes(path.read_bytes()[:100])  # the header alone
     assert not open_capture(folder).cut_out
-
-
-def test_of_many_photos_a_few_are_looked_at(tmp_path: Path):
-    folder = write_capture(tmp_path / "a", count=20)
-    for i in range(20):
-        save_rgba(folder / f"images/{i + 1:03d}.png", alpha=left_half())
-    for i in range(20):
-        if i not in (2, 6, 10, 14, 18):  # evenly chosen
-            path = folder / f"images/{i + 1:03d}.png"
-            path.write_bytes(path.read_bytes()[:60])
-    assert open_capture(folder).cut_out
 
 
 def test_some_photos_may_have_no_alpha(tmp_path: Path):
@@ -134,26 +105,6 @@ def test_some_photos_may_have_no_alpha(tmp_path: Path):
     assert alpha is not None and float(alpha.float().mean()) == 127.5
     with Image.open(folder / "images/001.png") as image:
         np.testing.assert_array_equal(capture.photos[0], np.asarray(image))
-
-
-def test_other_files_with_transparency(tmp_path: Path):
-    veil = Image.new("LA", SIZE, (100, 51))
-    veil.save(tmp_path / "veil.png")
-    palette = Image.new("P", SIZE)
-    palette.putpalette([255, 0, 0])
-    palette.save(tmp_path / "clear.png", transparency=0)
-    for name, color in (("veil", 20), ("clear", 0)):
-        photo = fit_photo(tmp_path / f"{name}.png", PINHOLE)
-        assert photo.has_alpha() and photo.is_cut_out()
-        assert photo.read_with_alpha().shape == (HEIGHT, WIDTH, 4)
-        assert photo.read().unique().tolist() == [color]
-
-
-def test_ordinary_files_have_no_alpha(tmp_path: Path):
-    Image.new("RGB", SIZE, (10, 20, 30)).save(tmp_path / "a.jpg", quality=100)
-    photo = fit_photo(tmp_path / "a.jpg", PINHOLE)
-    assert not photo.has_alpha() and not photo.is_cut_out()
-    assert photo.read_with_alpha().shape == (HEIGHT, WIDTH, 3)
 
 
 @pytest.mark.parametrize("lens", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
@@ -169,30 +120,3 @@ def test_colours_that_nobody_sees_do_not_leak(tmp_path: Path, lens: Lens, factor
     width, height = photo.size
     small = photo.resized(width // factor, height // factor).read_with_alpha().int()
     assert (small[..., 0] - small[..., 3]).abs().max() <= 1  # both are rounded
-
-
-def test_style_pictures_keep_white_under_transparency(tmp_path: Path):
-    path = save_rgba(tmp_path / "a.png", color=0, alpha=left_half())
-    image = read_image(path)
-    assert (image[:, : WIDTH // 2] == 0).all() and (image[:, WIDTH // 2 :] == 255).all()
-    assert (fit_photo(path, PINHOLE).read() == 0).all()
-
-
-def test_colours_and_alpha_are_decoded_together(cut_outs: Path, monkeypatch: pytest.MonkeyPatch):
-    capture = load(cut_outs)
-    opened: list[str] = []
-    real = Image.open
-
-    def note(file: BinaryIO, **options: Any) -> Image.Image:
-        opened.append(file.name)
-        return real(file, **options)
-
-    monkeypatch.setattr(Image, "open", note)
-    for row in range(len(capture)):
-        assert capture.photos[row] is not None and capture.labels(row) is not None
-        assert capture.alpha(row) is not None
-    assert len(opened) == len(set(opened)) > 1
-
-
-def test_cameras_do_not_change(cut_outs: Path):
-    assert torch.equal(load(cut_outs).cameras.Ks, CAMERAS.Ks)

@@ -14,7 +14,7 @@ from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo
 from stylesplat.io.images import image_sizes, read_image
-from stylesplat.io.label_maps import read_label_map, write_label_map
+from stylesplat.io.label_maps import read_label_map
 from stylesplat.stylization.style_image import read_style
 
 SUFFIXES = ("png", "jpg", "webp", "tiff", "bmp", "gif", "ppm", "tga", "avif")
@@ -37,29 +37,6 @@ def test_every_format_is_read(tmp_path: Path, suffix: str):
     assert read_image(tmp_path / f"a.{suffix}").shape == PIXELS.shape
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_damaged_files_give_pixels_or_one_line(tmp_path: Path, suffix: str):
-    """Pillow raises what it likes, so whatever it raises is caught."""
-    path = tmp_path / f"a.{suffix}"
-    exif = Image.Exif()
-    exif[ExifTags.Base.Orientation] = 6
-    Image.fromarray(PIXELS).save(path, exif=exif)
-    whole, generator = path.read_bytes(), np.random.default_rng(1)
-    refused = 0
-    for _ in range(40):
-        content = bytearray(whole)
-        for place in generator.integers(0, min(len(whole), 300), 3):
-            content[place] = generator.integers(256)
-        path.write_bytes(content[: generator.choice([len(content), len(content) // 2, 9, 0])])
-        for read in (read_image, read_label_map, image_sizes):
-            try:
-                read(path)
-            except StyleSplatError as error:
-                refused += 1
-                assert f"a.{suffix}" in str(error) and "\n" not in str(error)
-    assert refused
-
-
 def test_other_formats_are_refused_by_name(tmp_path: Path):
     Image.fromarray(PIXELS).save(tmp_path / "a.png", format="PCX")
     with pytest.raises(StyleSplatError, match=r"a\.png: it is no picture, or none of JPEG, PNG"):
@@ -72,12 +49,6 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path, siz
     for read in (read_image, read_label_map, read_style, image_sizes):
         with pytest.raises(StyleSplatError, match=r"a\.png has more than 134 megapixels"):
             read(tmp_path / "a.png")
-
-
-def test_large_pictures_give_no_warnings(tmp_path: Path):
-    """Pillow warns from 90 megapixels on; warnings are errors here."""
-    (tmp_path / "a.png").write_bytes(header_of_png(10_000, 10_000))
-    assert image_sizes(tmp_path / "a.png")[0] == (10_000, 10_000)
 
 
 @pytest.mark.parametrize("orientation", range(9))
@@ -153,11 +124,3 @@ def test_no_memory_for_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Image.Image, "crop", full)
     with pytest.raises(StyleSplatError, match=r"not enough memory to read the image .*a\.png"):
         read_image(tmp_path / "a.png")
-
-
-def test_damaged_label_maps(tmp_path: Path):
-    write_label_map(torch.ones(6, 8, dtype=torch.int64), tmp_path / "a.png")
-    content = (tmp_path / "a.png").read_bytes()
-    (tmp_path / "a.png").write_bytes(content.replace(b"IDAT", b"IDAX"))
-    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*a\.png"):
-        read_label_map(tmp_path / "a.png")

@@ -8,7 +8,6 @@ import pytest
 from capture_files import save_noise
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json, write_json
-from stylesplat.progress import Silence, observed
 from stylesplat.verbs.load import load
 
 MakeCapture = Callable[..., Path]
@@ -50,13 +49,6 @@ def test_those_that_are_there_are_taken(folder: Path, said: list[str]):
     assert str(folder) in line
 
 
-def test_many_are_named_by_the_first(make_capture: MakeCapture, said: list[str]):
-    folder = make_capture(count=10)
-    lose(folder, *(f"{number:03d}.png" for number in (1, 2, 4, 8, 9)))
-    assert len(load(folder)) == 5
-    assert "left out: 001.png, 002.png, 004.png and 2 more (5 of the 10 photos" in said[0]
-
-
 def test_fewer_than_half_are_refused(folder: Path):
     lose(folder, *SEVEN[:4])
     with pytest.raises(StyleSplatError, match=r"Only 3 of the 7 .*001.*and 1 more\. Put them back"):
@@ -71,19 +63,6 @@ def test_photos_without_poses_are_told(folder: Path, said: list[str]):
     assert said[0] == (
         f"Without a pose, so left out: a.jpg, b/c.png (2 of the 9 photos in {folder})."
     )
-
-
-def test_reading_them_is_counted(folder: Path):
-    counted = []
-
-    class Listener(Silence):
-        def task(self, what: str, total: int | float | None, unit: str, done: int | float):
-            counted.append((what, total, unit))
-            return super().task(what, total, unit, done)
-
-    with observed(Listener()):
-        load(folder)
-    assert counted == [("reading photos", 7, "photo")]
 
 
 def test_names_do_not_depend_on_what_is_missing(tmp_path: Path):

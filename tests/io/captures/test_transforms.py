@@ -3,7 +3,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -30,12 +29,6 @@ def test_opengl_axes_become_opencv(tmp_path: Path):
     expected = [[0, 0, 5, 1], [-5, 0, 0, 1], [0, -5, 0, 1]]  # x right, y down, z forward
     seen = torch.tensor([ahead, left, above], dtype=torch.float64) @ viewmat.T
     torch.testing.assert_close(seen, torch.tensor(expected, dtype=torch.float64))
-
-
-def test_a_pose_may_lack_its_last_row(tmp_path: Path):
-    whole = read_transforms(write(tmp_path, **LENS))
-    frames = [{"file_path": "images/a.png", "transform_matrix": POSE[:3]}]
-    assert torch.equal(read_transforms(write(tmp_path, frames, **LENS)).viewmats, whole.viewmats)
 
 
 def test_intrinsics_for_all_or_per_frame(tmp_path: Path):
@@ -122,14 +115,6 @@ def test_round_trip_without_points_or_colors(tmp_path: Path):
     assert colors is not None and colors.tolist() == [[128] * 3] * 2
 
 
-@pytest.mark.parametrize("key", ["file_path", "transform_matrix"])
-def test_missing_keys_of_a_frame(tmp_path: Path, key: str):
-    frame = {"file_path": "images/a.png", "transform_matrix": POSE}
-    del frame[key]
-    with pytest.raises(StyleSplatError, match=f"missing required field `{key}`"):
-        read_transforms(write(tmp_path, [frame], **LENS))
-
-
 @pytest.mark.parametrize("key", ["fl_x", "h"])
 def test_missing_intrinsics(tmp_path: Path, key: str):
     content = {name: value for name, value in LENS.items() if name != key}
@@ -159,34 +144,15 @@ def test_malformed_content(tmp_path: Path, frames: Any, shared: dict[str, Any], 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("transform_matrix", 0),
         ("transform_matrix", [[1.0] * 4] * 2),
-        ("transform_matrix", [[1.0] * 4] * 5),
-        ("transform_matrix", [[1.0] * 3] * 4),
-        ("transform_matrix", [["1"] * 4] * 4),
         ("transform_matrix", [[10**400] * 4] * 4),
-        ("transform_matrix", None),
         ("file_path", 7),
-        ("file_path", ["a"]),
-        ("w", 0),
-        ("w", -64),
         ("w", 1e400),
-        ("w", 2**40),
-        ("w", "64"),
         ("h", True),
-        ("h", [48]),
-        ("fl_x", 1e300),
         ("fl_x", math.nan),
-        ("fl_x", 1e-300),
-        ("cx", 10**400),
-        ("cy", {}),
         ("k1", 1e30),
-        ("k2", "0"),
-        ("camera_model", 3),
         ("is_fisheye", "yes"),
         ("ply_file_path", 5),
-        ("frames", {"a": 1}),
-        ("frames", [[]]),
         ("frames", 7),
     ],
 )
@@ -210,10 +176,3 @@ def test_points_without_colors(tmp_path: Path):
     (tmp_path / "points.ply").write_text(text)
     with pytest.raises(StyleSplatError, match=r"points\.ply have no column blue"):
         read_transforms(write(tmp_path, **LENS, ply_file_path="points.ply"))
-
-
-def test_nan_poses_stay_recognisable(tmp_path: Path):
-    pose = np.array(POSE)
-    pose[1, 3] = np.nan
-    frames = [{"file_path": "images/a.png", "transform_matrix": pose.tolist()}]
-    assert read_transforms(write(tmp_path, frames, **LENS)).viewmats.isnan().any()

@@ -89,7 +89,7 @@ def node(document: Json) -> Json:
 
 REFUSED = {
     "1000000000000 rows of POSITION are to lie 12 bytes": lambda d: counts(d, 10**12),
-    "40 places, but 41 rows of .*:SCALE": lambda d: attribute(d, f"{NAME}:SCALE").update(count=41),
+    "40 positions, but 41 rows": lambda d: attribute(d, f"{NAME}:SCALE").update(count=41),
     "40 rows .* 12 bytes apart, in 8 bytes": lambda d: places(d).update(byteLength=8),
     "to end at byte 1000000480 of 4000": lambda d: places(d).update(byteOffset=10**9),
     "40 rows of POSITION are to lie 4 bytes apart": lambda d: places(d).update(byteStride=4),
@@ -217,11 +217,4 @@ def test_what_cannot_be_written(tmp_path: Path):
     for name in ("a.glb", "a.gltf"):
         with pytest.raises(StyleSplatError, match="1 values of means are not finite"):
             write_splats(splats, tmp_path / name)
-    assert not any(tmp_path.iterdir())
-
-
-def test_files_that_no_glb_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("stylesplat.io.splats.write_gltf.MAX_SIZE", 5000)
-    with pytest.raises(StyleSplatError, match=r"a GLB has 5000 at most\. .*--sh-degree 0"):
-        write_splats(some(), tmp_path / "a.glb")
     assert not any(tmp_path.iterdir())

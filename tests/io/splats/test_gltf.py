@@ -153,9 +153,6 @@ def test_files_of_others_have_y_up(tmp_path: Path):
     assert torch.equal(found.shN.abs(), splats.shN.abs())
 
 
-QUARTER = [math.sqrt(0.5), 0.0, 0.0, -math.sqrt(0.5)]  # y up from z up, as most exporters have it
-
-
 @pytest.mark.parametrize("degree", [0, 3])
 def test_nodes_turn_scale_and_shift(tmp_path: Path, degree: int):
     splats = some(degree)
@@ -173,13 +170,6 @@ def test_nodes_turn_scale_and_shift(tmp_path: Path, degree: int):
     matrix[:3, 3] = matrix[:3, :3] @ [1, 2, 3]
     turned_by({"matrix": matrix.T.flatten().tolist()}, path)
     assert_same(read_splats(path), move_splats(splats, Frame(turn, 2.0, shift)), 1e-5)
-
-
-def test_a_quarter_turn_changes_axes_and_nothing_else(tmp_path: Path):
-    path, splats = written(tmp_path), some()
-    turned_by({"rotation": [round(float(each), 6) for each in QUARTER]}, path)
-    x, y, z = splats.means.unbind(dim=1)
-    assert torch.equal(read_splats(path).means, torch.stack([-x, -z, -y], dim=1))
 
 
 def test_several_sets_become_one(tmp_path: Path):

@@ -12,7 +12,6 @@ from stylesplat.io.splats.splat_files import read_splats, write_splats
 
 SPZ = "KHR_gaussian_splatting_compression_spz_2"
 COUNT = 50
-SHARED = Path(__file__).parents[3] / "shared" / "data" / "splats"
 
 
 def with_spz(path: Path, packed: bytes, count: int, name: str = SPZ) -> Path:
@@ -68,45 +67,13 @@ def test_spz_within_is_read_and_placed_as_any_splats(tmp_path: Path, packed: Pat
     assert torch.equal(again.means, expected.means * torch.tensor([-1.0, -1.0, 1.0]))
 
 
-def test_older_spz_within(tmp_path: Path):
-    """Version 2 is what the extension's name asks for."""
-    sample = SHARED / "splat_transform_fixtures" / "minimal-v2.spz"
-    if not sample.exists():
-        pytest.skip("the sample files are not here")
-    expected = read_splats(sample)
-    path = with_spz(tmp_path / "a.glb", sample.read_bytes(), len(expected))
-    assert torch.equal(read_splats(path).scales, expected.scales)
-
-
 REFUSED = {
-    "have 51 places, but 50 rows of SPZ": lambda d: attribute(d, "POSITION").update(count=51),
+    "have 51 positions, but 50 rows of SPZ": lambda d: attribute(d, "POSITION").update(count=51),
     "no view of SPZ: number 3 of 1": lambda d: packing(d).update(bufferView=3),
-    "says of its SPZ is none .*null": lambda d: extension(d)["extensions"].update({SPZ: None}),
-    "says of its SPZ is none .*bufferView": lambda d: packing(d).pop("bufferView"),
+    "its SPZ names no bufferView": lambda d: extension(d)["extensions"].update({SPZ: None}),
     "rows of SPZ are to end at byte": lambda d: d["bufferViews"][0].update(byteOffset=100),
     "as SPZ: ": lambda d: d["bufferViews"][0].update(byteLength=100),
-    "shows 850 Gaussians, which .* cannot hold": lambda d: d.update(
-        nodes=[{"mesh": 0}] * 30, scenes=[{"nodes": [*range(30)]}]
-    ),
 }
-
-
-def test_views_of_the_same_bytes_count_once(tmp_path: Path, packed: Path):
-    """Else as much memory could be had as there are views."""
-    path = with_spz(tmp_path / "a.glb", packed.read_bytes(), COUNT)
-
-    def changed(document: Json) -> None:
-        primitive = document["meshes"][0]["primitives"][0]
-        view = document["bufferViews"][0]
-        document["bufferViews"] = [view] * 30
-        document["meshes"][0]["primitives"] = [
-            {**primitive, "extensions": {NAME: {"extensions": {SPZ: {"bufferView": number}}}}}
-            for number in range(30)
-        ]
-
-    changed_glb(path, changed)
-    with pytest.raises(StyleSplatError, match=r"shows 850 Gaussians, which .* cannot hold"):
-        read_splats(path)
 
 
 def test_what_gsply_says_names_the_file_once(tmp_path: Path, packed: Path):

@@ -10,7 +10,6 @@ import zstandard
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.splats.compressed_ply import to_gsply
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
@@ -63,16 +62,6 @@ def test_what_is_exported_is_read_back(tmp_path: Path, suffix: str, bands: int):
     assert difference(found, expected) < most
 
 
-@pytest.mark.parametrize("bands", [0, 3, 8, 15])
-def test_compressed_ply(tmp_path: Path, bands: int):
-    splats = with_bands(bands)
-    found = read_splats(compressed(splats, tmp_path / "a.ply"))
-    assert found.shN.shape[1] == bands
-    assert difference(found, splats) < 0.03  # Gaussians of a chunk share their bounds
-    order = found.means[:, None].sub(splats.means).norm(dim=2).argmin(dim=0)  # may be sorted
-    assert (found.means[order] - splats.means).abs().max() < 0.01
-
-
 def _facing(splats: Splats) -> Cameras:
     """A camera in front of all of it."""
     middle = splats.means.mean(dim=0)
@@ -109,12 +98,6 @@ def test_samples_of_spz_versions(version: int):
     torch.testing.assert_close(splats.means, other.means)
     assert (splats.sh0 - other.sh0).abs().max() < 0.01  # 8 bits each
     assert (splats.opacities - other.opacities).abs().max() < 0.01
-
-
-@needs_samples
-def test_the_oldest_sample_of_spz():
-    splats = read_splats(SHARED / "splat_transform_fixtures" / "minimal-v2.spz")
-    assert splats.means.abs().tolist() == [[1, 0, 1], [0, 0, 1], [1, 0, 0], [0, 0, 0]]
 
 
 def spz(content: bytes, path: Path) -> Path:
@@ -177,15 +160,6 @@ def test_hostile_compressed_ply(tmp_path: Path, old: bytes, new: bytes, expected
         read_splats(path)
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".splat"])
-def test_bytes_missing(tmp_path: Path, suffix: str):
-    path = tmp_path / f"a{suffix}"
-    export(PLAIN, path)
-    path.write_bytes(path.read_bytes()[:-5])
-    with pytest.raises(StyleSplatError, match=r"Cannot read .*a\."):
-        read_splats(path)
-
-
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply"])
 def test_bytes_too_many(tmp_path: Path, suffix: str, said: list[str]):
     path = tmp_path / f"a{suffix}"
@@ -223,10 +197,3 @@ def test_nothing_to_read(tmp_path: Path):
     (tmp_path / "a.splat").write_bytes(b"")
     with pytest.raises(StyleSplatError, match="There are no Gaussians"):
         read_splats(tmp_path / "a.splat")
-
-
-def test_degree_of_columns_decides(tmp_path: Path):
-    """gsplat and Postshot write as many f_rest columns as there are."""
-    splats = with_bands(8)
-    gsply.plywrite(tmp_path / "a.ply", to_gsply(splats))
-    assert read_splats(tmp_path / "a.ply").sh_degree == 2

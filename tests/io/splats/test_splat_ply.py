@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import gsply
@@ -37,22 +36,12 @@ def header(content: bytes) -> list[str]:
     return content[: content.index(b"end_header")].decode().splitlines()
 
 
-@pytest.mark.parametrize("count", [0, 1, 7])
+@pytest.mark.parametrize("count", [0, 1, 5000])
 def test_bits_survive_the_round_trip(tmp_path: Path, count: int):
     splats = random_splats(count)
     write_splat_ply(splats, tmp_path / "a.ply")
     found = read_splat_ply(tmp_path / "a.ply")
     assert same(found, splats)
-
-
-@pytest.mark.parametrize("count", [6, 7])
-def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int):
-    splats, labels = random_splats(count, bands=8), torch.arange(count, dtype=torch.int32)
-    write_splat_ply(splats, tmp_path / "a.ply", bands=8, besides={"label": labels})
-    monkeypatch.setattr("stylesplat.io.splats.splat_ply.AT_ONCE", 3)
-    write_splat_ply(splats, tmp_path / "b.ply", bands=8, besides={"label": labels})
-    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
-    assert same(read_splat_ply(tmp_path / "b.ply"), splats)
 
 
 def test_exactly_the_columns_of_inria(tmp_path: Path):
@@ -63,25 +52,6 @@ def test_exactly_the_columns_of_inria(tmp_path: Path):
         *(f"property float {name}" for name in INRIA),
     ]
     assert len(content) == content.index(b"end_header\n") + 11 + 7 * 62 * 4
-
-
-def test_f_rest_goes_channel_by_channel(tmp_path: Path):
-    splats = random_splats()
-    write_splat_ply(splats, tmp_path / "a.ply")
-    table = read_ply_table(tmp_path / "a.ply")
-    np.testing.assert_array_equal(table["f_rest_0"], splats.shN[:, 0, 0])
-    np.testing.assert_array_equal(table["f_rest_1"], splats.shN[:, 1, 0])
-    np.testing.assert_array_equal(table["f_rest_15"], splats.shN[:, 0, 1])
-    np.testing.assert_array_equal(table["nx"], np.zeros(7))
-
-
-@pytest.mark.parametrize("bands", [0, 3, 8])
-def test_lower_degrees_are_padded_with_zeros(tmp_path: Path, bands: int):
-    splats = random_splats(bands=bands)
-    write_splat_ply(splats, tmp_path / "a.ply")
-    shN = read_splat_ply(tmp_path / "a.ply").shN
-    assert torch.equal(shN[:, :bands], splats.shN)
-    assert shN.shape == (7, 15, 3) and not shN[:, bands:].any()
 
 
 @pytest.mark.parametrize("bands", [0, 3, 8, 15])
@@ -122,15 +92,6 @@ def test_other_layouts_of_the_same_numbers(tmp_path: Path, order: str):
         (tmp_path / "b.ply").write_bytes(start + b"end_header\n" + swapped)
     found = read_splat_ply(tmp_path / "b.ply")
     assert same(found, splats)
-
-
-def test_ascii_and_empty_elements(tmp_path: Path):
-    lines = ["ply", "format ascii 1.0", "comment x", "element vertex 2"]
-    lines += ["property float x", "property uint8 red", "element face 0"]
-    lines += ["property list uchar int vertex_indices", "end_header", "0.5 255", "-1e-3 7", ""]
-    (tmp_path / "a.ply").write_text("\n".join(lines))
-    table = read_ply_table(tmp_path / "a.ply")
-    assert table["x"].tolist() == [0.5, np.float32(-1e-3)] and table["red"].tolist() == [255, 7]
 
 
 FACES = b"element face 2\nproperty list uchar int vertex_indices\nproperty double area\n"
@@ -179,15 +140,6 @@ def test_damaged_files(tmp_path: Path, damage: Callable[[bytes], bytes], match: 
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(StyleSplatError, match=rf"Cannot read .*a\.ply.*{match}.*\. [A-Z].*\."):
         read_splat_ply(path)
-
-
-def test_bytes_after_the_vertices_are_left_with_a_word(tmp_path: Path, said: list[str]):
-    splats = random_splats()
-    write_splat_ply(splats, tmp_path / "a.ply")
-    with (tmp_path / "a.ply").open("ab") as file:
-        file.write(b"\0\0\0")
-    assert same(read_splat_ply(tmp_path / "a.ply"), splats)
-    assert len(said) == 1 and "a.ply goes on for 3 bytes after what its header" in said[0]
 
 
 @pytest.mark.parametrize(
@@ -241,16 +193,3 @@ def test_wrong_ascii_counts(tmp_path: Path):
     (tmp_path / "a.ply").write_text(text + "three\n")
     with pytest.raises(StyleSplatError, match="three"):
         read_ply_table(tmp_path / "a.ply")
-
-
-def test_no_such_file(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"a\.ply: No such file"):
-        read_splat_ply(tmp_path / "a.ply")
-
-
-def test_gradients_and_other_types_are_written_as_numbers(tmp_path: Path):
-    splats = random_splats()
-    write_splat_ply(splats, tmp_path / "a.ply")
-    trained = replace(splats, means=splats.means.double().requires_grad_())
-    write_splat_ply(trained, tmp_path / "b.ply")
-    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()

@@ -42,7 +42,6 @@ class CaptureFiles:
     """A capture whose headers are read, to be opened at one size or several."""
 
     path: Path
-    """Its folder."""
     cameras: Cameras
     """One per photo, at full size."""
     photos: list[Photo]
@@ -50,9 +49,7 @@ class CaptureFiles:
     masks: Path | Literal[False] | None
     """The folder of label maps; False if none are wanted."""
     points: Float[Tensor, "M 3"] | None
-    """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
-    """Colours of `points`."""
     cut_out: bool
     """Whether the photos are transparent around the object."""
 
@@ -93,7 +90,13 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     does not fit the others.
     """
     folder = Path(path)
-    posed = _read_poses(folder)
+    sparse = find_sparse(folder)
+    if sparse:
+        posed = read_colmap(folder, sparse)
+    elif (folder / TRANSFORMS).is_file():
+        posed = read_transforms(folder)
+    else:
+        raise no_capture(folder)
     _check_poses(posed, folder)
     others = photos_besides(folder, posed.names)
     if others:
@@ -105,7 +108,18 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
     pairs = [*zip(posed.paths, lenses, strict=True)]
     photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
-    _report_reduced(photos, lenses)
+    reduced = [
+        photo.path
+        for photo, lens in zip(photos, lenses, strict=True)
+        if photo.lens.size != lens.size
+        and image_sizes(photo.path) != image_sizes(photo.path, reduced=False)
+    ]
+    if reduced:
+        say(
+            f"{len(reduced)} photos have more than {MAX_PIXELS // 10**6} megapixels, such as "
+            f"{reduced[0]}: they are read at half their width and height, and boxes and points "
+            "count these pixels."
+        )
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),
@@ -192,15 +206,6 @@ def _photos_of(capture: Capture) -> dict[str, Photo]:
     return photos
 
 
-def _read_poses(folder: Path) -> PosedFiles:
-    sparse = find_sparse(folder)
-    if sparse:
-        return read_colmap(folder, sparse)
-    if (folder / TRANSFORMS).is_file():
-        return read_transforms(folder)
-    raise no_capture(folder)
-
-
 def _check_poses(posed: PosedFiles, folder: Path) -> None:
     rigid = are_rigid(posed.viewmats).tolist()
     bad = [name for name, fits in zip(posed.names, rigid, strict=True) if not fits]
@@ -215,19 +220,6 @@ def _check_poses(posed: PosedFiles, folder: Path) -> None:
         )
 
 
-def _report_reduced(photos: Sequence[Photo], lenses: Sequence[Lens]) -> None:
-    """Say which photos have too many pixels and are therefore read at half their sides."""
-    pairs = zip(photos, lenses, strict=True)
-    smaller = [photo.path for photo, lens in pairs if photo.lens.size != lens.size]
-    reduced = [path for path in smaller if image_sizes(path) != image_sizes(path, reduced=False)]
-    if reduced:
-        say(
-            f"{len(reduced)} photos have more than {MAX_PIXELS // 10**6} megapixels, such as "
-            f"{reduced[0]}: they are read at half their width and height, and boxes and points "
-            "count these pixels."
-        )
-
-
 def _split_alpha(
     photos: Sequence[Photo],
 ) -> tuple[Lazy[UInt8[Tensor, "H W 3"]], Lazy[UInt8[Tensor, "H W"] | None]]:
@@ -237,15 +229,13 @@ def _split_alpha(
     def pixels(row: int) -> UInt8[Tensor, "H W D"]:
         return recent.get(row, lambda: (photos[row].read_with_alpha(),))[0]
 
-    def colors(row: int) -> UInt8[Tensor, "H W 3"]:
-        return pixels(row)[..., :3].contiguous()
-
     def alpha(row: int) -> UInt8[Tensor, "H W"] | None:
         both = pixels(row)
         return both[..., 3].contiguous() if both.shape[-1] > 3 else None
 
     rows = range(len(photos))
-    return Lazy([partial(colors, row) for row in rows]), Lazy([partial(alpha, row) for row in rows])
+    colors = [lambda row=row: pixels(row)[..., :3].contiguous() for row in rows]
+    return Lazy(colors), Lazy([partial(alpha, row) for row in rows])
 
 
 def _opaque_maps(alphas: Lazy[UInt8[Tensor, "H W"] | None]) -> Lazy[Int[Tensor, "H W"] | None]:

@@ -6,18 +6,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, UInt8
+from jaxtyping import Float64
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import cannot_read, reason, require_regular
 from stylesplat.io.kinds import find_sparse
+
+if TYPE_CHECKING:  # else each command would load it
+    from stylesplat.io.captures.colmap_library import pycolmap
 
 # All that pycolmap raises on damaged files; ValueError also for names that are not UTF-8
 MALFORMED = (ValueError, IndexError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError)
@@ -43,25 +46,25 @@ def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
                 "of them posed. Run the reconstruction again."
             )
         lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
-        points, point_colors = _points(model)
+        points = [point for _, point in sorted(model.points3D.items())]
+        means = np.array([point.xyz for point in points], np.float32)
+        colors = np.array([point.color for point in points], np.uint8)
         photos = find_photos(folder)
         return PosedFiles(
             names=tuple(image.name for image in images),
             paths=tuple(photos / image.name for image in images),
             lenses=tuple(lenses[image.camera_id] for image in images),
             viewmats=viewmats_of(images),
-            points=points,
-            point_colors=point_colors,
+            points=torch.from_numpy(means) if points else None,
+            point_colors=torch.from_numpy(colors) if points else None,
         )
 
 
-def posed_images(model: pycolmap.Reconstruction) -> list[pycolmap.Image]:
-    """The images that have a pose, sorted by name."""
+def posed_images(model: "pycolmap.Reconstruction") -> list["pycolmap.Image"]:
     return sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
 
 
-def viewmats_of(images: Sequence[pycolmap.Image]) -> Float64[Tensor, "C 4 4"]:
-    """The world-to-camera matrices of images that have a pose."""
+def viewmats_of(images: Sequence["pycolmap.Image"]) -> Float64[Tensor, "C 4 4"]:
     viewmats = torch.eye(4, dtype=torch.float64).repeat(len(images), 1, 1)
     viewmats[:, :3] = torch.from_numpy(np.stack([i.cam_from_world().matrix() for i in images]))
     return viewmats
@@ -95,7 +98,9 @@ def read_figures(folder: Path) -> ModelFigures | None:
 
 
 @contextmanager
-def _opened_model(sparse: Path) -> Iterator[pycolmap.Reconstruction]:
+def _opened_model(sparse: Path) -> Iterator["pycolmap.Reconstruction"]:
+    from stylesplat.io.captures.colmap_library import pycolmap
+
     check_complete(sparse)
     try:
         yield pycolmap.Reconstruction(sparse)
@@ -105,20 +110,10 @@ def _opened_model(sparse: Path) -> Iterator[pycolmap.Reconstruction]:
         ) from error
 
 
-def _points(
-    model: pycolmap.Reconstruction,
-) -> tuple[Float[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
-    points = [point for _, point in sorted(model.points3D.items())]
-    if not points:
-        return None, None
-    means = np.stack([point.xyz for point in points]).astype(np.float32)
-    colors = np.stack([point.color for point in points]).astype(np.uint8)
-    return torch.from_numpy(means), torch.from_numpy(colors)
-
-
 # pycolmap (4.2) does not notice where a binary file ends: it loads garbage from a truncated
 # `cameras.bin`, and takes gigabytes for other files before it fails. So the lengths of the records
 # (src/colmap/scene/reconstruction_io_binary.cc), and nothing else, are followed first.
+COUNT, COUNT_32 = struct.Struct("<Q"), struct.Struct("<I")
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters, float64
 IMAGE_HEAD = 4 + 7 * 8 + 4  # id, pose, camera id; then the name, ended by a zero byte
 POINT2D = 2 * 8 + 8  # x, y, point id
@@ -129,13 +124,18 @@ SENSOR = 4 + 4  # type, id
 RIG_POSE = 7 * 8
 FRAME_HEAD = 4 + 4 + 7 * 8  # id, rig id, pose
 DATA_ID = SENSOR + 8
-COUNT = struct.Struct("<Q")
-FRAME_COUNT = struct.Struct("<I")
 
 
 def check_complete(sparse: Path) -> None:
     """Raise a StyleSplatError if the records of a binary file do not end where the file does."""
-    for name, skip in SKIPPERS.items():
+    skippers: dict[str, Callable[[mmap, int], int]] = {
+        "cameras": _skip_camera,
+        "images": _skip_image,
+        "points3D": lambda content, at: _skip_list(content, at + POINT3D_HEAD, TRACK_ELEMENT),
+        "rigs": _skip_rig,
+        "frames": lambda content, at: _skip_list(content, at + FRAME_HEAD, DATA_ID, COUNT_32),
+    }
+    for name, skip in skippers.items():
         path = sparse / f"{name}.bin"
         require_regular(path)
         require_regular(path.with_suffix(".txt"))
@@ -149,9 +149,8 @@ def check_complete(sparse: Path) -> None:
 def _is_complete(path: Path, skip: Callable[[mmap, int], int]) -> bool:
     try:
         with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-            (count,) = COUNT.unpack_from(content)
             offset = COUNT.size
-            for _ in range(count):
+            for _ in range(COUNT.unpack_from(content)[0]):
                 offset = skip(content, offset)
                 if offset > len(content):  # perhaps by more than an offset can be
                     return False
@@ -162,44 +161,32 @@ def _is_complete(path: Path, skip: Callable[[mmap, int], int]) -> bool:
         raise cannot_read(path, error) from error
 
 
-def _skip_camera(content: mmap, offset: int) -> int:
-    _, model, width, height = CAMERA.unpack_from(content, offset)
-    camera = pycolmap.Camera.create_from_model_id(
-        0, pycolmap.CameraModelId(model), 1.0, width, height
-    )
-    return offset + CAMERA.size + 8 * len(camera.params)
+def _skip_list(content: mmap, at: int, item: int, count: struct.Struct = COUNT) -> int:
+    return at + count.size + item * count.unpack_from(content, at)[0]
 
 
-def _skip_image(content: mmap, offset: int) -> int:
-    end = content.find(b"\0", offset + IMAGE_HEAD) + 1
+def _skip_camera(content: mmap, at: int) -> int:
+    from stylesplat.io.captures.colmap_library import pycolmap
+
+    _, model, width, height = CAMERA.unpack_from(content, at)
+    kind = pycolmap.CameraModelId(model)
+    camera = pycolmap.Camera.create_from_model_id(0, kind, 1.0, width, height)
+    return at + CAMERA.size + 8 * len(camera.params)
+
+
+def _skip_image(content: mmap, at: int) -> int:
+    end = content.find(b"\0", at + IMAGE_HEAD) + 1
     if not end:
         raise ValueError("a name without end")
-    return end + COUNT.size + POINT2D * COUNT.unpack_from(content, end)[0]
+    return _skip_list(content, end, POINT2D)
 
 
-def _skip_point(content: mmap, offset: int) -> int:
-    end = offset + POINT3D_HEAD
-    return end + COUNT.size + TRACK_ELEMENT * COUNT.unpack_from(content, end)[0]
-
-
-def _skip_rig(content: mmap, offset: int) -> int:
-    _, sensors = RIG_HEAD.unpack_from(content, offset)
-    offset += RIG_HEAD.size + SENSOR * (sensors > 0)  # the reference sensor has no pose
+def _skip_rig(content: mmap, at: int) -> int:
+    _, sensors = RIG_HEAD.unpack_from(content, at)
+    at += RIG_HEAD.size + SENSOR * (sensors > 0)  # the reference sensor has no pose
     for _ in range(sensors - 1):
-        (has_pose,) = struct.unpack_from("<B", content, offset + SENSOR)
-        offset += SENSOR + 1 + RIG_POSE * (has_pose > 0)
-    return offset
-
-
-def _skip_frame(content: mmap, offset: int) -> int:
-    end = offset + FRAME_HEAD
-    return end + FRAME_COUNT.size + DATA_ID * FRAME_COUNT.unpack_from(content, end)[0]
-
-
-SKIPPERS = {
-    "cameras": _skip_camera,
-    "images": _skip_image,
-    "points3D": _skip_point,
-    "rigs": _skip_rig,
-    "frames": _skip_frame,
-}
+        has_pose = content[at + SENSOR] if at + SENSOR < len(content) else 0
+        at += SENSOR + 1 + RIG_POSE * (has_pose > 0)
+        if at > len(content):
+            break
+    return at

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -10,8 +11,10 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.images import row_bands
+
+if TYPE_CHECKING:  # else each command would load it
+    from stylesplat.io.captures.colmap_library import pycolmap
 
 MAX_SIDE = 2**20  # pixels; COLMAP walks along the border of what it undistorts
 # Sampling maps are made and cached by bands of rows. A pixel takes about 100 bytes while one is
@@ -31,14 +34,12 @@ class Lens:
     model: str
     """COLMAP's name of the model."""
     width: int
-    """Of the photo."""
     height: int
-    """Of the photo."""
     params: tuple[float, ...]
     """Focal lengths, principal point and distortion, in COLMAP's order."""
 
     @classmethod
-    def from_colmap(cls, camera: pycolmap.Camera) -> "Lens":
+    def from_colmap(cls, camera: "pycolmap.Camera") -> "Lens":
         """Convert a camera. Raises a StyleSplatError for numbers that no perspective lens has."""
         name, size = camera.model_name, (camera.width, camera.height)
         sane = camera.verify_params() and all(abs(x) <= MAX_PARAM for x in camera.params)
@@ -54,12 +55,12 @@ class Lens:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height."""
         return self.width, self.height
 
     @property
-    def camera(self) -> pycolmap.Camera:
-        """The same as a camera of pycolmap."""
+    def camera(self) -> "pycolmap.Camera":
+        from stylesplat.io.captures.colmap_library import pycolmap
+
         return pycolmap.Camera(
             model=self.model, width=self.width, height=self.height, params=self.params
         )
@@ -71,11 +72,9 @@ class Lens:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether there is no distortion."""
         return self.camera.is_undistorted()
 
     def scaled(self, width: int, height: int) -> "Lens":
-        """The same lens for a photo of another size."""
         camera = self.camera
         camera.rescale(width, height)
         return Lens.from_colmap(camera)
@@ -104,6 +103,8 @@ class Lens:
 
 @lru_cache(maxsize=LENSES_CACHED)
 def _pinhole(lens: Lens) -> Lens:
+    from stylesplat.io.captures.colmap_library import pycolmap
+
     options = pycolmap.UndistortCameraOptions()
     pinhole = Lens.from_colmap(pycolmap.undistort_camera(options, lens.camera))
     x, y = np.meshgrid(*(np.linspace(0.5, side - 0.5, CHECK_GRID) for side in pinhole.size))

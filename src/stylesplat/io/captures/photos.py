@@ -36,7 +36,6 @@ class Photo:
     """One photo of a capture: its file, its lens and the size it is wanted at."""
 
     path: Path
-    """The file."""
     upright: bool
     """Whether its EXIF rotation applies: some poses were found without it."""
     lens: Lens
@@ -70,7 +69,6 @@ class Photo:
             return image.has_transparency_data
 
     def resized(self, width: int, height: int) -> "Photo":
-        """The same photo, wanted at another size."""
         return replace(self, size=(width, height))
 
 
@@ -101,8 +99,6 @@ def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
 
 @dataclass(frozen=True)
 class SmallPhoto:
-    """A grey thumbnail of a photo."""
-
     grey: UInt8[np.ndarray, "h w"]
     """Upright, over white."""
     size: tuple[int, int]

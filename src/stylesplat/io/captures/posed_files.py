@@ -3,7 +3,6 @@
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -31,15 +30,12 @@ class PosedFiles:
     names: tuple[str, ...]
     """Of the photos, within their common folder."""
     paths: tuple[Path, ...]
-    """Of the photos."""
     lenses: tuple[Lens | None, ...]
     """None where the lens depends on a photo that does not exist."""
     viewmats: Float[Tensor, "C 4 4"]
     """World to camera, OpenCV axes, as read: 64 bits, not checked."""
     points: Float[Tensor, "M 3"] | None
-    """Sparse points in the world."""
     point_colors: UInt8[Tensor, "M 3"] | None
-    """Colours of `points`."""
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -54,16 +50,6 @@ class PosedFiles:
                 raise StyleSplatError(
                     f"The photo {brief(str(name))!r} is posed {count} times. Keep one of its poses."
                 )
-
-    def only(self, rows: Sequence[int]) -> "PosedFiles":
-        """The photos of these rows."""
-        return replace(
-            self,
-            names=tuple(self.names[row] for row in rows),
-            paths=tuple(self.paths[row] for row in rows),
-            lenses=tuple(self.lenses[row] for row in rows),
-            viewmats=self.viewmats[[*rows]],
-        )
 
 
 def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
@@ -82,28 +68,30 @@ def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
         f"Missing, so left out: {some(missing)} "
         f"({len(missing)} of the {count} photos that have poses in {folder})."
     )
-    return posed.only([row for row, found in enumerate(there) if found])
+    rows = [row for row, found in enumerate(there) if found]
+    return replace(
+        posed,
+        names=tuple(posed.names[row] for row in rows),
+        paths=tuple(posed.paths[row] for row in rows),
+        lenses=tuple(posed.lenses[row] for row in rows),
+        viewmats=posed.viewmats[rows],
+    )
 
 
 def check_path(text: str) -> None:
     """Raise a StyleSplatError for a path that no photo can have."""
-    fault = _fault(text)
-    if fault:
-        raise StyleSplatError(
-            f"The photo {brief(text)!r} cannot be a file: {fault}. Rename it, and pose again."
-        )
-
-
-def _fault(text: str) -> str | None:
-    try:
-        encoded = text.encode()
-    except UnicodeEncodeError:
-        return "its name is not UTF-8"
-    if CONTROL.search(text):
-        return "its name has control characters"
+    encoded = text.encode(errors="surrogatepass")
     if len(encoded) > MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART:
-        return "its name is too long"
-    return None
+        fault = "its name is too long"
+    elif CONTROL.search(text):
+        fault = "its name has control characters"
+    elif any("\ud800" <= letter <= "\udfff" for letter in text):
+        fault = "its name is not UTF-8"
+    else:
+        return
+    raise StyleSplatError(
+        f"The photo {brief(text)!r} cannot be a file: {fault}. Rename it, and pose again."
+    )
 
 
 def _leaves(name: str) -> bool:

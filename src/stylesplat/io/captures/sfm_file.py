@@ -28,7 +28,6 @@ class SfmRecord(msgspec.Struct, kw_only=True):
     given: Count
     """Number of photos in the source, or of frames taken from the video."""
     registered: Count
-    """Number of photos with a pose."""
     left_out: Reasons
     """Why a photo was not tried, by the user's name of it."""
     unregistered: Reasons
@@ -38,11 +37,8 @@ class SfmRecord(msgspec.Struct, kw_only=True):
     frame: dict[str, Any]
     """The world's axes, origin and unit."""
     settings: dict[str, Any]
-    """The options of the call."""
     numbers: dict[str, Any]
-    """Measurements and durations."""
     libraries: dict[str, Text]
-    """Versions."""
 
     def __repr__(self) -> str:
         found = f"{self.registered:,} of {counted(self.given, 'photo')} with a pose"
@@ -58,5 +54,4 @@ def read_sfm(folder: Path) -> SfmRecord | None:
 
 
 def write_sfm(record: SfmRecord, folder: Path) -> None:
-    """Write `sfm.json` into a capture."""
     write_json(msgspec.to_builtins(record), folder / SFM_FILE)

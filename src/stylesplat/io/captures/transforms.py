@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,6 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import MAX_SIDE, Lens
 from stylesplat.io.captures.posed_files import PosedFiles, check_path
 from stylesplat.io.files import reason
@@ -84,19 +82,15 @@ def read_transforms(folder: Path) -> PosedFiles:
         points, point_colors = _read_points(folder, whole.ply_file_path)
     except (ValueError, RuntimeError, ArithmeticError) as error:
         raise StyleSplatError(f"{path} is malformed: {reason(error)}. {AGAIN}") from error
-    posed.sort(key=lambda frame: _plain(frame[0]))
+    posed.sort(key=lambda frame: _without_dots(frame[0]))
     paths, lenses, viewmats = zip(*posed, strict=True)
-    return PosedFiles(_names(paths), paths, lenses, torch.stack(viewmats), points, point_colors)
-
-
-def _names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """The names of photos relative to their common folder, without any '..'."""
-    plain = [_plain(path) for path in paths]
+    plain = [_without_dots(path) for path in paths]
     common = Path(os.path.commonpath([photo.parent for photo in plain]))
-    return tuple(photo.relative_to(common).as_posix() for photo in plain)
+    names = tuple(photo.relative_to(common).as_posix() for photo in plain)
+    return PosedFiles(names, paths, lenses, torch.stack(viewmats), points, point_colors)
 
 
-def _plain(path: Path) -> Path:
+def _without_dots(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
@@ -116,12 +110,20 @@ def write_transforms(
     folder = Path(folder)
     content: dict[str, Any] = {"camera_model": "OPENCV"}
     if points is not None:
-        _write_points(points, point_colors, folder / POINTS)
+        rows = np.empty(len(points), [(c, "<f4") for c in XYZ] + [(c, "u1") for c in RGB])
+        for axis, (coordinate, color) in enumerate(zip(XYZ, RGB, strict=True)):
+            rows[coordinate] = points[:, axis].cpu().numpy()
+            rows[color] = 128 if point_colors is None else point_colors[:, axis].cpu().numpy()
+        write_ply_table(rows, folder / POINTS)
         content["ply_file_path"] = POINTS
     poses = torch.linalg.inv(cameras.viewmats.cpu().double()) * OPENGL_AXES
     content["frames"] = [
-        {"file_path": f"{photos}/{name}", **_intrinsics(K, size), "transform_matrix": pose}
-        for name, K, size, pose in zip(
+        {
+            "file_path": f"{photos}/{name}",
+            **{"w": width, "h": height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy},
+            "transform_matrix": pose,
+        }
+        for name, ((fx, _, cx), (_, fy, cy), _), (width, height), pose in zip(
             cameras.names, cameras.Ks.tolist(), cameras.sizes.tolist(), poses.tolist(), strict=True
         )
     ]
@@ -133,22 +135,26 @@ def _read_frame(
 ) -> tuple[Path, Lens | None, Float[Tensor, "4 4"]]:
     frame = fitting(content, _Frame, f"A frame of {path} is malformed", AGAIN)
     check_path(frame.file_path)
-    photo = _find_photo(path.parent / frame.file_path)
+    photo = path.parent / frame.file_path
+    candidates = [photo, *(photo.with_name(photo.name + extension) for extension in EXTENSIONS)]
+    photo = next((candidate for candidate in candidates if candidate.is_file()), photo)
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3] = torch.tensor(frame.transform_matrix[:3], dtype=torch.float64)
     # No error for a singular matrix: `load` names all bad poses at once
     return photo, _read_lens(frame, photo), torch.linalg.inv_ex(pose * OPENGL_AXES).inverse
 
 
-def _find_photo(path: Path) -> Path:
-    candidates = [path, *(path.with_name(path.name + extension) for extension in EXTENSIONS)]
-    return next((p for p in candidates if p.is_file()), path)
-
-
 def _read_lens(frame: _Frame, photo: Path) -> Lens | None:
+    from stylesplat.io.captures.colmap_library import pycolmap
+
     if frame.w is None and not os.path.lexists(photo):
         return None
-    width, height = _size(frame, photo)
+    if frame.w is None:
+        width, height = image_sizes(photo, reduced=False)[1]
+    elif frame.h is None:
+        raise ValueError("it has w, but lacks the key 'h'")
+    else:
+        width, height = int(frame.w), int(frame.h)
     fx = _focal(frame.fl_x, frame.camera_angle_x, width, "x")
     fy = fx
     if frame.fl_y is not None or frame.camera_angle_y is not None:
@@ -167,14 +173,6 @@ def _read_lens(frame: _Frame, photo: Path) -> Lens | None:
     return Lens.from_colmap(pycolmap.Camera(model=model, width=width, height=height, params=params))
 
 
-def _size(frame: _Frame, photo: Path) -> tuple[int, int]:
-    if frame.w is None:
-        return image_sizes(photo, reduced=False)[1]
-    if frame.h is None:
-        raise ValueError("it has w, but lacks the key 'h'")
-    return int(frame.w), int(frame.h)
-
-
 def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> float:
     if focal is not None:
         return focal
@@ -183,11 +181,6 @@ def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> fl
     if not 0 < angle < math.pi:
         raise ValueError(f"camera_angle_{axis} cannot be {angle}")
     return side / (2 * math.tan(angle / 2))
-
-
-def _intrinsics(K: list[list[float]], size: list[int]) -> dict[str, int | float]:
-    (fx, _, cx), (_, fy, cy), _ = K
-    return {"w": size[0], "h": size[1], "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
 
 
 def _read_points(
@@ -203,14 +196,3 @@ def _read_points(
         xyz = np.stack([table[c].astype(np.float32) for c in XYZ], axis=1)
         colors = np.stack([table[c].astype(np.uint8) for c in RGB], axis=1)
     return torch.from_numpy(xyz), torch.from_numpy(colors)
-
-
-def _write_points(
-    points: Float[Tensor, "M 3"], colors: UInt8[Tensor, "M 3"] | None, path: Path
-) -> None:
-    grey = torch.full(points.shape, 128, dtype=torch.uint8)
-    rows = np.empty(len(points), [(c, "<f4") for c in XYZ] + [(c, "u1") for c in RGB])
-    for axis, (coordinate, color) in enumerate(zip(XYZ, RGB, strict=True)):
-        rows[coordinate] = points[:, axis].cpu().numpy()
-        rows[color] = (grey if colors is None else colors.cpu())[:, axis].numpy()
-    write_ply_table(rows, path)

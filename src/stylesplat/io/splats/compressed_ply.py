@@ -1,6 +1,5 @@
 """SuperSplat's compressed PLY: chunks of 256 Gaussians packed between their bounds."""
 
-import re
 from pathlib import Path
 
 import gsply
@@ -9,40 +8,51 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.ply import report_extra
+from stylesplat.io.files import reason
+from stylesplat.io.ply import PlyElement, parse_header, report_extra
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_ply import REST_COUNTS, check_splats
 from stylesplat.scene.splats import Splats
 
 CHUNK = 256  # Gaussians that share their bounds
-ELEMENT = re.compile(rb"^element (\w+) (\d{1,10})\r?$", re.MULTILINE)
-PROPERTY = re.compile(rb"^property (\w+) \w+\r?$", re.MULTILINE)
-SIZES = {b"float": 4, b"uint": 4, b"uchar": 1}  # bytes of the types that the format has
-MAX_HEADER = 1 << 16  # bytes
+TYPES = ("f4", "u4", "u1")  # of the properties that the format has
 
 
 def is_compressed(content: bytes) -> bool:
     """Whether a PLY file is of this kind, from its first bytes."""
-    header = content[: _header_size(content)]
+    header = content.partition(b"end_header")[0]
     return b"\nelement chunk " in header and b"packed_position" in header
 
 
 def read_compressed_ply(path: Path | str, content: bytes) -> Splats:
     """Read the content of a compressed PLY file; what follows the Gaussians is ignored."""
-    counts, kinds = _elements(content[: _header_size(content)])
-    fault = _fault(counts, kinds)
-    if fault is None:
-        rows = sum(counts[name] * sum(SIZES[kind] for kind in kinds[name]) for name in counts)
-        announced = _header_size(content) + rows
-        if announced > len(content):
-            fault = f"its header announces a file of {announced} bytes, it holds {len(content)}"
-        else:
-            report_extra(path, len(content) - announced)
-            try:
-                return from_gsply(gsply.decompress_from_bytes(content[:announced]), path)
-            except (ValueError, KeyError, IndexError) as error:
-                fault = str(error)
-    raise StyleSplatError(f"Cannot read {path}: {fault}. Export it again.")
+    try:
+        _, elements, start = parse_header(content)
+        _check_elements({element.name: element for element in elements})
+        rows = sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
+        if start + rows > len(content):
+            fault = f"its header announces a file of {start + rows} bytes, it holds {len(content)}"
+            raise ValueError(fault)
+        report_extra(path, len(content) - start - rows)
+        return from_gsply(gsply.decompress_from_bytes(content[: start + rows]), path)
+    except (ValueError, KeyError, IndexError) as error:
+        raise StyleSplatError(f"Cannot read {path}: {reason(error)}. Export it again.") from error
+
+
+def _check_elements(elements: dict[str, PlyElement]) -> None:
+    """Raise a ValueError for counts and columns of the header, which gsply trusts."""
+    if any(element.lists for element in elements.values()) or not all(
+        kind in TYPES for element in elements.values() for _, kind in element.columns
+    ):
+        raise ValueError("its header has properties of other types than this format")
+    if "vertex" not in elements or "chunk" not in elements:
+        raise ValueError("its header names no chunks or no vertices")
+    vertices, bands = elements["vertex"].rows, elements.get("sh")
+    if elements["chunk"].rows != -(-vertices // CHUNK) or (bands and bands.rows != vertices):
+        raise ValueError("its numbers of chunks and vertices do not fit")
+    columns = len(bands.columns) if bands else 0
+    if columns not in REST_COUNTS:
+        raise ValueError(f"{columns} columns of colour fit no degree up to 3")
 
 
 def write_compressed_ply(splats: Splats, path: Path | str) -> None:
@@ -78,33 +88,3 @@ def to_gsply(splats: Splats) -> gsply.GSData:
         sh0=splats.sh0[:, 0].numpy(),
         shN=splats.shN.numpy(),
     )
-
-
-def _fault(counts: dict[bytes, int], kinds: dict[bytes, list[bytes]]) -> str | None:
-    """What is wrong with the counts and columns of the header, which gsply trusts."""
-    if not counts:
-        return "its header names no elements"
-    if not all(kind in SIZES for each in kinds.values() for kind in each):
-        return "its header has properties of other types than this format"
-    vertices = counts.get(b"vertex", 0)
-    if counts.get(b"chunk") != -(-vertices // CHUNK) or counts.get(b"sh", vertices) != vertices:
-        return "its numbers of chunks and vertices do not fit"
-    columns = len(kinds.get(b"sh", ()))
-    if columns not in REST_COUNTS:
-        return f"{columns} columns of colour fit no degree up to 3"
-    return None
-
-
-def _elements(header: bytes) -> tuple[dict[bytes, int], dict[bytes, list[bytes]]]:
-    """The number of rows and the types of the properties of each element."""
-    starts = [*ELEMENT.finditer(header)]
-    ends = [*(match.start() for match in starts[1:]), len(header)]
-    spans = {match[1]: header[match.end() : end] for match, end in zip(starts, ends, strict=False)}
-    counts = {match[1]: int(match[2]) for match in starts}
-    return counts, {name: PROPERTY.findall(span) for name, span in spans.items()}
-
-
-def _header_size(content: bytes) -> int:
-    """Bytes of the header with its last line; 0 without one."""
-    end = re.search(rb"end_header\r?\n", content[:MAX_HEADER])
-    return end.end() if end else 0

@@ -20,7 +20,6 @@ HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 
 def read_dot_splat(path: Path | str) -> Splats:
-    """Read a .splat file."""
     content = read_bytes(path)
     if len(content) % ROW.itemsize:
         raise StyleSplatError(

@@ -53,19 +53,15 @@ Four = tuple[float, float, float, float]
 
 
 class _Part(Struct, frozen=True, rename="camel"):
-    """Names in the JSON are in camel case."""
+    """A part of the JSON, whose names are in camel case; see the specification."""
 
 
 class Buffer(_Part, frozen=True):
-    """Bytes of this file or another one."""
-
     byte_length: Natural
     uri: str | None = None
 
 
 class BufferView(_Part, frozen=True):
-    """A range of a buffer."""
-
     buffer: Natural
     byte_length: Natural
     byte_offset: Natural = 0
@@ -74,8 +70,6 @@ class BufferView(_Part, frozen=True):
 
 
 class Accessor(_Part, frozen=True):
-    """Rows of numbers in a buffer view."""
-
     component_type: int
     count: Natural
     type: str
@@ -86,42 +80,26 @@ class Accessor(_Part, frozen=True):
 
 
 class Splatting(_Part, frozen=True):
-    """The extension that makes points splats."""
-
     kernel: str = "ellipse"
     color_space: str = DISPLAYED
     extensions: dict[str, Any] = {}
 
 
-class PackedSpz(_Part, frozen=True):
-    """The buffer view that holds all attributes of splats as SPZ."""
-
-    buffer_view: Natural
-
-
 class Extensions(Struct, frozen=True, rename={"splatting": SPLATTING}):
-    """Of a primitive."""
-
     splatting: Splatting | None = None
 
 
 class Primitive(_Part, frozen=True):
-    """What is drawn in one call."""
-
     attributes: dict[str, Natural]
     mode: int = 4
     extensions: Extensions = Extensions()
 
 
 class Mesh(_Part, frozen=True):
-    """Primitives that a node places."""
-
     primitives: list[Primitive]
 
 
 class Node(_Part, frozen=True):
-    """A transform relative to its parent, and what it places."""
-
     mesh: Natural | None = None
     children: list[Natural] = []
     matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
@@ -131,20 +109,14 @@ class Node(_Part, frozen=True):
 
 
 class NodeList(_Part, frozen=True):
-    """The root nodes of a scene."""
-
     nodes: list[Natural] = []
 
 
 class Asset(_Part, frozen=True):
-    """The version of the format."""
-
     version: str
 
 
 class Document(_Part, frozen=True):
-    """The JSON."""
-
     asset: Asset
     scene: Natural = 0
     scenes: list[NodeList] = []
@@ -161,24 +133,18 @@ class Gltf:
     """An opened file. Its buffers are loaded when they are needed, and each range is checked."""
 
     path: Path
-    """The file."""
     document: Document
-    """Its JSON."""
     binary: memoryview | None
     """The binary chunk of a GLB."""
     loaded: dict[str | int, memoryview] = field(default_factory=dict)
     """Buffers by URI or index."""
-    unpacked: dict[tuple[str | int, int], int] = field(default_factory=dict)
-    """Bytes that compressed ranges expanded to, by buffer and offset."""
 
     def refusal(self, fault: str, remedy: str = AGAIN) -> StyleSplatError:
-        """The error for a file that cannot be read."""
         return _refusal(self.path, fault, remedy)
 
     @property
     def size(self) -> int:
-        """Bytes of the loaded buffers and of what compressed ranges expanded to."""
-        return sum(map(len, self.loaded.values())) + sum(self.unpacked.values())
+        return sum(map(len, self.loaded.values()))
 
     def accessor(self, index: int, name: str) -> Accessor:
         """An accessor; `name` says in messages what its rows are."""
@@ -186,38 +152,6 @@ class Gltf:
 
     def rows(self, index: int, name: str, width: int) -> Float[np.ndarray, "N D"]:
         """The rows of an accessor as float32; normalized integers become fractions."""
-        values = self._stored(index, name, width)
-        if values.dtype.kind == "f" or not self.accessor(index, name).normalized:
-            return np.array(values, np.float32)
-        whole = np.float32(np.iinfo(values.dtype).max)
-        return np.maximum(values.astype(np.float32) / whole, np.float32(-1))
-
-    def step(self, index: int, name: str) -> float:
-        """The smallest difference between values of an accessor below 1."""
-        dtype = COMPONENTS[self.accessor(index, name).component_type]
-        return 2.0**-24 if dtype.kind == "f" else 1 / np.iinfo(dtype).max
-
-    def view_bytes(self, index: int, name: str) -> memoryview:
-        """The bytes of a buffer view."""
-        view = self._view(index, name)
-        packed = next((each for each in view.extensions if "compression" in each), None)
-        if packed is not None:
-            fault = f"the rows of {name} are compressed ({brief(packed)}), which is not read here"
-            raise self.refusal(fault, "Export it without compression.")
-        content = self._buffer(view.buffer)
-        end = view.byte_offset + view.byte_length
-        if end > len(content):
-            raise self.refusal(f"the rows of {name} are to end at byte {end} of {len(content)}")
-        return content[view.byte_offset : end]
-
-    def count_unpacked(self, index: int, size: int) -> None:
-        """Record the size that a view expanded to; views of the same bytes count once."""
-        view = self._view(index, "SPZ")
-        buffer = self.document.buffers[view.buffer].uri or view.buffer
-        self.unpacked[buffer, view.byte_offset] = size
-
-    def _stored(self, index: int, name: str, width: int) -> np.ndarray:
-        """The rows as they lie in the file, not copied."""
         accessor = self.accessor(index, name)
         dtype = COMPONENTS.get(accessor.component_type)
         if dtype is None or WIDTHS.get(accessor.type) != width:
@@ -234,7 +168,28 @@ class Gltf:
             fault = f"{accessor.count} rows of {name} are to lie {stride} bytes apart"
             raise self.refusal(f"{fault}, in {len(content)} bytes")
         shape, strides = (accessor.count, width), (stride, dtype.itemsize)
-        return np.ndarray(shape, dtype, content, accessor.byte_offset, strides)
+        values = np.ndarray(shape, dtype, content, accessor.byte_offset, strides)
+        if values.dtype.kind == "f" or not accessor.normalized:
+            return np.array(values, np.float32)
+        whole = np.float32(np.iinfo(values.dtype).max)
+        return np.maximum(values.astype(np.float32) / whole, np.float32(-1))
+
+    def step(self, index: int, name: str) -> float:
+        """The smallest difference between values of an accessor below 1."""
+        dtype = COMPONENTS[self.accessor(index, name).component_type]
+        return 2.0**-24 if dtype.kind == "f" else 1 / np.iinfo(dtype).max
+
+    def view_bytes(self, index: int, name: str) -> memoryview:
+        view = self._view(index, name)
+        packed = next((each for each in view.extensions if "compression" in each), None)
+        if packed is not None:
+            fault = f"the rows of {name} are compressed ({brief(packed)}), which is not read here"
+            raise self.refusal(fault, "Export it without compression.")
+        content = self._buffer(view.buffer)
+        end = view.byte_offset + view.byte_length
+        if end > len(content):
+            raise self.refusal(f"the rows of {name} are to end at byte {end} of {len(content)}")
+        return content[view.byte_offset : end]
 
     def _view(self, index: int, name: str) -> BufferView:
         return self._part(self.document.buffer_views, index, f"view of {name}")
@@ -307,16 +262,6 @@ def open_gltf(path: Path) -> Gltf:
         fault = f"it is of version {document.asset.version!r:.20}, not {VERSION}.0"
         raise _refusal(path, fault, "Export it as glTF 2.0.")
     return Gltf(path, document, binary)
-
-
-def open_json(path: Path) -> Gltf:
-    """As `open_gltf`, but only the JSON of a GLB is read, not its binary chunk."""
-    head = read_bytes(path, first=HEADER.size + CHUNK.size)
-    if not head.startswith(MAGIC) or len(head) < HEADER.size + CHUNK.size:
-        return open_gltf(path)
-    size, _ = CHUNK.unpack_from(head, HEADER.size)
-    text = read_bytes(path, first=len(head) + size)[len(head) :]
-    return Gltf(path, _document(path, text), None)
 
 
 def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:

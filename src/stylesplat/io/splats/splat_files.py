@@ -8,22 +8,21 @@ from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.atomic import REPLACING
+from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import SOG_META, no_splat
+from stylesplat.io.ply import MAX_HEADER
 from stylesplat.io.splats.compressed_ply import (
-    MAX_HEADER,
     is_compressed,
     read_compressed_ply,
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
+from stylesplat.io.splats.gltf import read_gltf, write_glb, write_gltf
 from stylesplat.io.splats.packing import morton_order
-from stylesplat.io.splats.read_gltf import read_gltf
 from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree, read_splat_ply, write_splat_ply
 from stylesplat.io.splats.spz import read_spz, write_spz
-from stylesplat.io.splats.write_gltf import write_glb, write_gltf
 from stylesplat.scene.splats import Splats
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
@@ -38,6 +37,22 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
 MAX_DEGREE = 3
 
 
+def _read_ply(path: Path) -> Splats:
+    if is_compressed(read_bytes(path, first=MAX_HEADER)):
+        return read_compressed_ply(path, read_bytes(path))
+    return read_splat_ply(path)
+
+
+READERS: dict[str, Callable[[Path], Splats]] = {
+    ".ply": _read_ply,
+    ".spz": read_spz,
+    ".splat": read_dot_splat,
+    ".sog": read_sog,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+}
+
+
 def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
@@ -46,15 +61,7 @@ def read_splats(path: Path | str) -> Splats:
     count that was not checked against the file.
     """
     path = Path(path)
-    readers: dict[str, Callable[[Path], Splats]] = {
-        ".ply": _read_ply,
-        ".spz": read_spz,
-        ".splat": read_dot_splat,
-        ".sog": read_sog,
-        ".glb": read_gltf,
-        ".gltf": read_gltf,
-    }
-    reader = read_sog if path.name == SOG_META else readers.get(path.suffix.lower())
+    reader = read_sog if path.name == SOG_META else READERS.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
         raise no_splat(path)
     splats = reader(path)
@@ -102,8 +109,8 @@ def write_splats(
         raise StyleSplatError(
             f"Cannot export to {path}: it has no more columns than its format says. Choose a .ply."
         )
-    if path.exists() and not overwrite:
-        raise StyleSplatError(f"{path} exists already. Replace it with {REPLACING}.")
+    if not overwrite:
+        refuse_file(path)
     splats = splats.detach().to("cpu")
     if sh_degree is None:
         sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
@@ -115,12 +122,5 @@ def write_splats(
 
 
 def _suffix(path: Path) -> str:
-    """The suffix that tells the format."""
     name = path.name.lower()
     return COMPRESSED if name.endswith(COMPRESSED) else path.suffix.lower()
-
-
-def _read_ply(path: Path) -> Splats:
-    if is_compressed(read_bytes(path, first=MAX_HEADER)):
-        return read_compressed_ply(path, read_bytes(path))
-    return read_splat_ply(path)

@@ -83,7 +83,6 @@ def write_spz(splats: Splats, path: Path | str) -> None:
 
 
 def _flip(splats: Splats) -> Splats:
-    """Turn splats by half around the x axis."""
     bands = splats.shN.shape[1]
     return Splats(
         means=splats.means * FLIP,

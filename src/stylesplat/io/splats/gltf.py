@@ -1,41 +1,50 @@
-"""Splats from glTF 2.0 files (`.glb`, `.gltf`) with Khronos' KHR_gaussian_splatting.
+"""Splats in glTF 2.0 files (`.glb`, `.gltf`) with Khronos' KHR_gaussian_splatting.
 
 The extension (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos) has standard deviations
-and opacities where PLY has logarithms and logits; its harmonics are the INRIA code's.
+and opacities where PLY has logarithms and logits; its harmonics are the INRIA code's. Programs that
+do not know it show a cloud of coloured points.
 """
 
-from collections.abc import Iterator
+import base64
+import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
+from stylesplat.io.atomic import atomic_path
 from stylesplat.io.splats.gltf_file import (
+    BINARY,
+    CHUNK,
     DISPLAYED,
+    HEADER,
+    JSON,
+    MAGIC,
     SPLATTING,
     SPZ,
+    VERSION,
+    WIDTHS,
     Gltf,
     Node,
-    PackedSpz,
     Primitive,
     Splatting,
     attribute,
     harmonic,
     higher_bands,
     open_gltf,
-    open_json,
 )
-from stylesplat.io.splats.splat_ply import check_splats, of_degree
-from stylesplat.io.splats.spz import spz_within
+from stylesplat.io.splats.packing import unit_quats
+from stylesplat.io.splats.splat_ply import REMEDY, check_splats, of_degree, splat_fault
+from stylesplat.io.splats.spz import LARGEST_RATIO, spz_within
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 
 SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
 SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
@@ -47,6 +56,10 @@ HALF_TURN_XYZW = [0.0, 0.0, 1.0, 0.0]
 TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
 EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
 APPLY = "Apply the transforms of its nodes where you made it, and export it again."
+FLOAT, SHORT = 5126, 5123
+SIZES = {FLOAT: 4, SHORT: 2}  # bytes
+VERTICES = 34962  # the target of a view that holds attributes
+MAX_SIZE = 2**32 - 1  # bytes of a GLB
 
 
 def read_gltf(path: Path | str) -> Splats:
@@ -63,7 +76,9 @@ def read_gltf(path: Path | str) -> Splats:
         part = check_splats(_splats(gltf, primitive), path)
         parts.append(part if frame is None else check_splats(move_splats(part, frame), path))
         count += len(part)
-        if count * SMALLEST_ROW > gltf.size:
+        splatting = primitive.extensions.splatting
+        packed = splatting is not None and any(name in splatting.extensions for name in SPZ)
+        if count * SMALLEST_ROW > gltf.size * (LARGEST_RATIO if packed else 1):
             fault = f"it shows {count} Gaussians, which {gltf.size} bytes cannot hold"
             raise gltf.refusal(fault, "Export it without instances.")
     if len(parts) == 1:
@@ -72,13 +87,6 @@ def read_gltf(path: Path | str) -> Splats:
     columns = zip(*(of_degree(part, degree).tensors().values() for part in parts), strict=True)
     means, quats, scales, opacities, sh0, shN = map(torch.cat, columns)
     return Splats(means, quats, scales, opacities, sh0, shN)
-
-
-def announced_in_gltf(path: Path | str) -> int:
-    """How many Gaussians a glTF file shows, from its JSON alone."""
-    gltf = open_json(Path(path))
-    positions = (each.attributes.get("POSITION") for each, _ in _placed_splats(gltf))
-    return sum(gltf.accessor(n, "POSITION").count for n in positions if n is not None)
 
 
 def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
@@ -110,16 +118,14 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
 
 def _unpack_spz(gltf: Gltf, primitive: Primitive, packed: Any) -> Splats:
     """The splats of a primitive as SPZ, in the axes of the primitive, unlike those of a `.spz`."""
-    try:
-        view = msgspec.convert(packed, PackedSpz).buffer_view
-    except msgspec.ValidationError as error:
-        raise gltf.refusal(f"what it says of its SPZ is none ({error})") from error
+    view = packed.get("bufferView") if isinstance(packed, dict) else None
+    if type(view) is not int or view < 0:
+        raise gltf.refusal("its SPZ names no bufferView")
     splats = spz_within(bytes(gltf.view_bytes(view, "SPZ")), gltf.path)
-    gltf.count_unpacked(view, sum(column.nbytes for column in splats.tensors().values()))
     positions = primitive.attributes.get("POSITION")
     expected = len(splats) if positions is None else gltf.accessor(positions, "POSITION").count
     if len(splats) != expected:
-        fault = f"its splats have {expected} places, but {len(splats)} rows of SPZ"
+        fault = f"its splats have {expected} positions, but {len(splats)} rows of SPZ"
         raise gltf.refusal(fault)
     return splats
 
@@ -144,7 +150,7 @@ def _column(gltf: Gltf, primitive: Primitive, name: str, width: int) -> Float[Te
     count = gltf.accessor(index, name).count
     expected = gltf.accessor(positions, "POSITION").count
     if count != expected:
-        raise gltf.refusal(f"its splats have {expected} places, but {count} rows of {name}")
+        raise gltf.refusal(f"its splats have {expected} positions, but {count} rows of {name}")
     return torch.from_numpy(gltf.rows(index, name, width))
 
 
@@ -194,19 +200,15 @@ def _placed_splats(gltf: Gltf) -> Iterator[tuple[Primitive, Frame | None]]:
         for each in _primitives(gltf, mesh)
     ]
     if not shown:
-        raise _no_splats(gltf)
+        names = gltf.document.extensions_used
+        other = next((name for name in names if "splat" in name and name != SPLATTING), None)
+        if other is not None:
+            fault = f"its splats are stored by {other:.60}, which is not read here"
+            raise gltf.refusal(fault, f"Export it with {SPLATTING} alone, or as .ply or .spz.")
+        fault = f"it holds no splats, but an ordinary model (nothing in it has {SPLATTING})"
+        raise gltf.refusal(fault, "Give a file of Gaussian splats.")
     for primitive, matrix in shown:
         yield primitive, _frame(gltf, matrix)
-
-
-def _no_splats(gltf: Gltf) -> StyleSplatError:
-    names = gltf.document.extensions_used
-    other = next((n for n in names if "splat" in n and n != SPLATTING), None)
-    if other is not None:
-        fault = f"its splats are stored by {other:.60}, which is not read here"
-        return gltf.refusal(fault, f"Export it with {SPLATTING} alone, or as .ply or .spz.")
-    fault = f"it holds no splats, but an ordinary model (nothing in it has {SPLATTING})"
-    return gltf.refusal(fault, "Give a file of Gaussian splats.")
 
 
 def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
@@ -231,7 +233,6 @@ def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
 
 
 def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
-    """The primitives of a mesh that are splats."""
     meshes = gltf.document.meshes
     if mesh >= len(meshes):
         raise gltf.refusal(f"a node shows mesh {mesh} of {len(meshes)}")
@@ -239,7 +240,6 @@ def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
 
 
 def _matrix(gltf: Gltf, node: Node) -> Float[np.ndarray, "4 4"]:
-    """The transform of a node to its parent."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T  # column-major
     matrix = np.eye(4)
@@ -267,3 +267,136 @@ def _frame(gltf: Gltf, matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
     if scale == 1 and (rotation == np.eye(3)).all() and not shift.any():
         return None
     return Frame(torch.from_numpy(rotation), scale, torch.from_numpy(shift))
+
+
+class _Column(NamedTuple):
+    """An attribute, whose values are computed when they are written."""
+
+    name: str
+    kind: str
+    component: int
+    values: Callable[[], Tensor]
+
+
+def write_glb(splats: Splats, path: Path | str) -> None:
+    """Write a GLB: float32 throughout, rotations as unit quaternions, colours of all degrees.
+
+    glTF stores opacities and standard deviations, not logits and logarithms; when they are read
+    again, opacities differ by at most 1e-7 and scales by 1e-6.
+    """
+    path = Path(path)
+    columns, document = _parts(splats, path)
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = document["buffers"][0]["byteLength"]
+    whole = HEADER.size + 2 * CHUNK.size + len(text) + size
+    if whole > MAX_SIZE:
+        raise StyleSplatError(
+            f"Cannot export to {path}: it would have {whole} bytes, a GLB has {MAX_SIZE} at most. "
+            "Export a .ply, or leave out degrees of colour (`--sh-degree 0`)."
+        )
+    with atomic_path(path) as draft, draft.open("wb") as file:
+        file.write(HEADER.pack(MAGIC, VERSION, whole) + CHUNK.pack(len(text), JSON) + text)
+        file.write(CHUNK.pack(size, BINARY))
+        file.writelines(_bytes(columns))
+
+
+def write_gltf(splats: Splats, path: Path | str) -> None:
+    """Write the same as JSON with the numbers in base64: a third larger, still one file."""
+    path = Path(path)
+    columns, document = _parts(splats, path)
+    content = base64.b64encode(b"".join(_bytes(columns))).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{content}"
+    with atomic_path(path) as draft:
+        draft.write_text(json.dumps(document, indent=1))
+
+
+def _parts(splats: Splats, path: Path) -> tuple[list[_Column], dict[str, Any]]:
+    """The attributes, and the JSON that describes them."""
+    fault = splat_fault(splats) if len(splats) else None
+    if fault:
+        raise StyleSplatError(f"Cannot export to {path}: {fault}. {REMEDY}")
+    if not len(splats):
+        raise StyleSplatError(
+            f"Cannot export to {path}: there are no Gaussians, and glTF has one at least. "
+            "Export a .ply."
+        )
+    columns = _columns(splats)
+    return columns, _document(columns, splats)
+
+
+def _bytes(columns: list[_Column]) -> Iterator[memoryview]:
+    for column in columns:
+        yield np.ascontiguousarray(column.values().numpy()).data.cast("B")
+
+
+def _columns(splats: Splats) -> list[_Column]:
+    """The attributes in their order; each size is a multiple of four, as the format demands."""
+    colors = [splats.sh0[:, 0], *splats.shN.unbind(dim=1)]
+    names = [harmonic(0, 0), *higher_bands(splats.sh_degree)]
+    return [
+        _Column("POSITION", "VEC3", FLOAT, lambda: splats.means),
+        _Column("COLOR_0", "VEC4", SHORT, lambda: _fallback(splats)),
+        _Column(
+            attribute("ROTATION"), "VEC4", FLOAT, lambda: unit_quats(splats.quats)[:, [1, 2, 3, 0]]
+        ),
+        _Column(
+            attribute("SCALE"), "VEC3", FLOAT, lambda: splats.scales.exp().clamp_(min=SMALLEST)
+        ),
+        _Column(attribute("OPACITY"), "SCALAR", FLOAT, splats.opacities.sigmoid),
+        *(
+            _Column(name, "VEC3", FLOAT, lambda color=color: color)
+            for name, color in zip(names, colors, strict=True)
+        ),
+    ]
+
+
+def _fallback(splats: Splats) -> Shaped[Tensor, "N 4"]:
+    """Linear colours and alpha for programs that draw points."""
+    shown = (SH_C0 * splats.sh0[:, 0] + 0.5).clamp_(0, 1)
+    linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)  # sRGB
+    rgba = torch.cat([linear, splats.opacities.sigmoid()[:, None]], dim=1)
+    return (rgba * 65535).round_().to(torch.uint16)
+
+
+def _document(columns: list[_Column], splats: Splats) -> dict[str, Any]:
+    views, accessors, offset = [], [], 0
+    for index, column in enumerate(columns):
+        size = len(splats) * WIDTHS[column.kind] * SIZES[column.component]
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": size, "target": VERTICES})
+        accessors.append(
+            {
+                "bufferView": index,
+                "componentType": column.component,
+                "count": len(splats),
+                "type": column.kind,
+            }
+        )
+        offset += size
+    accessors[0] |= {  # of the places, as the format demands
+        "min": splats.means.amin(dim=0).tolist(),
+        "max": splats.means.amax(dim=0).tolist(),
+    }
+    accessors[1]["normalized"] = True
+    splatting = {
+        "kernel": "ellipse",
+        "colorSpace": DISPLAYED,
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+    primitive = {
+        "attributes": {column.name: index for index, column in enumerate(columns)},
+        "mode": POINTS,
+        "extensions": {SPLATTING: splatting},
+    }
+    return {
+        "asset": {"version": f"{VERSION}.0", "generator": "StyleSplat"},
+        "extensionsUsed": [SPLATTING],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "rotation": HALF_TURN_XYZW}],
+        "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": offset}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }

@@ -1,0 +1,228 @@
+"""Objects, labels and selections as lists of Gaussians."""
+
+import io
+import json
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.gaussian_lists import read_objects, read_rows, write_objects
+from stylesplat.io.ply import write_ply_table
+from stylesplat.scene.scene import ListedObject, ListedObjects
+
+COUNT = 8
+LABELS = [0, 3, 70_000, 0, 3, 0, 3, 0]
+ROWS = [1, 4, 6]
+LISTED = ListedObjects(
+    COUNT,
+    {
+        "pot": ListedObject(torch.tensor(ROWS), torch.tensor([1.0, 0.5, 0.25]), (3,)),
+        "ünïque name": ListedObject(torch.tensor([0])),
+        "7": ListedObject(torch.tensor([2]), None, (7,)),
+    },
+    torch.tensor(LABELS),
+)
+
+
+def saved(path: Path, values: Any) -> Path:
+    """Values in the format that the suffix names."""
+    if path.suffix.lower() == ".npy":
+        with path.open("wb") as file:
+            np.save(file, values, allow_pickle=True)
+    elif path.suffix == ".npz":
+        np.savez(path, **values) if isinstance(values, dict) else np.savez(path, values)
+    elif path.suffix == ".ply":
+        table = np.zeros(
+            len(next(iter(values.values()))), [(n, v.dtype) for n, v in values.items()]
+        )
+        for name, column in values.items():
+            table[name] = column
+        write_ply_table(table, path)
+    else:
+        path.write_text(json.dumps(values), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".json"])
+@pytest.mark.parametrize("labels", [True, False])
+def test_objects_come_back(suffix: str, labels: bool, tmp_path: Path):
+    wanted = LISTED if labels else ListedObjects(COUNT, LISTED.objects)
+    path = tmp_path / f"a{suffix}"
+    write_objects(wanted, path)
+    found = read_objects(path, COUNT)
+    assert [*found.objects] == [*wanted.objects] and found.count == COUNT
+    assert found.objects["pot"].rows.tolist() == ROWS and found.objects["pot"].ids == (3,)
+    shares = found.objects["pot"].shares
+    assert shares is not None and shares.tolist() == [1.0, 0.5, 0.25]
+    assert found.objects["ünïque name"].shares is None
+    assert (None if found.labels is None else found.labels.tolist()) == (LABELS if labels else None)
+    assert read_rows(path, COUNT, "pot").nonzero()[:, 0].tolist() == ROWS
+    first = path.read_bytes()
+    write_objects(wanted, path)
+    assert path.read_bytes() == first
+    if suffix == ".npz":
+        with np.load(path) as arrays:
+            assert arrays["pot.rows"].tolist() == ROWS and arrays["gaussians"] == COUNT
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("a.npy", np.array(LABELS, np.uint32)),
+        ("a.npy", np.array(LABELS, ">i4")),
+        ("A.NPY", np.array(LABELS)[:, None]),
+        ("a.npz", np.array(LABELS)),
+        ("a.npz", {"points": np.zeros((COUNT, 3)), "labels": np.array(LABELS)}),
+        ("a.npz", {"scores": np.zeros(COUNT), "object_id": np.array(LABELS)}),
+        ("a.json", LABELS),
+        ("a.json", {"version": 1, "labels": LABELS}),
+        ("a.ply", {"x": np.zeros(COUNT, "f4"), "object_id": np.array(LABELS, "f4")}),
+    ],
+)
+def test_labels_alone(name: str, values: Any, tmp_path: Path):
+    found = read_objects(saved(tmp_path / name, values), COUNT)
+    assert found.labels is not None and found.labels.dtype == torch.int64
+    assert found.labels.tolist() == LABELS and not found.objects
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("a.npy", np.array([6, 1, 4])),
+        ("a.npy", np.isin(np.arange(COUNT), ROWS)),
+        ("a.npz", np.array([1, 4, 6, 6], np.uint8)),
+        ("a.json", [1, 6, 4]),
+        ("a.json", {"rows": [1, 6, 4]}),
+        ("a.json", {"gaussians": COUNT, "objects": {"other": {"rows": ROWS}}}),
+        ("a.ply", {"x": np.zeros(COUNT, "f4"), "state": np.array([0, 1, 2, 0, 1, 4, 3, 0], "u1")}),
+    ],
+)
+def test_rows_of_others(name: str, values: Any, tmp_path: Path):
+    found = read_rows(saved(tmp_path / name, values), COUNT, "pot")
+    assert found.nonzero()[:, 0].tolist() == ROWS
+
+
+def test_another_order():
+    found = LISTED.ordered(torch.tensor([6, 7, 4, 2, 3]))
+    assert found.count == 5 and found.labels is not None
+    assert found.labels.tolist() == [3, 0, 3, 70_000, 0]
+    assert [*found.objects] == ["pot", "7"], "what has no Gaussians is dropped"
+    assert found.objects["pot"].rows.tolist() == [0, 2]
+    assert found.shares().tolist() == [0.25, 0, 0.5, 0, 0]
+    assert ListedObjects(COUNT, LISTED.objects).numbered().tolist() == [2, 1, 3, 0, 1, 0, 1, 0]
+
+
+def refused(path: Path, fault: str, *, rows: bool) -> None:
+    with pytest.raises(StyleSplatError) as caught:
+        read_rows(path, COUNT, "pot") if rows else read_objects(path, COUNT)
+    line = str(caught.value)
+    assert line.startswith("Cannot read ") and str(path) in line
+    assert fault in line and line.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "fault"),
+    [
+        ("a.npy", np.zeros(7, int), "it has 7 labels, but there are 8 Gaussians. Give one"),
+        ("a.npy", np.zeros((8, 2), int), "it has 8 x 2 labels"),
+        ("a.npy", np.array(3), "it has 1 labels"),
+        ("a.npy", np.zeros(8) + 0.5, "it holds float64, not integers"),
+        ("a.npy", np.zeros(8, bool), "it holds bool, not integers"),
+        ("a.npy", np.array(["a"] * 8), "it holds <U1, not integers"),
+        ("a.npy", np.array([{}] * 8, object), "Python objects"),
+        ("a.npz", {"labels": np.array([{}] * 8, object)}, "Object arrays cannot be loaded"),
+        ("a.npy", np.arange(8) - 2, "its labels go from -2 to 5. Use 0"),
+        ("a.npy", np.full(8, 2**64 - 1, np.uint64), "to 18446744073709551615"),
+        ("a.npz", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, "nothing called labels or"),
+        ("a.json", [0, 1, 2.5], "Expected `int`, got `float` - at `$[2]`"),
+        ("a.json", [0, 1, 10**30, 3, 4], "too large"),
+        ("a.json", [], "it has 0 labels"),
+        ("a.json", {"ids": LABELS}, "it has neither `objects` nor `labels` nor `rows`"),
+        ("a.json", 3, "Expected `object`, got `int`"),
+        ("a.pkl", LABELS, "unknown suffix '.pkl'. Save .npy, .npz"),
+        ("a.ply", {"x": np.zeros(8, "f4")}, "it holds x, but nothing called labels or label"),
+        ("a.ply", {"label": np.zeros(2, "u1")}, "it has 2 labels"),
+        ("a.ply", {"label": np.full(8, 1.5, "f4")}, "it holds float32, not integers"),
+    ],
+)
+def test_what_holds_no_labels(name: str, values: Any, fault: str, tmp_path: Path):
+    refused(saved(tmp_path / name, values), fault, rows=False)
+
+
+def objects(**content: Any) -> dict[str, Any]:
+    return {"gaussians": 8, "objects": {"pot": {"rows": [1]}}, **content}
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "fault"),
+    [
+        ("a.npy", np.array([1.5]), "float64, not integers"),
+        ("a.npy", np.array([[1, 2]]), "not a list of at most 8 rows"),
+        ("a.npy", np.arange(9), "not a list of at most 8 rows"),
+        ("a.npy", np.array([-1, 8]), "rows -1 to 8, there are 0 to 7"),
+        ("a.npy", np.zeros(3, bool), "a mask of 3 Gaussians, there are 8"),
+        ("a.npy", np.zeros(8, bool), "it names no Gaussian"),
+        ("a.npz", {"a": np.arange(3), "b": np.arange(3)}, "it holds a, b, but nothing called"),
+        ("a.json", ["a"], "Expected `int`"),
+        ("a.json", objects(gaussians=9), "about 9 Gaussians, there are 8"),
+        ("a.json", objects(labels=[-1] * 8), "its labels are not all from 0"),
+        ("a.json", objects(objects={}), "no object 'pot', but none"),
+        ("a.json", objects(objects={"pot": {"rows": [9]}}), "not all among 8"),
+        ("a.json", objects(objects={"a/b": {"rows": [1]}}), "no object is called"),
+        ("a.json", objects(objects={"a": {"rows": [1], "shares": [1, 1]}}), "for each row"),
+        ("a.ply", {"state": np.zeros(2, "u1")}, "a mask of 2 Gaussians, there are 8"),
+        ("a.ply", {"x": np.zeros(8, "f4")}, "it holds x, but nothing called state"),
+        ("lost.npy", None, "No such file"),
+    ],
+)
+def test_what_lists_no_rows(name: str, values: Any, fault: str, tmp_path: Path):
+    path = tmp_path / name
+    refused(path if values is None else saved(path, values), fault, rows=True)
+
+
+def header(shape: str, kind: str = "<i8") -> bytes:
+    """Of an .npy file."""
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\x93NUMPY\x03\x00\x00\x00\x00\x00",
+        pickle.dumps(LABELS),
+        header("(8,)") + bytes(63),
+        header("(-8,)") + bytes(64),
+        header("(8, -1, -1)") + bytes(64),
+        header("8") + bytes(64),
+        header("(99999999999999,)") + bytes(64),
+        header("(8,)", "|O") + pickle.dumps(LABELS),
+        header("(8,)", "<i3") + bytes(64),
+        header("(" * 300) + bytes(64),
+        header("(8L,)")[:-3] + b"'",
+    ],
+)
+def test_damaged_arrays(content: bytes, tmp_path: Path):
+    (tmp_path / "a.npy").write_bytes(content)
+    refused(tmp_path / "a.npy", "a.npy", rows=False)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("labels.npy", content)
+    refused(tmp_path / "a.npz", "a.npz", rows=False)
+
+
+def test_damaged_archives(tmp_path: Path):
+    for content in (b"PK\x03\x04 and no more", pickle.dumps(LABELS)):
+        (tmp_path / "a.npz").write_bytes(content)
+        refused(tmp_path / "a.npz", "a.npz", rows=False)
+    stream = io.BytesIO()
+    np.save(stream, np.zeros(COUNT, int))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("labels.npy", stream.getvalue() + bytes(10**7))
+    refused(tmp_path / "a.npz", "bytes, too many for 8 Gaussians", rows=False)
