@@ -3,7 +3,7 @@
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of, object_content
+from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
@@ -41,9 +41,9 @@ def orbit(
     picked = None if around is None else find_object(scene, around)
     if has_no_photos(scene):
         splats, views = scene.splats, scene.cameras
-        content = content_of(splats) if picked is None else object_content(splats, picked)
+        content = content_of(splats, picked)
         return orbit_around(content, views if size is None else views.resize(*size), count)
-    content = None if picked is None else object_content(scene.splats, picked)
+    content = None if picked is None else content_of(scene.splats, picked)
     path = orbit_cameras(scene.cameras, count, content and content.extent.centre)
     path = path if size is None else path.resize(*size)
     return path if content is None else filled(path, content)
