@@ -6,10 +6,9 @@ import torch
 from balls import SPLATS
 from scenes import UP, figure, floaters, guitar, joined, painting, room, shares
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos, ring_cameras
-from stylesplat.scene.poses import up_vector
 from stylesplat.scene.projection import project, shown
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats

@@ -12,8 +12,7 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sh_basis import sh_basis
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh_basis
 from stylesplat.verbs.export import export
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "splats" / "metalsplatter"

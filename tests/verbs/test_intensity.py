@@ -12,8 +12,7 @@ from balls import SPLATS, TRAINED, own_rows, painted, write_pictures
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.sh_basis import sh_basis
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh_basis
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate

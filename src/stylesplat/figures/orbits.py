@@ -7,10 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, focus_point, look_at, median_lens, up_vector
 from stylesplat.scene.content import Content, content_of
 from stylesplat.scene.framing import Sight, centred_K, fitting_distance, focal_at, level_axes
-from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
 from stylesplat.scene.splats import Splats
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide

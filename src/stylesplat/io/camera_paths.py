@@ -14,9 +14,8 @@ from torch import Tensor
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import MAX_JSON, fitting, read_json
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, are_rigid, look_at, median_lens, up_vector
 from stylesplat.scene.framing import MOST_FRAMES, frame_count, path_of, smooth_path
-from stylesplat.scene.poses import are_rigid, look_at, median_lens, up_vector
 
 FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
 REMEDY = "The manual's section on `render` says what a path is."

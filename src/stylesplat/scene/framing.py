@@ -10,9 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import Content, content_of
-from stylesplat.scene.poses import look_at
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
@@ -141,7 +140,7 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
     side, ahead = level_axes(up)
     outline = content.outline @ torch.stack([side, ahead, up], dim=1)
     lengths = outline.amax(dim=0) - outline.amin(dim=0)
-    size = SIZE[::-1] if lengths[2] > TALL * lengths[:2].max() else SIZE
+    size = (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
     viewmats, focals = [], []
     for row in range(VIEWS):
         turn = 2 * math.pi * row / VIEWS

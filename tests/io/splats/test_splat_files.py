@@ -13,8 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.compressed_ply import to_gsply
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import look_at
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 
