@@ -14,7 +14,7 @@ from stylesplat.io import scene_folder
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.delete import delete
+from stylesplat.verbs.objects import delete
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 

@@ -14,9 +14,7 @@ from stylesplat.scene.compose import require_painted, without_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.delete import delete
-from stylesplat.verbs.objects import objects
-from stylesplat.verbs.rename import rename
+from stylesplat.verbs.objects import delete, objects, rename
 from stylesplat.verbs.select import select
 
 SCENE = select(select(Scene(SPLATS, CAMERAS), "red", id=3), "green", id=7)

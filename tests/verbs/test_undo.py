@@ -23,8 +23,8 @@ from stylesplat.io.scene_folder import save
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.delete import delete
 from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.objects import delete
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize, stylize_unmeasured
 
