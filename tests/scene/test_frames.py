@@ -57,8 +57,8 @@ def rotation(*angles: float) -> torch.Tensor:
     return turn
 
 
-@pytest.mark.parametrize("degree", range(4))
-@pytest.mark.parametrize("angles", [(0.4, -1.2, 2.5), (3.0, 0, 0), (0, 3.1, 0), (0, 0, 2.9)])
+@pytest.mark.parametrize("degree", [0, 3])
+@pytest.mark.parametrize("angles", [(0.4, -1.2, 2.5), (3.0, 0, 0), (0, 3.1, 0)])
 def test_cameras_that_move_along_see_the_same(degree: int, angles: tuple[float, float, float]):
     splats = replace(random_splats(sh_degree=degree), identities=None)
     frame = Frame(rotation(*angles), 1.5, torch.tensor([1.0, -2.0, 0.5]))
@@ -83,9 +83,5 @@ def test_half_turns_are_exact_and_taken_back_by_another(signs: tuple[int, int, i
     for name in ("means", "scales", "opacities", "sh0", "shN"):
         assert torch.equal(getattr(again, name), getattr(splats, name))
     assert torch.equal(again.quats, -splats.quats)  # a whole turn
-
-
-def test_no_move_keeps_every_bit():
-    splats = random_splats()
-    same = move_splats(splats, Frame(torch.eye(3)))
+    same = move_splats(splats, SAME)
     assert all(torch.equal(t, same.tensors()[name]) for name, t in splats.tensors().items())

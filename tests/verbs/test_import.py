@@ -70,20 +70,14 @@ def test_without_photos(splat: Path, said: list[str]):
     scene = import_(splat, up="z", device="cpu")
     assert scene.metrics.keys() == {"gaussians", "seconds"}
     assert "36 views around the content" in "\n".join(said)
+    default, down, sideways = (import_(splat, **up) for up in ({}, {"up": "-y"}, {"up": "x"}))
+    assert torch.equal(default.cameras.viewmats, down.cameras.viewmats)
+    assert not torch.equal(default.cameras.viewmats, sideways.cameras.viewmats)
     assert len(scene.cameras) == 36 and scene.capture is None
     scene = select(scene, "red", box3d=(-1.1, -0.4, 0.02, -0.3, 0.4, 0.7))
     assert scene.objects["red"].picked.sum() >= 79  # its ball, to rounding
     with pytest.raises(StyleSplatError, match="no identities"):
         select(scene, "green", id=7)
-
-
-def test_up_turns_the_circles(splat: Path):
-    upright, sideways = (import_(splat, up=up, device="cpu") for up in ("z", "x"))
-    assert not torch.equal(upright.cameras.viewmats, sideways.cameras.viewmats)
-    assert torch.equal(
-        import_(splat, device="cpu").cameras.viewmats,
-        import_(splat, up="-y", device="cpu").cameras.viewmats,
-    )
 
 
 def test_a_splat_in_nerfstudios_frame(capture: Capture, tmp_path: Path):
@@ -105,14 +99,11 @@ def test_a_splat_in_nerfstudios_frame(capture: Capture, tmp_path: Path):
     assert again["psnr"] == pytest.approx(imported.metrics["psnr"])
 
 
-def test_a_splat_of_something_else(capture: Capture):
+def test_what_does_not_fit_the_photos_or_changes_nothing(capture: Capture, splat: Path):
     generator = torch.Generator().manual_seed(0)
     strange = replace(PLAIN, means=torch.rand(len(PLAIN), 3, generator=generator) * 9 - 4)
     with pytest.raises(StyleSplatError, match="Give the capture that it was made from"):
         import_(strange, capture, device="cpu")
-
-
-def test_options_that_would_change_nothing(capture: Capture, splat: Path):
     with pytest.raises(StyleSplatError, match="needs the capture"):
         import_(splat, frame="nerfstudio")
     with pytest.raises(StyleSplatError, match=r"without photos\. Leave it out"):

@@ -61,16 +61,12 @@ def test_labels_of_another_splat_or_of_nothing(file: Path):
             import_(SPLATS, labels=bad)
 
 
-@pytest.mark.parametrize("count", [2, 16, 17, 100, 700])
+@pytest.mark.parametrize("count", [2, 17, 700])
 def test_every_label_is_told_from_all_others(count: int):
     splats = SPLATS[torch.arange(count) % len(SPLATS)]
     found = labelled(splats, 10 * torch.arange(count))
     assert found.classifier is not None
     assert found.classifier.ids == tuple(range(0, 10 * count, 10))
     assert (class_probabilities(found).diagonal() > 0.98).all()
-
-
-def test_too_many_objects_are_refused():
-    splats = SPLATS[torch.arange(MANY + 1) % len(SPLATS)]
     with pytest.raises(StyleSplatError, match=r"There are 2,048 objects.* Label 1 to 2,047"):
-        labelled(splats, torch.arange(MANY + 1))
+        labelled(SPLATS[torch.arange(MANY + 1) % len(SPLATS)], torch.arange(MANY + 1))

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
 from balls import CAMERAS, SPLATS, TRAINED, assert_same_splats, painted, write_pictures
 from stylesplat.errors import StyleSplatError
@@ -59,6 +58,7 @@ def test_names_that_cannot_be_given(old: str, new: str, fault: str):
 def test_an_object_is_forgotten():
     scene = delete(SCENE, "red")
     assert [*scene.objects] == ["green"] and scene.splats is SCENE.splats
+    assert replace(scene, objects=SCENE.objects) == SCENE
     with pytest.raises(StyleSplatError, match=r"is called 'red'\. Names: green\."):
         delete(scene, "red")
     with pytest.raises(StyleSplatError, match=r"Names: none\."):
@@ -93,12 +93,6 @@ def test_what_is_painted_stays_so_without_a_name(styled: Scene, said: list[str])
     undone = adjust(scene, objects="red", undo=True)
     assert_same_splats(undone.splats, adjust(styled, undo=True).splats)
     assert undone.objects.keys() == {"green", "blue", "both"}
-
-
-def test_both_are_of_objects_and_not_of_gaussians():
-    count = torch.arange(len(SPLATS))
-    assert_same_splats(rename(SCENE, "red", "it").splats[count], SPLATS)
-    assert replace(delete(SCENE, "red"), objects=SCENE.objects) == SCENE
 
 
 def test_commands_in_messages_can_be_pasted(styled: Scene, tmp_path: Path, said: list[str]):
