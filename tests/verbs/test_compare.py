@@ -87,8 +87,5 @@ def test_views_of_another_size_are_refused():
     small = replace(SCENE, cameras=CAMERAS.downscale(2))
     with pytest.raises(StyleSplatError, match=r"is 48x36 pixels in a and 24x18 in b\."):
         compare({"a": SCENE, "b": small})
-
-
-def test_one_scene_is_nothing_to_compare():
     with pytest.raises(StyleSplatError, match=r"at least two scenes to compare, got 1\."):
         compare({"a": SCENE})

@@ -42,10 +42,7 @@ def check_names(scene: Scene, folder: Path, said: str) -> None:
     assert how["ids"] == [7] and how["gaussians"] == scene.objects["vase"].picked.sum()
     names = {each["id"]: each["names"] for each in objects(scene)}
     assert names == {3: [], 7: ["vase"], 300: []}
-    assert (
-        "Object 300 does not get the name '3'" in said
-        and "Name it with `stylesplat select`." in said
-    )
+    assert "Object 300 does not get the name '3'" in said
 
 
 def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
@@ -87,8 +84,4 @@ def test_names_that_cannot_be_leave_objects_unnamed(
     assert [*scene_folder.open(tmp_path / "scene").objects] == ["cup"]
     (line,) = (line for line in said if line.startswith("Object "))
     assert line.startswith("Object 7 does not get the name '") and fault in line
-    assert (
-        line.endswith("Name it with `stylesplat select`.")
-        and line.isprintable()
-        and len(line) < 250
-    )
+    assert line.isprintable() and len(line) < 250
