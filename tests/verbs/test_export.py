@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 import torch
 
+from balls import BLUE, PICKS, RED, TRAINED, assert_same_splats, write_painted
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import open
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import compose
+from stylesplat.scene.scene import SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.verbs.export import export
+from stylesplat.selection.scene_parts import cut_out, rows_of_part
+from stylesplat.verbs.export import export, export_each
+
+pytestmark = pytest.mark.usefixtures("quick_painting")
 
 
 def from_spz(path: Path) -> Splats:
@@ -144,3 +151,66 @@ def test_degrees_that_cannot_be(tmp_path: Path):
         export(random_splats(), tmp_path / "a.ply", sh_degree=4)
     assert not any(tmp_path.iterdir())
     export(random_splats(), tmp_path / "a.splat", sh_degree=0)
+
+
+# Objects alone, left out, or each in a file of its own
+
+
+def test_parts_fit_together_again(tmp_path: Path):
+    whole = TRAINED.splats
+    assert export(TRAINED, tmp_path / "two.ply", objects=["red", "blue"]) == 160
+    assert export(TRAINED, tmp_path / "others.ply", without=["red", "blue"]) == len(whole) - 160
+    two, others = (read_splat_ply(tmp_path / f"{name}.ply") for name in ("two", "others"))
+    mine = RED | BLUE
+    assert torch.equal(two.means, whole.means[mine]) and torch.equal(two.shN, whole.shN[mine])
+    assert torch.equal(others.means, whole.means[~mine])
+    export(TRAINED, tmp_path / "red.ply", objects=["both"], without=["green"])
+    assert torch.equal(read_splat_ply(tmp_path / "red.ply").means, whole.means[RED])
+
+
+def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
+    plain = replace(TRAINED.splats, identities=None, classifier=None)
+    one = replace(TRAINED, splats=plain, objects={"red": TRAINED.objects["red"]})
+    files = export_each(one, tmp_path / "parts", suffix=".splat")
+    assert [path.name for path in files] == ["red.splat", "rest.splat"]
+    assert {*(tmp_path / "parts").iterdir()} == {*files}
+    files = export_each(TRAINED, tmp_path / "four")
+    assert [path.stem for path in files] == [*PICKS, "3", "7", "300", "rest"]
+    found = {path.stem: read_splat_ply(path).means for path in files}
+    assert torch.equal(found["blue"], TRAINED.splats.means[BLUE])
+    (tmp_path / "four" / "mine.txt").write_text("mine")
+    with pytest.raises(StyleSplatError, match="something else"):
+        export_each(TRAINED, tmp_path / "four")
+    export_each(one, tmp_path / "four", overwrite=True)
+    assert (tmp_path / "four" / "mine.txt").read_text() == "mine"
+
+
+def test_a_part_of_a_painted_scene_knows_what_was_before(tmp_path: Path):
+    folder = write_painted(tmp_path, "blue", lambda wave, night: night)
+    scene = open(folder / "twice")
+    part = cut_out(scene, rows_of_part(scene, ["red"]))
+    own = scene.objects["red"].picked[: len(scene.unpainted)]
+    assert_same_splats(part.unpainted, scene.unpainted[own])
+    assert_same_splats(part.splats, scene.splats[scene.objects["red"].picked])
+    assert part.painted_objects == ("red",), "of the other nothing is there"
+    assert_same_splats(compose(part.unpainted, part.layers), part.splats)
+    rest = cut_out(scene, rows_of_part(scene, without=["both", "blue"]))
+    assert rest.layers == () and rest.base is None
+    export(scene, tmp_path / "blue.html", objects=["blue"])
+    assert (tmp_path / "blue.html").stat().st_size > 10_000
+
+
+def test_what_cannot_be_cut_out_is_told(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match="no object 'vase'"):
+        export(TRAINED, tmp_path / "a.ply", objects=["vase"])
+    with pytest.raises(StyleSplatError, match="Nothing is left"):
+        export(TRAINED, tmp_path / "a.ply", objects=["red"], without=["both"])
+    with pytest.raises(StyleSplatError, match="Splats alone have no objects"):
+        export(TRAINED.splats, tmp_path / "a.ply", objects=["red"])
+    plain = replace(TRAINED.splats, identities=None, classifier=None)
+    with pytest.raises(StyleSplatError, match="has no objects"):
+        export_each(replace(TRAINED, splats=plain, objects={}), tmp_path / "parts")
+    called = replace(TRAINED, objects={"rest": SceneObject(RED)})
+    with pytest.raises(StyleSplatError, match="An object is called 'rest'"):
+        export_each(called, tmp_path / "parts")
+    assert not [*tmp_path.iterdir()]
