@@ -21,6 +21,7 @@ NEAREST = 0.1  # world units from the camera; nothing nearer than 0.01 is drawn
 WIDEST = 0.5  # focal length over the picture's width: 90 degrees
 HIDDEN = 0.1  # share of its middle that something else may hide
 MIDDLE = 0.6  # of its radius, which its middle reaches to
+BEFORE = 0.95  # of the way to what would hide it, where the camera stands
 TINY = 1e-9
 
 
@@ -67,7 +68,7 @@ def fitting_distance(content: Content, sights: Sequence[Sight], focal: float) ->
         for distances, lens in ((wanted, focal), (closest, WIDEST * sight.size[0])):
             needed = (offsets[:, :2].abs() * lens / sight.half).amax(dim=1)
             distances.append(float((needed.clamp(min=CLEAR * radius) - offsets[:, 2]).max()))
-        free.append(_free_distance(content, sight, radius))
+        free.append(BEFORE * _free_distance(content, sight, radius))
     return max(min(max(wanted), max(*closest, min(free))), NEAREST)
 
 
