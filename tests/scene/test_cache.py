@@ -80,12 +80,11 @@ class Pair(NamedTuple):
 def test_what_is_kept_is_a_copy_of_what_was_made(dtype: torch.dtype):
     cache: Cache[int] = Cache(1000)
     made = Pair(torch.arange(12).to(dtype).view(3, 4), None)
-    for _ in range(2):
-        kept = cache.get(0, lambda: made)
+    for kept in (cache.get(0, lambda: made), cache.get(0, lambda: made)):
         assert isinstance(kept, Pair) and kept.other is None
         assert kept.one.dtype == dtype and torch.equal(kept.one, made.one)
     made.one[:] = 99
-    assert not (kept.one == 99).any()
+    assert not (cache.get(0, lambda: made).one == 99).any()
 
 
 def test_nothing_is_made_before_it_is_asked_for():

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -56,14 +57,15 @@ def test_training_cannot_be_told_this(settings: dict, message: str):
 @pytest.mark.parametrize("preset", PRESETS)
 def test_lifting_refuses_settings_of_identities(preset: str):
     other = not PRESETS[preset].identity_geometry
-    for name, value in (
-        ("object_growth", 7.0),
-        ("object_pixels", 2.5),
-        ("identity_every", 3),
-        ("identity_stride", 2),
-        ("classifier_rate", 1e-3),
-        ("identity_geometry", other),
-    ):
+    settings: dict[str, Any] = {
+        "object_growth": 7.0,
+        "object_pixels": 2.5,
+        "identity_every": 3,
+        "identity_stride": 2,
+        "classifier_rate": 1e-3,
+        "identity_geometry": other,
+    }
+    for name, value in settings.items():
         with pytest.raises(StyleSplatError, match=name):
             ss.train(photographed(), preset=preset, segment="lift", steps=1, **{name: value})
     with pytest.raises(StyleSplatError, match=r"object_growth.*segment lift"):

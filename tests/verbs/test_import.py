@@ -73,7 +73,7 @@ def test_without_photos(splat: Path, said: list[str]):
     scene = import_(splat, up="z", device="cpu")
     assert scene.metrics.keys() == {"gaussians", "seconds"}
     assert "36 views around the content" in "\n".join(said)
-    default, down, sideways = (import_(splat, **up) for up in ({}, {"up": "-y"}, {"up": "x"}))
+    default, down, sideways = (import_(splat, up=up) for up in (None, "-y", "x"))
     assert torch.equal(default.cameras.viewmats, down.cameras.viewmats)
     assert not torch.equal(default.cameras.viewmats, sideways.cameras.viewmats)
     assert len(scene.cameras) == 36 and scene.capture is None

@@ -110,9 +110,9 @@ def test_undoing_one_after_the_other_is_undoing_all(
 
 def test_a_scene_that_was_adjusted_in_place_is_undone_to_the_bit(folder: Path, tmp_path: Path):
     save(adjust(opened(folder / "twice"), 0.3), tmp_path / "adjusted")
-    for change in ({"intensity": 1.2}, {"undo": True}):
+    for undo in (False, True):
         scene = opened(tmp_path / "adjusted")
-        revise(scene, adjust(scene, **change), tmp_path / "adjusted")
+        revise(scene, adjust(scene, 1.2, undo=undo), tmp_path / "adjusted")
     assert contents(tmp_path / "adjusted") == contents(folder / "trained")
 
 
@@ -211,11 +211,11 @@ def test_nothing_to_undo_or_adjust(folder: Path):
     once = opened(folder / "once")
     with pytest.raises(StyleSplatError, match="Nothing to adjust"):
         adjust(once)
-    for change in ({"intensity": 0.5}, {"undo": True}):
+    for undo in (False, True):
         with pytest.raises(StyleSplatError, match=r"green is not styled in .*once\. Styled objec"):
-            adjust(once, **change, objects=["red", "green"])
-    for change in ({"intensity": 1.6}, {"form": -1.0}):
+            adjust(once, 0.5, undo=undo, objects=["red", "green"])
+    for intensity, form in ((1.6, None), (None, -1.0)):
         with pytest.raises(StyleSplatError, match=r"use 0 to 1\.5"):
-            adjust(once, **change)
+            adjust(once, intensity, form=form)
     with pytest.raises(StyleSplatError, match="--overwrite"):
         save(adjust(once, undo=True), folder / "trained")
