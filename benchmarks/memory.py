@@ -24,9 +24,8 @@ from PIL import Image
 
 from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.poses import look_at
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig

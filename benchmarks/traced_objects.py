@@ -44,8 +44,7 @@ from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.progress import track
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import look_at
+from stylesplat.scene.cameras import Cameras, look_at
 
 Shape = Literal["face", "sign"]
 SHAPES: tuple[Shape, ...] = ("face", "sign")

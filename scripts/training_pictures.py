@@ -19,8 +19,7 @@ from tqdm import tqdm
 from still_life.paintings import paint
 from still_life.photos import DISTANCE, TARGET, photograph
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import look_at
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.splats import SH_C0, Splats
 
 SIZE = 320  # pixels along a side of every picture

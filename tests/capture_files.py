@@ -24,10 +24,9 @@ from stylesplat.masks import from_boxes as mask_boxes
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.grabcut import Box
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
-from stylesplat.scene.poses import look_at
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.text import Detections

@@ -78,10 +78,7 @@ def cloud(points: torch.Tensor, sigma: float = 0.01, opacity: float = 2.0) -> Sp
 
 def joined(*splats: Splats) -> Splats:
     """All of them as one."""
-    tensors = [each.tensors() for each in splats]
-    return replace(
-        splats[0], **{name: torch.cat([t[name] for t in tensors]) for name in tensors[0]}
-    )
+    return Splats.cat(splats)
 
 
 def box(count: int, low: list[float], high: list[float], seed: int = 0) -> torch.Tensor:

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import look_at
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.projection import pixel_centres, unproject
 
 from .objects import NAMES

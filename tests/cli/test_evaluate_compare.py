@@ -66,7 +66,7 @@ def test_scenes_of_other_photos_are_refused(scene: Path, capsys):
     names = tuple(f"other{row}.png" for row in range(len(opened.cameras)))
     ss.save(replace(opened, cameras=replace(opened.cameras, names=names), held_out=()), other)
     line = complaint(capsys, "evaluate", scene, other, "--compare", "-o", "p.html")
-    assert "share no view" in line and not Path("p.html").exists()
+    assert "No view is in all of scene, other" in line and not Path("p.html").exists()
 
 
 def test_without_photos_there_are_pictures(scene: Path, darker: Path, capsys):

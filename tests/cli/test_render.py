@@ -61,7 +61,7 @@ def test_one_view_into_one_picture(scene: Path, tmp_path: Path, capsys):
 
 
 def test_a_round_trip_as_gif_has_half_the_frames(scene: Path, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("stylesplat.verbs.orbit.FRAMES", 6)
+    monkeypatch.setattr("stylesplat.verbs.render.FRAMES", 6)
     for name, count in (("o.gif", 3), ("o.webm", 6)):
         assert run("render", scene, "-o", tmp_path / name, "--views", "orbit") == 0
         with av.open(str(tmp_path / name)) as video:

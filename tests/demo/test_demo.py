@@ -99,7 +99,7 @@ def made(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(
             demo_run, "warm_up_stylization", lambda capture: nullcontext()
         )  # it has its own test
-        patch.setattr("stylesplat.verbs.orbit.FRAMES", 3)
+        patch.setattr("stylesplat.verbs.render.FRAMES", 3)
         with patch.context() as interrupting:
             interrupting.setattr(demo_run, "stylize", stop)
             with pytest.raises(KeyboardInterrupt):

@@ -8,10 +8,9 @@ from balls import CAMERAS
 from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import content_of, object_content
+from stylesplat.scene.cameras import Cameras, focus_point, look_at, up_vector
+from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import FILLED, ring_cameras
-from stylesplat.scene.poses import focus_point, look_at, up_vector
 from stylesplat.scene.splats import Splats
 
 UP = torch.tensor([0.0, 0.0, 1.0]).double()
@@ -124,7 +123,7 @@ def test_without_photos_all_content_is_in_every_frame(splats: Splats, own: int):
 
 def test_an_object_is_gone_around_before_what_would_hide_it():
     splats, own = room(), torch.arange(len(room())) < 6000
-    content = object_content(splats, own)
+    content = content_of(splats, own)
     path = orbit_around(content, ring_cameras(splats, UP.float()), 12)
     assert min(shares(path, splats.means[:6000])) > 0.98
     assert path.positions[:, :2].abs().max() < 3, "within the walls"
@@ -133,7 +132,7 @@ def test_an_object_is_gone_around_before_what_would_hide_it():
 
 def test_an_object_fills_the_pictures_of_its_round_trip():
     splats = guitar()
-    content = object_content(splats, torch.ones(len(splats), dtype=torch.bool))
+    content = content_of(splats, torch.ones(len(splats), dtype=torch.bool))
     cameras = arc([-0.5, 0.0, 0.5]).resize(100, 60)
     path = filled(orbit_cameras(cameras, 8, content.extent.centre), content)
     assert path.size == (100, 60)

@@ -18,9 +18,8 @@ from stylesplat.io.splats.packing import morton_order
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.sh import rgb_from_sh0
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.compose import rows_unpainted
-from stylesplat.scene.poses import up_vector
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 

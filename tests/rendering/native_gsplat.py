@@ -13,7 +13,7 @@ from torch import Tensor
 from stylesplat.rendering import constants as const
 from stylesplat.rendering import reference
 from stylesplat.rendering.gaussians import Gaussians, Projected, View
-from stylesplat.scene.sh_basis import sh_basis
+from stylesplat.scene.splats import sh_basis
 
 SUPPORTED = {1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513}
 

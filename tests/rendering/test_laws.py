@@ -13,8 +13,7 @@ from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.rendering.sh import sh0_from_rgb, sh_colors
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sh_basis import sh_basis
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh_basis
 
 ANY = ["reference", *BACKENDS]
 ROUNDING = 1e-4  # float32 sums in another order; one alpha cut that flips is 1/255

@@ -3,31 +3,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS
+from balls import CAMERAS
 from scenes import random_splats, two_cameras
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.frames import SAME, Frame, known_frames, move_splats, seen_from
-from stylesplat.scene.splats import Splats
-
-
-def moved(splats: Splats, frame: Frame) -> Splats:
-    """Round Gaussians of one colour in another frame."""
-    shift = torch.zeros(3) if frame.shift is None else frame.shift
-    return replace(
-        splats,
-        means=frame.scale * splats.means @ frame.rotation.T + shift,
-        scales=splats.scales.mean(dim=1, keepdim=True).expand(-1, 3)
-        + torch.tensor(frame.scale).log(),
-        shN=splats.shN[:, :0],
-    )
-
-
-@pytest.mark.parametrize("name", known_frames(CAMERAS))
-def test_cameras_move_along_with_the_world(name: str):
-    frame = known_frames(CAMERAS)[name]
-    still = rasterize(moved(SPLATS, SAME), CAMERAS[1])[0]
-    there = rasterize(moved(SPLATS, frame), seen_from(CAMERAS, frame)[1])[0]
-    torch.testing.assert_close(there, still, atol=2e-3, rtol=0)  # 0.3 pixels' blur stays
 
 
 def test_nerfstudio_frame_is_centred_upright_and_small():
@@ -38,13 +17,9 @@ def test_nerfstudio_frame_is_centred_upright_and_small():
     assert there.positions.abs().max() == pytest.approx(1, abs=1e-5)
     up = -there.viewmats[:, 1, :3].mean(dim=0)
     torch.testing.assert_close(up / up.norm(), torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
-
-
-def test_upside_down():
-    over = Frame(torch.diag(torch.tensor([1.0, -1.0, -1.0])))
-    cameras = seen_from(CAMERAS, over)
+    cameras = seen_from(CAMERAS, Frame(torch.diag(torch.tensor([1.0, -1.0, -1.0]))))
     up = -seen_from(cameras, known_frames(cameras)["nerfstudio"]).viewmats[:, 1, :3].mean(dim=0)
-    assert up[2] > 0
+    assert up[2] > 0, "also upside down"
 
 
 def rotation(*angles: float) -> torch.Tensor:
@@ -57,12 +32,14 @@ def rotation(*angles: float) -> torch.Tensor:
     return turn
 
 
-@pytest.mark.parametrize("degree", range(4))
-@pytest.mark.parametrize("angles", [(0.4, -1.2, 2.5), (3.0, 0, 0), (0, 3.1, 0), (0, 0, 2.9)])
+@pytest.mark.parametrize("degree", [0, 3])
+@pytest.mark.parametrize("angles", [(0.4, -1.2, 2.5), (3.0, 0, 0), (0, 3.1, 0)])
 def test_cameras_that_move_along_see_the_same(degree: int, angles: tuple[float, float, float]):
     splats = replace(random_splats(sh_degree=degree), identities=None)
-    frame = Frame(rotation(*angles), 1.5, torch.tensor([1.0, -2.0, 0.5]))
+    frame = Frame(rotation(*angles), 1.5, torch.tensor([1.0, -2.0, 0.5]).double())
     cameras = two_cameras()
+    back = seen_from(seen_from(cameras, frame), frame.inverse())
+    torch.testing.assert_close(back.viewmats, cameras.viewmats, atol=1e-5, rtol=0)
     before, _, _ = rasterize(splats, cameras[0], backend="reference")
     after, _, _ = rasterize(
         move_splats(splats, frame), seen_from(cameras, frame)[0], backend="reference"
@@ -83,9 +60,5 @@ def test_half_turns_are_exact_and_taken_back_by_another(signs: tuple[int, int, i
     for name in ("means", "scales", "opacities", "sh0", "shN"):
         assert torch.equal(getattr(again, name), getattr(splats, name))
     assert torch.equal(again.quats, -splats.quats)  # a whole turn
-
-
-def test_no_move_keeps_every_bit():
-    splats = random_splats()
-    same = move_splats(splats, Frame(torch.eye(3)))
+    same = move_splats(splats, SAME)
     assert all(torch.equal(t, same.tensors()[name]) for name, t in splats.tensors().items())

@@ -6,10 +6,9 @@ import torch
 from balls import SPLATS
 from scenes import UP, figure, floaters, guitar, joined, painting, room, shares
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos, ring_cameras
-from stylesplat.scene.poses import up_vector
 from stylesplat.scene.projection import project, shown
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -71,6 +70,9 @@ def test_cameras_stand_within_the_walls_of_a_room():
 def test_the_content_is_in_the_middle_and_whole(up: list[float]):
     cameras = ring_cameras(SPLATS, torch.tensor(up))
     assert len(set(cameras.names)) == len(cameras) > 20
+    assert has_no_photos(Scene(SPLATS, cameras))
+    renamed = replace(cameras, names=tuple(f"{row}.jpg" for row in range(len(cameras))))
+    assert not has_no_photos(Scene(SPLATS, renamed))
     torch.testing.assert_close(up_vector(cameras).float(), torch.tensor(up), atol=0.01, rtol=0)
     for row in (0, 9, 18, 26):
         _, alphas, _ = rasterize(SPLATS, cameras[row].downscale(8))
@@ -88,10 +90,3 @@ def test_a_single_gaussian_is_looked_at(sigma: float):
     assert (torch.linalg.det(cameras.viewmats[:, :3, :3]) - 1).abs().max() < 1e-4
     _, alphas, _ = rasterize(one, cameras[0].downscale(8))
     assert 0.01 < (alphas > 0.3).float().mean() < 0.98, "neither lost nor all over the picture"
-
-
-def test_scenes_without_photos_are_known():
-    scene = Scene(SPLATS, ring_cameras(SPLATS, UP))
-    assert has_no_photos(scene)
-    renamed = replace(scene.cameras, names=tuple(f"{i}.jpg" for i in range(36)))
-    assert not has_no_photos(replace(scene, cameras=renamed))

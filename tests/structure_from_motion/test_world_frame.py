@@ -7,9 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.frames import Frame, seen_from
-from stylesplat.scene.poses import look_at
 from stylesplat.structure_from_motion.world_frame import camera_up, find_centre, working_frame
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

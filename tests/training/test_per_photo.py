@@ -8,9 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.poses import are_rigid
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import (

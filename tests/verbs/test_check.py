@@ -93,6 +93,11 @@ def test_a_capture_in_memory(tmp_path: Path):
         "seen from all sides, every 45 degrees or closer.",
     )
     assert finding(report, "points")[0] == "poor"
+    Ks = whole.cameras.Ks.clone()
+    Ks[:2, :2, :2] *= 2
+    zoomed = replace(whole, cameras=replace(whole.cameras, Ks=Ks), full=None)
+    verdict, line = finding(check(zoomed), "lenses")
+    assert verdict == "fair" and line.startswith("1 size, focal lengths that differ by 2.0 times")
     none = check(replace(whole, points=None, point_colors=None))
     assert finding(none, "points")[1].startswith("there are no points. Training starts from random")
 
@@ -103,12 +108,3 @@ def test_the_worst_comes_first_and_what_is_good_not_at_all(tmp_path: Path):
     verdicts = [each.verdict for each in report.findings]
     assert len(lines) == len(verdicts) - verdicts.count("good")
     assert lines[0] == "3 photos. They are too few for most scenes: take 40 to 100."
-
-
-def test_lenses_that_differ(tmp_path: Path):
-    whole = load(write_ball_capture(tmp_path, masks=False))
-    Ks = whole.cameras.Ks.clone()
-    Ks[:2, :2, :2] *= 2
-    zoomed = replace(whole, cameras=replace(whole.cameras, Ks=Ks), full=None)
-    verdict, line = finding(check(zoomed), "lenses")
-    assert verdict == "fair" and line.startswith("1 size, focal lengths that differ by 2.0 times")

@@ -78,12 +78,8 @@ def test_views_of_a_name_that_look_elsewhere_are_refused():
 
 
 def test_scenes_that_share_no_view_are_refused():
-    names = tuple(f"other{row}.png" for row in range(len(CAMERAS)))
-    other = Scene(SPLATS, replace(CAMERAS, names=names))
-    with pytest.raises(StyleSplatError, match=r"a and b share no view: .* is one of the first"):
-        compare({"a": SCENE, "b": other})
     halves = [replace(SCENE, cameras=CAMERAS[rows]) for rows in ([0, 1], [2, 3])]
-    with pytest.raises(StyleSplatError, match=r"No view is in all of all, one, other"):
+    with pytest.raises(StyleSplatError, match=r"No view is in all of all, one, other; 0000\.jpg"):
         compare({"all": SCENE, "one": halves[0], "other": halves[1]})
 
 
@@ -91,8 +87,5 @@ def test_views_of_another_size_are_refused():
     small = replace(SCENE, cameras=CAMERAS.downscale(2))
     with pytest.raises(StyleSplatError, match=r"is 48x36 pixels in a and 24x18 in b\."):
         compare({"a": SCENE, "b": small})
-
-
-def test_one_scene_is_nothing_to_compare():
     with pytest.raises(StyleSplatError, match=r"at least two scenes to compare, got 1\."):
         compare({"a": SCENE})

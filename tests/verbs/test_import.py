@@ -1,6 +1,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,7 +11,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
+from stylesplat.selection.identities import class_probabilities
 from stylesplat.selection.pick import pick
+from stylesplat.training.lifting import MANY, labelled
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import import_
@@ -70,20 +73,14 @@ def test_without_photos(splat: Path, said: list[str]):
     scene = import_(splat, up="z", device="cpu")
     assert scene.metrics.keys() == {"gaussians", "seconds"}
     assert "36 views around the content" in "\n".join(said)
+    default, down, sideways = (import_(splat, up=up) for up in (None, "-y", "x"))
+    assert torch.equal(default.cameras.viewmats, down.cameras.viewmats)
+    assert not torch.equal(default.cameras.viewmats, sideways.cameras.viewmats)
     assert len(scene.cameras) == 36 and scene.capture is None
     scene = select(scene, "red", box3d=(-1.1, -0.4, 0.02, -0.3, 0.4, 0.7))
     assert scene.objects["red"].picked.sum() >= 79  # its ball, to rounding
     with pytest.raises(StyleSplatError, match="no identities"):
         select(scene, "green", id=7)
-
-
-def test_up_turns_the_circles(splat: Path):
-    upright, sideways = (import_(splat, up=up, device="cpu") for up in ("z", "x"))
-    assert not torch.equal(upright.cameras.viewmats, sideways.cameras.viewmats)
-    assert torch.equal(
-        import_(splat, device="cpu").cameras.viewmats,
-        import_(splat, up="-y", device="cpu").cameras.viewmats,
-    )
 
 
 def test_a_splat_in_nerfstudios_frame(capture: Capture, tmp_path: Path):
@@ -105,15 +102,67 @@ def test_a_splat_in_nerfstudios_frame(capture: Capture, tmp_path: Path):
     assert again["psnr"] == pytest.approx(imported.metrics["psnr"])
 
 
-def test_a_splat_of_something_else(capture: Capture):
+def test_what_does_not_fit_the_photos_or_changes_nothing(capture: Capture, splat: Path):
     generator = torch.Generator().manual_seed(0)
     strange = replace(PLAIN, means=torch.rand(len(PLAIN), 3, generator=generator) * 9 - 4)
     with pytest.raises(StyleSplatError, match="Give the capture that it was made from"):
         import_(strange, capture, device="cpu")
-
-
-def test_options_that_would_change_nothing(capture: Capture, splat: Path):
     with pytest.raises(StyleSplatError, match="needs the capture"):
         import_(splat, frame="nerfstudio")
     with pytest.raises(StyleSplatError, match=r"without photos\. Leave it out"):
         import_(splat, capture, up="z")
+
+
+# Splats whose objects are known from a label per Gaussian
+
+LABELS = torch.tensor([0] * 200 + [id for id in BALLS for _ in range(80)])
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    np.save(tmp_path / "labels.npy", LABELS.numpy())
+    return tmp_path / "labels.npy"
+
+
+def test_objects_are_what_the_labels_say(file: Path, tmp_path: Path, said: list[str]):
+    scene = import_(SPLATS, labels=file, up="z", device="cpu")
+    assert scene.metrics["label_ids"] == 3 and scene.metrics["unlabelled_gaussians"] == 200
+    scene_folder.save(scene, tmp_path / "scene")
+    scene = scene_folder.open(tmp_path / "scene")
+    assert [each["id"] for each in objects(scene)] == [*BALLS]
+    for id in BALLS:
+        picked = pick(scene.splats, object_id=id, threshold=0.9, remove_outliers=False)
+        assert torch.equal(picked, torch.eq(LABELS, id))
+    scene = select(scene, "table", background=True)
+    assert torch.equal(scene.objects["table"].picked, torch.eq(LABELS, 0))
+    assert scene.splats.confidence is None, "they were not lifted"
+    assert not any("No label maps" in line for line in said)
+
+
+def test_they_take_the_place_of_label_maps(capture: Capture, said: list[str]):
+    assert capture.label_maps is not None
+    scene = import_(SPLATS, capture, labels=2 * LABELS, device="cpu")
+    assert [each["id"] for each in objects(scene)] == [6, 14, 600]
+    assert scene.metrics["psnr"] > 30 and "miou" not in scene.metrics
+    assert not any("No label maps" in line for line in said)
+
+
+def test_labels_of_another_splat_or_of_nothing(file: Path):
+    with pytest.raises(StyleSplatError, match=r"labels\.npy: it has 440 labels, but there are 439"):
+        import_(SPLATS[torch.arange(439)], labels=file)
+    with pytest.raises(StyleSplatError, match="There are 439 labels for 440 Gaussians"):
+        import_(SPLATS, labels=LABELS[1:])
+    for bad in (0 * LABELS, -LABELS, LABELS + 2**24):
+        with pytest.raises(StyleSplatError, match=r"There are \d objects in labels from "):
+            import_(SPLATS, labels=bad)
+
+
+@pytest.mark.parametrize("count", [2, 17, 700])
+def test_every_label_is_told_from_all_others(count: int):
+    splats = SPLATS[torch.arange(count) % len(SPLATS)]
+    found = labelled(splats, 10 * torch.arange(count))
+    assert found.classifier is not None
+    assert found.classifier.ids == tuple(range(0, 10 * count, 10))
+    assert (class_probabilities(found).diagonal() > 0.98).all()
+    with pytest.raises(StyleSplatError, match=r"There are 2,048 objects.* Label 1 to 2,047"):
+        labelled(SPLATS[torch.arange(MANY + 1) % len(SPLATS)], torch.arange(MANY + 1))

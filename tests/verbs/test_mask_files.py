@@ -54,21 +54,17 @@ def write_maps(folder: Path, ids: dict[str, int]) -> None:
         write_label_map(labels(id), folder / f"{stem}.png")
 
 
-def test_attaches_the_maps_of_the_capture(folder: Path):
+def test_attaches_label_maps_by_name(folder: Path, tmp_path: Path):
+    write_maps(folder / "object_mask", {"0": 5})
+    write_maps(tmp_path / "mine", {"0": 1, "2": 70000})
     capture = load(folder)
-    write_maps(folder / "object_mask", {"0": 1, "2": 70000})
-    masked = mask(capture, source=folder / "object_mask")
-    assert torch.equal(attached(masked, 0), labels(1).int())
+    masked = mask(capture, source=tmp_path / "mine")
+    assert torch.equal(attached(masked, 0), labels(1).int()), "in place of those that it has"
     assert masked.label_maps is not None and masked.label_maps[1] is None
     assert torch.equal(attached(masked, 2), labels(70000).int())
     assert masked.photos is capture.photos
-
-
-def test_another_folder_wins(folder: Path, tmp_path: Path):
-    write_maps(folder / "object_mask", {"0": 1})
-    write_maps(tmp_path / "mine", {"0": 5})
-    masked = mask(load(folder), source=tmp_path / "mine")
-    assert torch.equal(attached(masked, 0), labels(5).int())
+    last = mask(capture.only([2]), source=tmp_path / "mine")
+    assert torch.equal(attached(last, 0), labels(70000).int())
 
 
 @pytest.mark.parametrize("downscale", [2.0, 3.0])
@@ -79,24 +75,15 @@ def test_maps_have_the_size_of_the_photos(folder: Path, downscale: float):
     assert torch.equal(attached(masked, 0), attached(load(folder, downscale=downscale), 0))
 
 
-def test_rows_are_matched_by_name(folder: Path):
-    write_maps(folder / "object_mask", {"0": 1, "2": 2})
-    capture = load(folder)
-    last = replace(
-        capture, cameras=capture.cameras[[2]], photos=[capture.photos[2]], label_maps=None
-    )
-    masked = mask(last, source=folder / "object_mask")
-    assert torch.equal(attached(masked, 0), labels(2).int())
-
-
 def test_nothing_to_go_by(folder: Path):
     with pytest.raises(StyleSplatError, match=r"Nothing says what to mask.*another program"):
         mask(load(folder))
-
-
-def test_a_folder_that_is_not_there(folder: Path):
     with pytest.raises(StyleSplatError, match="no folder"):
         mask(load(folder), source=folder / "nowhere")
+    with pytest.raises(StyleSplatError, match="Say with --from where the masks are"):
+        mask(load(folder), method="files")
+    with pytest.raises(StyleSplatError, match="`model` means nothing with the method `grabcut`"):
+        mask(load(folder), boxes={"a": ("0.png", (1, 1, 5, 5))}, model="sam")
 
 
 def test_a_capture_from_nowhere(folder: Path):
@@ -129,15 +116,11 @@ def test_a_capture_gets_its_label_maps(tmp_path: Path):
     again = Mask(capture, source=tmp_path / "masks", overwrite=True).run()
     assert again["ids"] == found["ids"]
     load(capture)  # they are whole again
-
-
-def test_masks_of_another_shape_leave_nothing(tmp_path: Path):
-    capture = write_capture(tmp_path / "capture")
-    save_binary(torch.ones(6, 8, dtype=torch.bool), tmp_path / "masks" / "cup" / "001.png")
+    before = (capture / "object_mask/001.png").read_bytes()
     save_binary(torch.ones(40, 9, dtype=torch.bool), tmp_path / "masks" / "cup" / "002.png")
     with pytest.raises(StyleSplatError, match="not the shape of its photo"):
-        Mask(capture, source=tmp_path / "masks").run()
-    assert not (capture / "object_mask").exists()
+        Mask(capture, source=tmp_path / "masks", overwrite=True).run()
+    assert (capture / "object_mask/001.png").read_bytes() == before
 
 
 OPENCV = ("OPENCV", (60.0, 62.0, 31.0, 25.0, -0.3, 0.05, 0.001, 0.002))

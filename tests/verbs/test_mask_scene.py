@@ -4,16 +4,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from PIL import Image
 
 from balls import BALLS, BARE, CAMERAS, PLAIN, SPLATS, VIEWS, agreement, around
-from processes import run
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import object_ids, render_labels
 from stylesplat.selection.pick import pick
 from stylesplat.verbs.mask import mask
@@ -62,14 +57,6 @@ def test_masks_drawn_on_renders_replace_all_labels(masked: Scene, tmp_path: Path
         assert agreement(found, id) > 0.75, "all but where it stands, which no view shows"
 
 
-def test_renders_are_those_that_the_user_sees(tmp_path: Path):
-    scene_folder.save(BARE, tmp_path / "scene")
-    assert run("render", tmp_path / "scene", "-o", tmp_path / "views") == 0
-    photos = rendered_capture(BARE, torch.device("cpu")).photos
-    with Image.open(tmp_path / "views" / "view_007.png") as seen:
-        assert seen.tobytes() == photos[7].numpy().tobytes()
-
-
 def test_scenes_of_photos_are_refused():
     with pytest.raises(StyleSplatError, match=r"made from photos\. Mask those"):
         mask(Scene(PLAIN, CAMERAS), boxes={"red": ("0001.jpg", (1, 1, 9, 9))})
@@ -83,9 +70,5 @@ def test_extents_of_what_is_there():
     low, high = found["named"]["left"]["box"][:3], found["named"]["left"]["box"][3:]
     assert low == pytest.approx([-1.0, -0.3, 0.0], abs=0.12)
     assert high == pytest.approx([-0.4, 0.3, 0.6], abs=0.12)
-    flat = extents(Scene(_flat(), VIEWS))["content"]
+    flat = extents(Scene(PLAIN[:200], VIEWS))["content"]
     assert flat["size"] == pytest.approx([2.4, 2.4, 0.0], abs=0.2)
-
-
-def _flat() -> Splats:
-    return PLAIN[torch.arange(len(PLAIN)) < 200]

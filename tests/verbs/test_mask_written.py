@@ -84,19 +84,9 @@ def test_the_command_writes_label_maps_with_names(capture: Path, scene: Path):
         assert on_disk is not None and made is not None and torch.equal(on_disk, made.int())
 
 
-def test_a_folder_that_is_no_scene(capture: Path, no_work: None):
+def test_what_is_no_scene_or_no_folder(capture: Path, scene: Path, no_work: None):
     with pytest.raises(StyleSplatError, match="not a scene"):
         run_mask(capture, {"vase": VASE}, capture)
-    assert not (capture / "object_mask").exists()
-
-
-def test_label_maps_are_kept_unless_told_otherwise(capture: Path, scene: Path, no_work: None):
-    write_label_map(torch.full((36, 48), 5), capture / "object_mask" / "0000.png")
-    with pytest.raises(
-        StyleSplatError, match=r"holds label maps already.*--overwrite.*overwrite=True"
-    ):
-        run_mask(capture, {"vase": VASE}, scene)
-    shutil.rmtree(capture / "object_mask")
     (capture / "object_mask").touch()
     with pytest.raises(StyleSplatError, match="is a file"):
         run_mask(capture, {"vase": VASE}, scene, overwrite=True)
@@ -104,34 +94,20 @@ def test_label_maps_are_kept_unless_told_otherwise(capture: Path, scene: Path, n
 
 def test_what_an_earlier_run_said_is_replaced_and_nothing_else(capture: Path, scene: Path):
     folder = capture / "object_mask"
-    run_mask(capture, {"vase": VASE, "cup": CUP}, scene)
+    write_label_map(torch.full((36, 48), 5), folder / "0000.png")
     (folder / "mine.png").touch()
+    run_mask(capture, {"vase": VASE, "cup": CUP}, scene, overwrite=True)
+    assert min(agreement(load(capture), 1, 3)) > 0.8
     (folder / "0000.png").write_bytes(b"damaged")
     run_mask(capture, {"cup": CUP}, scene, overwrite=True)
     assert read_names(folder) == {1: "cup"}
     assert set(read_label_map(folder / "0000.png").unique().tolist()) == {0, 1}
-    names = tmp_masks(capture.parent / "masks", ids=True)
-    Mask(capture=capture, source=names, overwrite=True).run()
+    ids = torch.zeros(144, 192, dtype=torch.int64)
+    ids[50:90, 60:120] = 9
+    write_label_map(ids, capture.parent / "masks" / "0000.png")
+    Mask(capture=capture, source=capture.parent / "masks", overwrite=True).run()
     assert not (folder / NAMES).exists(), "they have no names"
     assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}
-
-
-def tmp_masks(folder: Path, *, ids: bool) -> Path:
-    """Another program's masks of the first photo: of ids, or one per object."""
-    mask = torch.zeros(144, 192, dtype=torch.int64)
-    mask[50:90, 60:120] = 9 if ids else 255
-    write_label_map(mask, folder / ("0000.png" if ids else "pot/0000.png"))
-    return folder
-
-
-def test_label_maps_of_others_are_merged_into(capture: Path, scene: Path):
-    folder = capture / "object_mask"
-    folder.mkdir()
-    (folder / "notes.txt").write_text("mine")
-    write_label_map(torch.full((36, 48), 5), folder / "0000.png")
-    run_mask(capture, {"vase": VASE}, scene, overwrite=True)
-    assert (folder / "notes.txt").read_text() == "mine"
-    assert min(agreement(load(capture), 1, 3)) > 0.8
 
 
 def test_a_box_that_fails_leaves_what_was_there(capture: Path, scene: Path):

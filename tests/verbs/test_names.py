@@ -11,7 +11,7 @@ from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_names
-from stylesplat.scene.scene import Scene, name_fault
+from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import with_names
 from stylesplat.selection.pick import pick
@@ -42,10 +42,7 @@ def check_names(scene: Scene, folder: Path, said: str) -> None:
     assert how["ids"] == [7] and how["gaussians"] == scene.objects["vase"].picked.sum()
     names = {each["id"]: each["names"] for each in objects(scene)}
     assert names == {3: [], 7: ["vase"], 300: []}
-    assert (
-        "Object 300 does not get the name '3'" in said
-        and "Name it with `stylesplat select`." in said
-    )
+    assert "Object 300 does not get the name '3'" in said
 
 
 def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
@@ -59,17 +56,11 @@ def test_a_trained_scene(capture: Path, tmp_path: Path, said: list[str]):
     check_names(scene, tmp_path / "scene", "\n".join(said))
 
 
-def test_a_scene_without_objects_needs_no_names():
-    assert with_names(Scene(PLAIN, CAMERAS), {3: "vase"}).objects == {}
-
-
 def test_names_of_nothing_are_left_out(said: list[str]):
     named = with_names(SCENE, {0: "background", 3: "vase", 99: "lost"})
     assert [*named.objects] == ["vase"]
     assert said == [], "no photo shows what no label map has"
-
-
-def test_a_name_of_two_objects_is_that_of_the_first(said: list[str]):
+    assert with_names(Scene(PLAIN, CAMERAS), {3: "vase"}).objects == {}
     named = with_names(SCENE, {3: "cup", 7: "cup"})
     assert named.objects["cup"].how["ids"] == [3]
     assert "Object 7 does not get the name 'cup'" in "\n".join(said)
@@ -79,12 +70,8 @@ def test_a_name_of_two_objects_is_that_of_the_first(said: list[str]):
     ("name", "fault"),
     [
         ("__metadata__", "use that name for themselves"),
-        ("a/b", "slashes"),
         ("a\nb", "control characters"),
         ("x" * 101, "at most 100 characters"),
-        ("  ", "must not be empty"),
-        ("42", "numbers are label ids"),
-        ("a=b", "'='"),
     ],
 )
 def test_names_that_cannot_be_leave_objects_unnamed(
@@ -97,13 +84,4 @@ def test_names_that_cannot_be_leave_objects_unnamed(
     assert [*scene_folder.open(tmp_path / "scene").objects] == ["cup"]
     (line,) = (line for line in said if line.startswith("Object "))
     assert line.startswith("Object 7 does not get the name '") and fault in line
-    assert (
-        line.endswith("Name it with `stylesplat select`.")
-        and line.isprintable()
-        and len(line) < 250
-    )
-
-
-def test_names_that_can_be_and_cannot():
-    assert not any(map(name_fault, ("vase", "vase 2", "2nd", "花瓶", "-3")))
-    assert all(map(name_fault, ("", "3", "007", "a=b")))
+    assert line.isprintable() and len(line) < 250

@@ -25,13 +25,13 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.stylization.config import Precision
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
-from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.stylize import stylize, stylize_unmeasured
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
@@ -86,16 +86,15 @@ def test_a_recipe_makes_again_what_took_several_runs(
     assert_made_again(scene, trained, tmp_path)
 
 
-def test_a_recipe_makes_again_paint_of_in_one_run(
-    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+def test_what_is_painted_in_one_run_is_as_painted_in_two(
+    trained: Path, pictures: tuple[Path, Path]
 ):
     """The second sees the first, as if they were painted one by one."""
     wave, night = pictures
     styles = {"red": Style(wave, config=FAST), "green": Style(night, config=FAST, intensity=1)}
-    alone = stylize(scene_folder.open(trained), styles, device="cpu")
-    assert_made_again(alone, trained, tmp_path)
-    one = stylize(scene_folder.open(trained), {"red": styles["red"]}, device="cpu")
-    both = stylize(one, {"green": styles["green"]}, device="cpu")
+    alone = stylize_unmeasured(scene_folder.open(trained), styles, device="cpu").scene
+    one = stylize_unmeasured(scene_folder.open(trained), {"red": styles["red"]}, device="cpu").scene
+    both = stylize_unmeasured(one, {"green": styles["green"]}, device="cpu").scene
     assert_same_splats(both.splats, alone.splats)
 
 
@@ -136,47 +135,52 @@ def test_weights_that_are_others_now_are_refused(
     stylize(before, recipe, features="compact", device="cpu")
 
 
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_the_precision_is_recorded_and_replayed_whatever_is_fastest_here(
-    precision: Precision, trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
 ):
-    style = Style(pictures[0], config=FAST)
+    style, precision = Style(pictures[0], config=FAST), "bfloat16"
     recipe = Recipe((StyledObject("red", style, precision=precision),))
     scene = stylize(scene_folder.open(trained), recipe, device="cpu")
     assert scene.metrics["precision"] == precision
     assert_made_again(scene, trained, tmp_path)
     (entry,) = json.loads((tmp_path / "again" / "recipe.json").read_text())["objects"]
     assert entry["precision"] == precision
-    other = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
+    other = painted(scene_folder.open(trained), "red", pictures[0])
     fastest = other.layers[0].precision
     assert fastest == other.metrics["precision"]
     same = torch.equal(other.splats.sh0, scene.splats.sh0)
     assert same == (fastest == precision), "the two differ"
 
 
-def test_older_recipes_say_no_precision(once: Scene, trained: Path, tmp_path: Path):
-    scene_folder.save(once, tmp_path / "styled")
-    file = tmp_path / "styled" / "recipe.json"
-    content = json.loads(file.read_text())
-    del content["objects"][0]["precision"]
-    file.write_text(json.dumps(content))
-    again = stylize(scene_folder.open(trained), read_recipe(file), device="cpu")
-    assert_same_splats(again.splats, once.splats)
+def test_a_recipe_holds_what_each_object_has_of_its_own(
+    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+):
+    own = replace(FAST, steps=2, color="keep", intensity=0.9, region=(1, 2, 60, 50))
+    red, green = Style(pictures[0], config=FAST), Style(pictures[1], config=own)
+    styles = {"red": red, "green": green}
+    styled = stylize_unmeasured(scene_folder.open(trained), styles, device="cpu").scene
+    scene_folder.save(adjust(styled, 1.1, objects="red"), tmp_path / "styled")
+    recipe = read_recipe(tmp_path / "styled" / "recipe.json", defaults=StyleConfig(seed=9))
+    assert [each.style.config for each in recipe.objects] == [FAST, own]
+    assert [each.style.pictures for each in recipe.objects] == [red.pictures, green.pictures]
+    assert [each.intensity for each in recipe.objects] == [1.1, 0.9]
 
 
-def test_what_earlier_recipes_say_of_others_is_ignored(
+def test_older_recipes_say_no_precision_and_more_of_others(
     once: Scene, trained: Path, tmp_path: Path, said: list[str]
 ):
     scene_folder.save(once, tmp_path / "styled")
     file = tmp_path / "styled" / "recipe.json"
     content = json.loads(file.read_text())
-    content["objects"][0]["upon"] = {"green": 0.5}
-    content["gone"] = [{**content["objects"][0], "name": "green", "place": 0}]
+    (entry,) = content["objects"]
+    del entry["precision"]
+    entry["upon"] = {"green": 0.5}
+    content["gone"] = [{**entry, "name": "green", "place": 0}]
     file.write_text(json.dumps(content))
     recipe = read_recipe(file)
     assert sum("`gone`, `upon`" in line for line in said) == 1
     assert [each.name for each in recipe.objects] == ["red"]
-    again = stylize(scene_folder.open(trained), recipe, device="cpu")
+    again = stylize_unmeasured(scene_folder.open(trained), recipe, device="cpu").scene
     assert_same_splats(again.splats, once.splats)
 
 
@@ -184,7 +188,8 @@ def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: lis
     """They can be adjusted, undone and painted beside, but not painted again."""
     colors = torch.rand(64, 80, 3, generator=torch.Generator().manual_seed(2))
     style = Style(colors, config=FAST)
-    styled = stylize(scene_folder.open(trained), {"red": style}, device="cpu")
+    styles = {"red": style}
+    styled = stylize_unmeasured(scene_folder.open(trained), styles, device="cpu").scene
     scene_folder.save(styled, tmp_path / "styled")
     found = scene_folder.open(tmp_path / "styled")
     assert found.layers[0].styles == style.sources()
@@ -196,9 +201,8 @@ def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: lis
     assert "red is not compared with its style: its style was never a file." in said
 
 
-# A name that means something else now: other Gaussians, fewer, more
+# A name that means something else now: fewer Gaussians, more
 ANEW = {
-    "other": {"id": 300},
     "shrunk": {"plus": "red", "box3d": (), "minus": "part"},
     "grown": {"plus": ("red", "green")},
 }
@@ -239,17 +243,8 @@ def test_what_was_selected_anew_is_painted_as_it_is_now(anew: Scene, pictures: t
     (layer,) = again.layers
     rows = anew.objects["red"].picked[: len(SPLATS)].nonzero()[:, 0]
     assert torch.equal(layer.rows, rows)
-    both = painted(anew, "green", pictures[1], measured=False)
-    assert both.painted_objects == ("red", "green")
-
-
-def test_an_object_that_has_two_names_may_have_two_layers(
-    trained: Path, pictures: tuple[Path, Path]
-):
-    styled = painted(scene_folder.open(trained), "3", pictures[0], measured=False)
-    both = painted(styled, "red", pictures[0], measured=False)
-    assert both.painted_objects == ("3", "red")
-    assert_same_splats(adjust(both, objects="red", undo=True).splats, styled.splats)
+    both = painted(anew, "3", pictures[1], measured=False)
+    assert both.painted_objects == ("red", "3"), "an object of two names may have two layers"
 
 
 def test_undoing_keeps_what_was_named_since(once: Scene):

@@ -53,11 +53,14 @@ def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path)
           vase:
             style: [wave.jpg, night.jpg]
             scale: 3   # whole, and becomes a float
-          pear: {style: night.jpg, steps: 30, settings: {layers: [2, 3], steps: 40}}
+          pear: &pear {style: night.jpg, steps: 30, settings: {layers: [2, 3], steps: 40}}
+          apple: {<<: *pear, steps: 8}
         """
     )
-    vase, pear = recipe.objects
+    vase, pear, apple = recipe.objects
     assert (vase.name, pear.name) == ("vase", "pear")
+    assert apple.style.config == replace(pear.style.config, steps=8)
+    assert apple.style.pictures == pear.style.pictures
     assert vase.style.pictures == (folder / "wave.jpg", folder / "night.jpg")
     assert pear.style.pictures == (folder / "night.jpg",)
     assert vase.style.config == replace(DEFAULTS, steps=20, scale=3.0)
@@ -101,32 +104,21 @@ def test_the_recipe_of_a_styled_scene_gives_its_settings(preset: str, folder: Pa
     assert recipe.objects[1].style.pictures == (picture, picture)
 
 
-@pytest.mark.parametrize("name", ["3", "no", "null", "2024-01-01", "1.50", "vase 2", "Brücke"])
+@pytest.mark.parametrize("name", ["3", "no", "2024-01-01", "Brücke"])
 def test_names_are_texts_whatever_yaml_sees_in_them(name: str, read: Read):
     assert read(f"objects: {{{name}: {{style: wave.jpg}}}}").objects[0].name == name
 
 
-@pytest.mark.parametrize("number", ["1e-3", "1.0e-3", "1E-3", "10e-4", ".1e-2", "0.001"])
+@pytest.mark.parametrize("number", ["1e-3", "1E-3", ".1e-2", "0.001"])
 def test_numbers_with_an_exponent(number: str, read: Read):
     assert config_of(read(f"{{lr: {number}, objects: {{a: {{style: wave.jpg}}}}}}")).lr == 1e-3
 
 
-def test_settings_may_be_shared_and_overridden(read: Read):
-    recipe = read(
-        """
-        objects:
-          vase: &vase {style: wave.jpg, steps: 9, scale: 1.5}
-          pear: {<<: *vase, steps: 8}
-        """
-    )
-    assert recipe.objects[1].style.config == replace(DEFAULTS, steps=8, scale=1.5)
-    assert recipe.objects[1].style.pictures == recipe.objects[0].style.pictures
-
-
-@pytest.mark.parametrize("field", [field.name for field in fields(StyleConfig)])
-def test_every_setting_refuses_what_it_cannot_be(field: str, read: Read):
-    with pytest.raises(StyleSplatError, match=rf"r\.yaml: {field} must be .+, not \[\[\]\]\."):
-        read(f"{field}: [[]]\nobjects: {{a: {{style: wave.jpg}}}}")
+def test_every_setting_refuses_what_it_cannot_be(read: Read):
+    for field in fields(StyleConfig):
+        fault = rf"r\.yaml: {field.name} must be .+, not \[\[\]\]\."
+        with pytest.raises(StyleSplatError, match=fault):
+            read(f"{field.name}: [[]]\nobjects: {{a: {{style: wave.jpg}}}}")
 
 
 def test_the_choices_of_a_recipe_are_those_of_the_code():
@@ -135,24 +127,20 @@ def test_the_choices_of_a_recipe_are_those_of_the_code():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("texture", "soften"), ("canvas", "own"), ("smoothness", 2.5)]
-)
-@pytest.mark.parametrize(
     "text",
     [
-        "{{steps: 3, {name}: {value}, objects: {{a: {{style: wave.jpg}}}}}}",
-        "{{settings: {{steps: 3, {name}: {value}}}, objects: {{a: {{style: wave.jpg}}}}}}",
-        "{{objects: {{a: {{style: wave.jpg, steps: 3, {name}: {value}}}}}}}",
+        "{{steps: 3, {gone}, objects: {{a: {{style: wave.jpg}}}}}}",
+        "{{settings: {{steps: 3, {gone}}}, objects: {{a: {{style: wave.jpg}}}}}}",
+        "{{objects: {{a: {{style: wave.jpg, steps: 3, {gone}}}}}}}",
     ],
     ids=["of all", "of a scene", "of one"],
 )
-def test_settings_that_are_gone_are_read_and_told(
-    name: str, value: object, text: str, read: Read, said: list[str]
-):
+def test_settings_that_are_gone_are_read_and_told(text: str, read: Read, said: list[str]):
     """Recipes of before may have them; a name is told once, whatever else is asked for."""
-    assert config_of(read(text.format(name=name, value=value))) == replace(DEFAULTS, steps=3)
-    (line,) = [line for line in said if name in line]
-    assert "\n" not in line
+    gone = "texture: soften, smoothness: 2.5"
+    assert config_of(read(text.format(gone=gone))) == replace(DEFAULTS, steps=3)
+    for name in ("texture", "smoothness"):
+        assert sum(name in line for line in said) == 1
 
 
 OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
@@ -164,56 +152,36 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
         (OBJECTS + "zzz: 3", "there is no key 'zzz'. Use one of quality, "),
         (OBJECTS + "settings: {sed: 3}", "there is no key 'sed'. Did you mean 'seed'?"),
-        (OBJECTS + "settings: {preset: paper}", "there is no key 'preset'. "),
-        (OBJECTS + "style: wave.jpg", "there is no key 'style'. "),
         ("objects: {vase: {stile: wave.jpg}}", "vase: there is no key 'stile'. Did you mean"),
-        ("objects: {vase: {style: wave.jpg, preset: paper}}", "vase: there is no key 'preset'"),
         (OBJECTS + "steps: many", 'steps must be a whole number or null, not "many".'),
-        (OBJECTS + "steps: 3.5", "steps must be a whole number or null, not 3.5."),
         (OBJECTS + "steps: true", "steps must be a whole number or null, not true."),
-        (OBJECTS + "seed:", "seed must be a whole number, not null."),
         (OBJECTS + "scale: big", 'scale must be a number, not "big".'),
-        (OBJECTS + "scale: true", "scale must be a number, not true."),
         (OBJECTS + "scale: .nan", "scale must be a number, not NaN."),
         (OBJECTS + "scale: 1" + "0" * 400, "scale must be a number, not 1000"),
-        (OBJECTS + "layers: 3", "layers must be a list, each a whole number, not 3."),
         (OBJECTS + "layers: [a]", 'layers must be a list, each a whole number, not ["a"].'),
         (OBJECTS + "region: [1, 2, 3]", "region must be a list of 4, each a whole number or null,"),
         (OBJECTS + "color: kepe", 'color must be "style" or "keep" or'),
-        (OBJECTS + "color: [keep]", 'color must be "style" or "keep" or'),
         (OBJECTS + "preset: fast", 'preset must be "default" or "paper", not "fast".'),
         (OBJECTS + "features: vgg", 'features must be "compact" or "vgg16" or "vgg19" or null,'),
         (OBJECTS + "settings: [1]", "settings must be KEY: VALUE, not [1]."),
         (OBJECTS + "steps: 0", "steps 0: it must exceed 0."),
         ("objects: {vase: {style: wave.jpg, steps: 0}}", "vase: Cannot stylise with steps 0"),
-        ("objects: {vase: {style: wave.jpg, steps: x}}", "vase: steps must be a whole number"),
         ("objects: {vase: {style: 3}}", "vase: style must be text or a list, each text, not 3."),
         ("objects: {vase: {steps: 3}}", "vase: it has no picture. Add `style: IMAGE`."),
-        ("objects: {vase: {style: []}}", "vase: it has no picture. Add `style: IMAGE`."),
-        ("objects: {vase: {style: }}", "vase: it has no picture. Add `style: IMAGE`."),
-        (
-            "objects: {vase: {style: null, sha256: abc}}",
-            "vase: it was painted with colours that were never a file. Save them, add",
-        ),
         (
             "objects: {vase: {style: [wave.jpg, null], sha256: [abc, abd]}}",
             "vase: it was painted with colours that were never a file. Save them, add",
         ),
         ("objects: {vase: wave.jpg}", "vase must be KEY: VALUE. Write vase: {style: IMAGE}."),
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
-        ("objects: {vase: {style: [wave.jpg, lost.jpg]}}", "vase: there is no picture "),
         ("objects: {vase: {style: .}}", "vase: there is no picture "),
         ("objects: {}", "it names no objects. Add `objects:`"),
-        ("objects:", "it names no objects. Add `objects:`"),
         ("steps: 3", "it names no objects. Add `objects:`"),
         ("objects: vase", 'objects must be KEY: VALUE or a list or null, not "vase".'),
-        ("objects: [vase]", "each of the list `objects` must have a name and a style."),
         ("objects: [{style: wave.jpg}]", "each of the list `objects` must have a name"),
-        ("", "it must hold `objects:` and settings, as KEY: VALUE."),
         ("- vase", "it must hold `objects:` and settings, as KEY: VALUE."),
         ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
         ("steps: 3\nobjects: {\n? [a]: 2}", "line 3 is no valid YAML: a key is a list or a map."),
-        ("steps: 3\nsteps: 4", "line 2 is no valid YAML: steps is listed twice."),
         ("steps: \0", "it is no YAML text: "),
         (
             "objects:\n  vase: {style: wave.jpg}\n  pear: {style: wave.jpg}\n"
@@ -243,15 +211,14 @@ def test_faults_are_named_in_one_line(text: str, message: str, read: Read, folde
 
 
 def test_files_that_are_no_recipe(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"lost\.yaml: No such file or directory"):
-        read_recipe(folder / "lost.yaml", defaults=DEFAULTS)
-    with pytest.raises(
-        StyleSplatError, match=r"it is no recipe. Give a YAML file, or the recipe.json"
-    ):
-        read_recipe(folder, defaults=DEFAULTS)
     (folder / "night.jpg").write_bytes(b"\xff\xd8\xff\xe0")
-    with pytest.raises(StyleSplatError, match=r"night\.jpg: it is no YAML text: unacceptable"):
-        read_recipe(folder / "night.jpg", defaults=DEFAULTS)
+    for file, fault in (
+        ("lost.yaml", r"lost\.yaml: No such file or directory"),
+        (".", r"it is no recipe. Give a YAML file, or the recipe.json"),
+        ("night.jpg", r"night\.jpg: it is no YAML text: unacceptable"),
+    ):
+        with pytest.raises(StyleSplatError, match=fault):
+            read_recipe(folder / file)
 
 
 def test_a_command_that_takes_recipes_is_parsed_without_torch():

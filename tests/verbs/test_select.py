@@ -40,11 +40,8 @@ def picked(scene: Scene, name: str) -> Bool[torch.Tensor, " N"]:
     return scene.objects[name].picked
 
 
-def test_several_points_are_united():
+def test_points_are_united_but_for_those_that_are_not_meant():
     assert how(point=[place(3), place(7)])["ids"] == [3, 7]
-
-
-def test_a_point_that_is_not_meant():
     assert how(id=(3, 7, 300), not_point=place(7))["ids"] == [3, 300]
     with pytest.raises(StyleSplatError, match="--not-point only excludes"):
         select(SCENE, "none", id=7, not_point=place(7))
@@ -67,19 +64,14 @@ def test_union_and_difference_of_earlier_selections():
         select(scene, "x", plus="blue")
 
 
-def test_a_scene_is_never_changed():
+def test_a_scene_is_never_changed(said: list[str]):
     once = select(SCENE, "it", id=3)
+    assert said == []
     twice = select(once, "it", id=7)
+    assert said == [f"'it' meant {picked(once, 'it').sum()} Gaussians before."]
     assert not SCENE.objects and [*twice.objects] == ["it"]
     assert torch.equal(picked(once, "it"), pick(SPLATS, object_id=3))
     assert torch.equal(picked(twice, "it"), pick(SPLATS, object_id=7))
-
-
-def test_a_name_that_meant_something_else(said: list[str]):
-    once = select(SCENE, "it", id=3)
-    assert said == []
-    select(once, "it", id=7)
-    assert said == [f"'it' meant {picked(once, 'it').sum()} Gaussians before."]
 
 
 def test_sphere_around_what_a_pixel_shows():
@@ -90,17 +82,13 @@ def test_sphere_around_what_a_pixel_shows():
     assert scene.objects["ball"].how["sphere"][0] == view
 
 
-def test_sphere_in_the_world():
-    scene = select(SCENE, "ball", sphere=(*BALLS[3][0], 0.31))
-    inside = (SPLATS.means - torch.tensor(BALLS[3][0])).norm(dim=1) < 0.31
-    assert torch.equal(picked(scene, "ball"), inside)
-
-
 def test_several_shapes_are_united():
     spheres = [(*BALLS[id][0], 0.31) for id in (3, 7)]
     scene = select(SCENE, "balls", sphere=spheres)
     for name, sphere in zip(("red", "green"), spheres, strict=True):
         scene = select(scene, name, sphere=sphere)
+        inside = (SPLATS.means - torch.tensor(sphere[:3])).norm(dim=1) < 0.31
+        assert torch.equal(picked(scene, name), inside)
     assert torch.equal(picked(scene, "balls"), picked(scene, "red") | picked(scene, "green"))
     assert scene.objects["balls"].how["sphere"] == tuple(("", each) for each in spheres)
     assert scene.objects["red"].how["sphere"] == ("", spheres[0]), "one is written as it was"
@@ -147,6 +135,8 @@ def test_grow_and_shrink_come_last():
     scene = select(scene, "less", plus="more", shrink=0.05)
     less = scene.objects["less"].how
     assert less["shrink"] == 0.05
+    listed = {each["id"]: each["names"] for each in objects(select(scene, "red", id=3))}
+    assert listed[3] == ["red"], "a grown name is not that of the object"
     assert 0 < less["gaussians"] < more["gaussians"] < scene.objects["two"].how["gaussians"]
 
 
@@ -163,14 +153,6 @@ def test_how_it_was_selected_comes_back_from_disk(tmp_path: Path):
     assert all(torch.equal(each.picked, picked(scene, name)) for name, each in found.items())
 
 
-def test_a_grown_name_is_not_the_object():
-    scene = select(SCENE, "red", id=3)
-    scene = select(scene, "more", id=3, grow=0.1)
-    scene = select(scene, "less", id=3, shrink=0.01)
-    names = {each["id"]: each["names"] for each in objects(scene)}
-    assert names[3] == ["red"]
-
-
 def test_grow_or_shrink_that_cannot_be():
     with pytest.raises(StyleSplatError, match="Pass --grow or --shrink"):
         select(SCENE, "x", id=3, grow=0.1, shrink=0.1)
@@ -179,9 +161,6 @@ def test_grow_or_shrink_that_cannot_be():
             select(SCENE, "x", id=3, grow=share)
     with pytest.raises(StyleSplatError, match="Shrink it less"):
         select(SCENE, "x", id=3, shrink=1.0)
-
-
-def test_nothing_said():
     with pytest.raises(StyleSplatError, match="Select with --id, --point"):
         select(SCENE, "x")
 
@@ -199,14 +178,7 @@ def test_by_text(detector: ColorDetector):
     assert found["ids"] == [3] and found["text"] == "the red one"
     assert found["scores"].keys() == {3} and 0.5 < found["scores"][3] < 0.81
     assert torch.equal(picked(scene, "it"), pick(SPLATS, object_id=3))
-
-
-def test_text_is_united_with_the_rest(detector: ColorDetector):
-    assert how(id=7, text="red")["ids"] == [7, 3]
-    assert how(id=3, text="red")["ids"] == [3]
-    scene = select(SCENE, "red", id=3)
-    scene = select(scene, "green", id=(3, 7), text="green", minus="red")
-    assert torch.equal(picked(scene, "green"), pick(SPLATS, object_id=7))
+    assert how(id=7, text="red")["ids"] == [7, 3], "it is united with the rest"
 
 
 def test_text_that_means_several(detector: ColorDetector):
@@ -221,6 +193,8 @@ def test_text_that_means_nothing(detector: ColorDetector):
         select(SCENE, "it", text="owl")
     with pytest.raises(StyleSplatError, match="The text is empty"):
         select(SCENE, "it", text=" ")
+    with pytest.raises(StyleSplatError, match="no identities"):
+        select(Scene(replace(SPLATS, identities=None, classifier=None), CAMERAS), "it", text="red")
 
 
 def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector):
@@ -235,28 +209,16 @@ def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector)
     assert how(scene=styled, text="red")["ids"] == [3]
 
 
-def test_text_needs_objects(monkeypatch):
-    monkeypatch.setattr(verb, "load_detector", lambda *_: pytest.fail("it is not needed"))
-    with pytest.raises(StyleSplatError, match="no identities"):
-        select(Scene(replace(SPLATS, identities=None, classifier=None), CAMERAS), "it", text="red")
-
-
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
         ("", "must not be empty"),
-        (" \u3000", "must not be empty"),
         ("3", "numbers are label ids"),
-        ("007", "numbers are label ids"),
         ("\u0663", "numbers are label ids"),
         ("a=b", "must not contain '=', slashes or control characters"),
         ("a/b", "must not contain"),
-        ("../a", "must not contain"),
         ("a\\b", "must not contain"),
         ("a\nb", "must not contain"),
-        ("a\0", "must not contain"),
-        ("a\x7f", "must not contain"),
-        ("a\x85b", "must not contain"),
         ("a\u2028b", "must not contain"),
         ("\ud800", "must not contain"),
         ("__metadata__", "use that name for themselves"),
@@ -271,23 +233,16 @@ def test_names_that_cannot_be_kept_are_refused(name: str, fault: str):
     assert len(line) < 200 and line.isprintable()
 
 
-@pytest.mark.parametrize("name", ["x" * 100, "vase 2", "花瓶", ".", "-3", "3.5", "null", "👩‍🚀"])
+@pytest.mark.parametrize("name", ["x" * 100, ".", "-3", "👩‍🚀"])
 def test_names_that_can_be_kept_come_back(name: str, tmp_path: Path):
     scene_folder.save(select(SCENE, name, id=3), tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")
     assert torch.equal(picked(found, name), pick(SPLATS, object_id=3))
 
 
-@pytest.mark.parametrize(
-    ("place", "fact"),
-    [
-        ({"point": ("lost.jpg", 1, 2)}, "lost.jpg"),
-        ({"not_point": ("lost.jpg", 1, 2)}, "lost.jpg"),
-        ({"box": (VIEW, 0, 0, 9999, 9)}, "9999"),
-    ],
-)
-def test_places_are_checked_before_a_model_is_loaded(
-    place: dict[str, Any], fact: str, tmp_path: Path
-):
-    with pytest.raises(StyleSplatError, match=fact):
-        select(SCENE, "it", text="owl", model=str(tmp_path / "no model"), **place)
+def test_places_are_checked_before_a_model_is_loaded(tmp_path: Path):
+    missing = str(tmp_path / "no model")
+    with pytest.raises(StyleSplatError, match=r"lost\.jpg"):
+        select(SCENE, "it", text="owl", model=missing, not_point=("lost.jpg", 1, 2))
+    with pytest.raises(StyleSplatError, match="9999"):
+        select(SCENE, "it", text="owl", model=missing, box=(VIEW, 0, 0, 9999, 9))

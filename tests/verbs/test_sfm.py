@@ -64,14 +64,7 @@ def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: 
     assert again in ("02.jpg", "again.jpg") and "nearly the same" in record.left_out[again]
     assert record.frame["up"] == [0, -1, 0]
     assert json.loads((capture.path / "sfm.json").read_text())["format"] == 1
-
-
-def test_the_capture_is_checked(capture: ss.Capture):
-    assert capture.path is not None
     assert {p.name for p in capture.path.iterdir()} == {"images", "sparse", "sfm.json", "check.jpg"}
-
-
-def test_nothing_is_left_beside_it(capture: ss.Capture, photos: Path):
     assert {p.name for p in photos.parent.iterdir()} == {"Ma pièce", "capture"}
 
 
@@ -90,29 +83,18 @@ class InterruptedAt(Silence):
         yield self
 
 
-class Lines(Silence):
-    """Keeps what is said."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def say(self, line: str) -> None:
-        self.lines.append(line)
-
-
-def test_each_photo_without_a_pose_is_named_once(tmp_path: Path):
+def test_each_photo_without_a_pose_is_named_once(tmp_path: Path, said: list[str]):
     elsewhere = photograph_corner(towards(places_around(COUNT))[3], seed=9)
     write_photos(tmp_path / "photos", corner(COUNT) | {"elsewhere.jpg": elsewhere})
-    with observed(lines := Lines()):
-        ss.sfm(tmp_path / "photos", tmp_path / "capture")
-    (line,) = [line for line in lines.lines if "elsewhere.jpg" in line]
+    ss.sfm(tmp_path / "photos", tmp_path / "capture")
+    (line,) = [line for line in said if "elsewhere.jpg" in line]
     assert line.startswith("Not posed: ")
-    assert any(line.startswith("Take more photos between") for line in lines.lines)
+    assert any(line.startswith("Take more photos between") for line in said)
 
 
 def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path):
     output = tmp_path / "capture"
-    for stage in ("finding features", "matching photos", "finding poses", "undistorting photos"):
+    for stage in ("finding features", "finding poses", "undistorting photos"):
         with observed(InterruptedAt(stage)), pytest.raises(KeyboardInterrupt):
             ss.sfm(photos, output)
         assert not output.exists()
@@ -121,24 +103,16 @@ def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path):
     assert [p.name for p in tmp_path.iterdir()] == ["capture"]
 
 
-def test_an_occupied_place(photos: Path, tmp_path: Path):
+def test_places_that_cannot_be(photos: Path, tmp_path: Path):
     (tmp_path / "diary.txt").write_text("dear")
     with pytest.raises(ss.StyleSplatError, match=r"holds something else\. Choose another"):
         ss.sfm(photos, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["diary.txt"]
-
-
-def test_inside_of_the_photos(photos: Path):
     with pytest.raises(ss.StyleSplatError, match="lies inside of"):
         ss.sfm(photos, photos / "capture")
-
-
-def test_photos_inside_of_the_capture(photos: Path, tmp_path: Path):
-    inside = tmp_path / "garden" / "images"
-    shutil.copytree(photos, inside)
     with pytest.raises(ss.StyleSplatError, match="which would be replaced"):
-        ss.sfm(inside, tmp_path / "garden", overwrite=True)
-    assert (inside / "00.jpg").read_bytes() == (photos / "00.jpg").read_bytes()
+        ss.sfm(photos, photos.parent, overwrite=True)
+    assert (photos / "00.jpg").is_file()
 
 
 def test_another_time_label_maps_and_what_lies_beside_stay(

@@ -1,12 +1,13 @@
-"""Paintings taken back one by one, and objects painted anew, beside others that stay."""
+"""Paint taken back, adjusted and replaced, object by object, beside others that stay."""
 
 from pathlib import Path
 
 import pytest
 import torch
 
-from balls import PAINTED_FAST as FAST
 from balls import (
+    GREEN,
+    RED,
     SPLATS,
     TRAINED,
     assert_same_objects,
@@ -16,35 +17,60 @@ from balls import (
     painted,
     write_painted,
 )
+from balls import PAINTED_FAST as FAST
 from balls import contents as all_contents
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json
-from stylesplat.io.scene_folder import save
+from stylesplat.io.scene_folder import revise, save
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.delete import delete
 from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.objects import delete
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize, stylize_unmeasured
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
+ROWS = torch.arange(len(SPLATS))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The balls; red painted; green painted upon that, by its label id; and two pictures."""
-    return write_painted(tmp_path_factory.mktemp("undo"), "7", lambda wave, night: night)
+    """The balls; red painted; green painted upon that; and two pictures."""
+    return write_painted(tmp_path_factory.mktemp("undo"), "green", lambda wave, night: night)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return all_contents(folder, "metrics.json")
 
 
+def test_objects_and_confidence_follow_the_canvas(folder: Path):
+    before, scene = opened(folder / "trained").splats, opened(folder / "twice")
+    after, new = scene.splats, torch.arange(len(scene.splats)) >= len(SPLATS)
+    assert before.confidence is not None and after.confidence is not None
+    assert torch.equal(after.confidence[ROWS], before.confidence)
+    assert new.any() and torch.isin(after.confidence[new], before.confidence[RED | GREEN]).all()
+    red, green, both = (scene.objects[name].picked for name in ("red", "green", "both"))
+    assert torch.equal(both, red | green) and torch.equal(both[new], new[new])
+    assert after.identities is not None
+    for picked, number in ((red, 1), (green, 2)):
+        assert (after.identities[picked].argmax(dim=1) == number).all()
+
+
+def test_a_second_style_leaves_the_first_alone(folder: Path):
+    once, twice = (opened(folder / name) for name in ("once", "twice"))
+    green = once.objects["green"].picked
+    rows = torch.arange(len(once.splats))
+    assert_same_splats(twice.splats[rows][~green], once.splats[~green])
+    assert twice.painted_objects == ("red", "green")
+    files = [folder / name / "layers/01-red.safetensors" for name in ("once", "twice")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert twice.metrics["train"] == {"psnr": 30.0}
+
+
 def test_undoing_the_last_gives_the_scene_before_it(folder: Path, tmp_path: Path):
     twice = opened(folder / "twice")
-    assert len(twice.splats) == len(opened(folder / "once").splats) > len(SPLATS)
-    undone = adjust(adjust(twice, 0.2, objects="7"), objects="7", undo=True)
+    undone = adjust(adjust(twice, 0.2, objects="green"), objects="green", undo=True)
     save(undone, tmp_path / "undone")
     assert contents(tmp_path / "undone") == contents(folder / "once")
     assert undone.metrics == {"train": {"psnr": 30.0}}
@@ -54,20 +80,21 @@ def test_undoing_the_first_leaves_the_second_alone(folder: Path, tmp_path: Path)
     twice, trained = opened(folder / "twice"), opened(folder / "trained")
     save(adjust(twice, undo=True, objects=["red"]), tmp_path / "undone")
     undone = opened(tmp_path / "undone")
-    others = ~own_rows(undone, "7")
+    others = ~own_rows(undone, "green")
     assert_same_splats(undone.splats[others], trained.splats[others])
-    mine = own_rows(twice, "7")
-    assert_same_splats(undone.splats[~others], twice.splats[mine])
-    assert undone.painted_objects == ("7",)
+    assert_same_splats(undone.splats[~others], twice.splats[own_rows(twice, "green")])
+    assert undone.painted_objects == ("green",)
     assert undone.objects.keys() == TRAINED.objects.keys()
-    layers = [
-        (folder / "twice/layers/02-7.safetensors"),
-        tmp_path / "undone/layers/01-7.safetensors",
-    ]
-    assert layers[0].read_bytes() == layers[1].read_bytes(), "it keeps its bytes"
+    before = (folder / "twice/layers/02-green.safetensors").read_bytes()
+    assert (tmp_path / "undone/layers/01-green.safetensors").read_bytes() == before
+    loud = adjust(undone, 1.2)
+    assert_same_splats(adjust(loud, FAST.intensity).splats, undone.splats)
+    assert evaluate(loud, device="cpu")["nnfm_after"].keys() == {"green"}
+    recipe = read_json(tmp_path / "undone/recipe.json")
+    assert [each["name"] for each in recipe["objects"]] == ["green"]
 
 
-@pytest.mark.parametrize("order", [("red", "7"), ("7", "red")])
+@pytest.mark.parametrize("order", [("red", "green"), ("green", "red")])
 def test_undoing_one_after_the_other_is_undoing_all(
     order: tuple[str, str], folder: Path, tmp_path: Path
 ):
@@ -81,89 +108,84 @@ def test_undoing_one_after_the_other_is_undoing_all(
     assert_same_splats(both.splats, opened(folder / "trained").splats)
 
 
-def test_what_is_left_is_adjusted_and_measured(folder: Path, tmp_path: Path):
-    undone = adjust(opened(folder / "twice"), objects="red", undo=True)
-    loud = adjust(undone, 1.2)
-    assert_same_splats(adjust(loud, FAST.intensity).splats, undone.splats)
-    assert evaluate(loud, device="cpu")["nnfm_after"].keys() == {"7"}
-    save(undone, tmp_path / "it")
-    recipe = read_json(tmp_path / "it" / "recipe.json")
-    assert [each["name"] for each in recipe["objects"]] == ["7"]
+def test_a_scene_that_was_adjusted_in_place_is_undone_to_the_bit(folder: Path, tmp_path: Path):
+    save(adjust(opened(folder / "twice"), 0.3), tmp_path / "adjusted")
+    for undo in (False, True):
+        scene = opened(tmp_path / "adjusted")
+        revise(scene, adjust(scene, 1.2, undo=undo), tmp_path / "adjusted")
+    assert contents(tmp_path / "adjusted") == contents(folder / "trained")
 
 
-def test_what_is_not_painted_is_not_undone(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"blue is not styled in .*Styled objects: red, 7"):
-        adjust(opened(folder / "twice"), objects=["red", "blue"], undo=True)
+def test_intensity_0_shows_the_colours_before_and_goes_back(folder: Path, tmp_path: Path):
+    once, twice = opened(folder / "once"), opened(folder / "twice")
+    none = adjust(once, 0.0)
+    assert_same_splats(none.splats, opened(folder / "trained").splats)
+    assert_same_splats(adjust(none, FAST.intensity).splats, once.splats)
+    assert_same_objects(adjust(none, FAST.intensity), once)
+    save(adjust(twice, 0.0, objects="red"), tmp_path / "one")
+    scene = opened(tmp_path / "one")
+    red = scene.objects["red"].picked
+    assert_same_splats(scene.splats[red], scene.unpainted[red[: len(SPLATS)]])
+    assert torch.equal(scene.splats.sh0[~red], twice.splats.sh0[~twice.objects["red"].picked])
+    assert scene.metrics == {"train": {"psnr": 30.0}}
 
 
-def test_an_object_is_painted_anew_from_its_own_colours(folder: Path, said: list[str]):
-    """Not upon its old style; the only one that was painted gives what painting it first does."""
-    night = folder / "night.png"
-    anew = painted(opened(folder / "once"), "red", night)
+def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_path: Path):
+    """Among the Gaussians with a canvas, outliers of an id are others than before."""
+    styled = painted(opened(folder / "trained"), "3", folder / "wave.png", measured=False)
+    save(styled, tmp_path / "styled")
+    none = adjust(opened(tmp_path / "styled"), 0.0)
+    assert_same_splats(none.splats, styled.unpainted)
+    repainted = (styled.splats.sh0[ROWS] != styled.unpainted.sh0).flatten(1).any(dim=1)
+    assert repainted.any() and not (repainted & ~own_rows(none, "3")).any()
+    assert adjust(none, undo=True).objects.keys() == TRAINED.objects.keys()
+
+
+def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
+    folder: Path, tmp_path: Path, said: list[str]
+):
+    """From its own colours, in its place of the stack, as if it had been painted so first."""
+    twice, night = adjust(opened(folder / "twice"), 0.3, objects="green"), folder / "night.png"
+    anew = painted(twice, "red", night, quality="normal")
     assert "Painting red anew, from the colours before." in said
-    first = painted(opened(folder / "trained"), "red", night)
-    assert_same_splats(anew.splats, first.splats)
-    assert_same_objects(anew, first)
-    assert anew.metrics["train"] == {"psnr": 30.0}
-
-
-def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(folder: Path, tmp_path: Path):
-    """In its place of the stack, as if it had been painted so from the first."""
-    twice = adjust(opened(folder / "twice"), 0.3, objects="7")
-    anew = painted(twice, "red", folder / "night.png", quality="normal")
-    assert anew.painted_objects == ("red", "7")
-    assert anew.layers[1] is twice.layers[1]
-    alone = painted(
-        opened(folder / "trained"),
-        "red",
-        folder / "night.png",
-        quality="normal",
-        measured=False,
-    )
+    assert anew.painted_objects == ("red", "green") and anew.layers[1] is twice.layers[1]
+    trained = opened(folder / "trained")
+    alone = painted(trained, "red", night, quality="normal", measured=False)
     for name in ("sh0", "shN", "opacity_factors", "parents", "canvas_sh0"):
         assert torch.equal(getattr(alone.layers[0], name), getattr(anew.layers[0], name)), name
-    others = ~(own_rows(anew, "7") | own_rows(anew, "red"))[: len(SPLATS)]
-    first = torch.arange(len(SPLATS))
-    assert_same_splats(anew.splats[first][others], twice.splats[first][others])
+    others = ~(own_rows(anew, "green") | own_rows(anew, "red"))[: len(SPLATS)]
+    assert_same_splats(anew.splats[ROWS][others], twice.splats[ROWS][others])
     save(anew, tmp_path / "it")
     again = read_recipe(tmp_path / "it" / "recipe.json")  # the other is painted on the new one
-    made = stylize_unmeasured(opened(folder / "trained"), again, device="cpu").scene
+    made = stylize_unmeasured(trained, again, device="cpu").scene
     assert torch.equal(made.layers[0].sh0, anew.layers[0].sh0)
     assert made.painted_objects == anew.painted_objects
-    undone = adjust(opened(tmp_path / "it"), undo=True)
-    assert_same_splats(undone.splats, opened(folder / "trained").splats)
-
-
-def test_what_is_painted_anew_does_not_see_the_layers_above(folder: Path):
-    night = folder / "night.png"
-    twice = opened(folder / "twice")
-    seen = painted(twice, "red", night, measured=False).layers[0]
-    strange = adjust(twice, 1.5, objects="7")
-    assert torch.equal(painted(strange, "red", night, measured=False).layers[0].sh0, seen.sh0)
+    assert_same_splats(adjust(opened(tmp_path / "it"), undo=True).splats, trained.splats)
 
 
 def test_several_are_painted_anew_the_lowest_first(folder: Path):
-    """Whatever the order in which they are named."""
+    """Whatever the order in which they are named; all are measured."""
     night = folder / "night.png"
-    styles = {"7": Style(night, config=FAST), "red": Style(night, config=FAST)}
+    styles = {"green": Style(night, config=FAST, steps=2), "red": Style(night, config=FAST)}
     anew = stylize(opened(folder / "twice"), styles, device="cpu")
-    assert anew.painted_objects == ("red", "7")
-    first = stylize(opened(folder / "trained"), dict(reversed(styles.items())), device="cpu")
+    assert anew.painted_objects == ("red", "green") and anew.metrics["steps"] == 5
+    assert anew.metrics["nnfm_before"].keys() == anew.metrics["seconds_by_object"].keys()
+    ordered = dict(reversed(styles.items()))
+    first = stylize_unmeasured(opened(folder / "trained"), ordered, device="cpu").scene
     assert_same_splats(anew.splats, first.splats)
 
 
 def test_a_part_of_what_is_painted_gets_a_layer_above(folder: Path, tmp_path: Path):
     """And what was there comes back when that is removed."""
-    both = select(opened(folder / "twice"), "either", plus=("red", "7"))
+    both = select(opened(folder / "twice"), "either", plus=("red", "green"))
     over = painted(both, "either", folder / "wave.png", measured=False)
-    assert over.painted_objects == ("red", "7", "either")
-    rows = torch.arange(len(SPLATS))
-    assert not torch.equal(over.splats.sh0[rows], both.splats.sh0[rows])
+    assert over.painted_objects == ("red", "green", "either")
+    assert not torch.equal(over.splats.sh0[ROWS], both.splats.sh0[ROWS])
     assert_same_splats(adjust(over, objects="either", undo=True).splats, both.splats)
     save(over, tmp_path / "over")
     assert_same_splats(adjust(opened(tmp_path / "over"), 0.0, objects="either").splats, both.splats)
     without = adjust(over, objects="red", undo=True)
-    assert without.painted_objects == ("7", "either")
+    assert without.painted_objects == ("green", "either")
     assert_same_splats(adjust(without, undo=True).splats, opened(folder / "trained").splats)
 
 
@@ -174,25 +196,26 @@ def test_what_has_no_name_any_longer_is_painted_anew_by_its_layer(folder: Path):
     assert torch.equal(anew.layers[0].rows, nameless.layers[0].rows)
 
 
-def test_names_are_known_before_anything_is_cleared_or_painted(folder: Path, said: list[str]):
-    """Also those of later runs, whose mistakes would else come after minutes."""
-    night = folder / "night.png"
-    style = Style(night, config=FAST)
+def test_names_are_known_before_anything_is_painted(folder: Path, said: list[str]):
+    style = Style(folder / "night.png", config=FAST)
     with pytest.raises(StyleSplatError, match="no object 'lid'"):
         stylize(opened(folder / "trained"), {"red": style, "lid": style}, device="cpu")
     assert not said, "not even the first is begun"
 
 
-@pytest.mark.parametrize("first", ["red", "green"])
-def test_one_after_the_other_gives_what_was_before_both(folder: Path, first: str):
-    """Without a folder in between, as in a program; each has a canvas."""
-    trained = opened(folder / "trained")
-    style = Style(folder / "night.png", config=FAST)
-    both = stylize_unmeasured(trained, {"red": style, "green": style}, device="cpu").scene
-    assert all(len(layer.canvas) for layer in both.layers)
-    other = "green" if first == "red" else "red"
-    one = adjust(both, objects=first, undo=True)
-    assert_same_splats(adjust(one, objects=other, undo=True).splats, trained.splats)
-    own = trained.objects[first].picked
-    rows = torch.arange(len(SPLATS))[own]
-    assert_same_splats(one.splats[rows], trained.splats[rows])
+def test_nothing_to_undo_or_adjust(folder: Path):
+    with pytest.raises(StyleSplatError, match=r"trained is not styled\. Style it first"):
+        adjust(opened(folder / "trained"), undo=True)
+    with pytest.raises(StyleSplatError, match=r"The scene is not styled"):
+        adjust(TRAINED, 0.5)
+    once = opened(folder / "once")
+    with pytest.raises(StyleSplatError, match="Nothing to adjust"):
+        adjust(once)
+    for undo in (False, True):
+        with pytest.raises(StyleSplatError, match=r"green is not styled in .*once\. Styled objec"):
+            adjust(once, 0.5, undo=undo, objects=["red", "green"])
+    for intensity, form in ((1.6, None), (None, -1.0)):
+        with pytest.raises(StyleSplatError, match=r"use 0 to 1\.5"):
+            adjust(once, intensity, form=form)
+    with pytest.raises(StyleSplatError, match="--overwrite"):
+        save(adjust(once, undo=True), folder / "trained")

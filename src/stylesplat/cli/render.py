@@ -102,7 +102,7 @@ class Render(Command):
         from stylesplat.io.video import GIF_FPS
         from stylesplat.io.view_files import is_gif
         from stylesplat.scene.framing import frame_count
-        from stylesplat.verbs.orbit import FPS, FRAMES
+        from stylesplat.verbs.render import FPS, FRAMES
 
         gif = is_gif(self.output)
         if self.seconds is None and self.fps is None:

@@ -7,10 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, focus_point, look_at, median_lens, up_vector
 from stylesplat.scene.content import Content, content_of
-from stylesplat.scene.framing import Distances, Sight, centred_K, distances, focal_at, level_axes
-from stylesplat.scene.poses import focus_point, look_at, median_lens, up_vector
+from stylesplat.scene.framing import Sight, centred_K, fitting_distance, focal_at, level_axes
 from stylesplat.scene.splats import Splats
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
@@ -105,12 +104,7 @@ def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     level = phase.cos()[:, None] * side + phase.sin()[:, None] * ahead
     outward = tilt.cos() * level + tilt.sin() * up
     sights = [Sight(content.extent.centre, each, up, size) for each in outward]
-    found = [distances(content, sight, focal) for sight in sights]
-    distance = Distances(
-        wanted=max(each.wanted for each in found),
-        closest=max(each.closest for each in found),
-        free=min(each.free for each in found),
-    ).best
+    distance = fitting_distance(content, sights, focal)
     focal = min(focal_at(content.outline, sight, distance) for sight in sights)
     return Cameras(
         viewmats=torch.cat([sight.viewmats(distance) for sight in sights]).to(views.viewmats),
@@ -179,7 +173,7 @@ def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
         return FirstView(position, target, up_vector(cameras), slopes)
     outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
     sight = Sight(middle, outward, UP, WINDOW)
-    distance = distances(content, sight, FOCAL).best
+    distance = fitting_distance(content, [sight], FOCAL)
     focal = focal_at(content.outline, sight, distance)
     slopes = WINDOW[0] / focal, WINDOW[1] / focal
     return FirstView(middle + distance * outward, middle, UP, slopes)

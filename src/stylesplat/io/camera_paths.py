@@ -13,9 +13,8 @@ from torch import Tensor
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import MAX_JSON, fitting, read_json
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.framing import MOST_FRAMES, KeyFrames, frame_count, path_of
-from stylesplat.scene.poses import are_rigid, look_at, median_lens, up_vector
+from stylesplat.scene.cameras import Cameras, are_rigid, look_at, median_lens, up_vector
+from stylesplat.scene.framing import MOST_FRAMES, frame_count, path_of, smooth_path
 
 FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
 REMEDY = "The manual's section on `render` says what a path is."
@@ -102,8 +101,8 @@ def read_camera_path(
     keys: _Keys = fitting(content, _Keys, what, REMEDY)
     count = frame_count(seconds or keys.seconds, fps or keys.fps)
     _, size = median_lens(views)
-    frames = _key_frames(keys, views, what)
-    return CameraPath(frames.path(count, size, closed=keys.closed), float(fps or keys.fps))
+    frames = smooth_path(*_key_frames(keys, views, what), count, size, closed=keys.closed)
+    return CameraPath(frames, float(fps or keys.fps))
 
 
 def _nerfstudio(found: _Nerfstudio, what: str) -> Cameras:
@@ -121,7 +120,8 @@ def _nerfstudio(found: _Nerfstudio, what: str) -> Cameras:
     return path_of(torch.linalg.inv(poses), focals, size)
 
 
-def _key_frames(keys: _Keys, views: Cameras, what: str) -> KeyFrames:
+def _key_frames(keys: _Keys, views: Cameras, what: str) -> tuple[Tensor, Tensor]:
+    """World-to-camera matrices, and focal lengths over the pictures' height."""
     lens, (_, height) = median_lens(views)
     up, viewmats, focals = up_vector(views), list[Tensor](), list[float]()
     for row, key in enumerate(keys.keyframes):
@@ -143,7 +143,7 @@ def _key_frames(keys: _Keys, views: Cameras, what: str) -> KeyFrames:
                 f"{what}: key frame {row} needs a view, or a position and look_at. {REMEDY}"
             )
         focals.append(focal if key.fov is None else _focal(key.fov))
-    return KeyFrames(torch.stack(viewmats), torch.tensor(focals))
+    return torch.stack(viewmats), torch.tensor(focals)
 
 
 def _focal(fov: float) -> float:

@@ -9,8 +9,7 @@ from msgspec import Meta
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import PhotoName, fitting, read_json_as, write_json
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import ROTATION_TOLERANCE, are_rigid
+from stylesplat.scene.cameras import ROTATION_TOLERANCE, Cameras, are_rigid
 
 MAX_PIXELS = 2**28  # of a view: larger renders do not fit into memory
 REMEDY = "Train again."

@@ -4,8 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.scene.sh_basis import sh_basis
-from stylesplat.scene.splats import SH_C0
+from stylesplat.scene.splats import SH_C0, sh_basis
 
 
 def sh_bases(degree: int) -> int:

@@ -4,7 +4,7 @@ Pixels are those of the photo at its full size, whatever size it is worked on at
 """
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from typing import Any
 
 from stylesplat.errors import StyleSplatError
@@ -64,28 +64,30 @@ def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any]
         >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], 2, "point")
         (('a.jpg', (1.0, 2.0)), ('b.jpg', (3.0, 4.0)))
     """
-    several = [places] if len(places) and _is_place(places) else places
-    return tuple(_parsed(place, count, what) for place in several)
+    parsed = []
+    for place in several(places):
+        view, *numbers = place if isinstance(place, Sequence) and len(place) else (None,)
+        if len(numbers) == 1 and isinstance(numbers[0], Sequence):
+            (numbers,) = numbers
+        try:
+            found = tuple(map(float, numbers))
+        except (TypeError, ValueError):
+            found = ()
+        if not isinstance(view, str) or len(found) != count:
+            raise StyleSplatError(
+                f"Cannot use {what}={place!r}. Give the name of a view and {count} numbers, its "
+                "pixels."
+            )
+        parsed.append((view, found))
+    return tuple(parsed)
 
 
-def _is_place(places: Places) -> bool:
-    """Whether it is one; several consist of sequences, and a lone number is no place either."""
-    return isinstance(places, str) or isinstance(places[0], str | int | float)
-
-
-def _parsed(place: Any, count: int, what: str) -> tuple[str, tuple[float, ...]]:
-    view, *numbers = place if isinstance(place, Sequence) and len(place) else (None,)
-    if len(numbers) == 1 and isinstance(numbers[0], Sequence):
-        (numbers,) = numbers
-    try:
-        found = tuple(map(float, numbers))
-    except (TypeError, ValueError):
-        found = ()
-    if not isinstance(view, str) or len(found) != count:
-        raise StyleSplatError(
-            f"Cannot use {what}={place!r}. Give the name of a view and {count} numbers, its pixels."
-        )
-    return view, found
+def several(items: Sequence[Any] | None) -> Sequence[Any]:
+    """A place or a shape, or several, as several."""
+    if items is None or not len(items):
+        return ()
+    alone = isinstance(items[0], str) or not isinstance(items[0], Sized)
+    return [items] if alone else items
 
 
 MAX_INTENSITY = 1.5  # beyond it colours leave their range

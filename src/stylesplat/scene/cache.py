@@ -46,22 +46,22 @@ class Cache(Generic[Key]):
         if (kept := self._recent(key)) is not None:
             return kept  # pyright: ignore[reportReturnType]
         item = make()  # without the lock, so that threads decode several at a time
-        if _size_of(item) > self._budget:
+        size = _size_of(item)
+        if size > self._budget:
             return item
-        item = _apart(item)
+        copies = [t if t is None or t.nbytes == 0 else _copy(t) for t in item]
+        item = getattr(type(item), "_make", type(item))(copies)  # also of a NamedTuple
         with self._lock:
             if (kept := self._recent(key)) is not None:  # of another thread
                 return kept  # pyright: ignore[reportReturnType]
             self._items[key] = item
-            self._used += _size_of(item)
-            self._since_tidied += _size_of(item)
+            self._used += size
+            self._since_tidied += size
             while self._used > self._budget:
                 self._drop(next(iter(self._items)))
-            tidy = self._since_tidied > TIDY_EVERY
-            if tidy:
+            if self._since_tidied > TIDY_EVERY:
                 self._since_tidied = 0
-        if tidy:
-            tidy_heap()  # heads of kept tensors lie in what decoding freed: 6 MB a photo are lost
+                tidy_heap()  # heads of kept tensors lie in what decoding freed: 6 MB a photo
         return item
 
     def _recent(self, key: Key) -> tuple[Tensor | None, ...] | None:
@@ -81,20 +81,13 @@ class Cache(Generic[Key]):
         self._used -= _size_of(self._items.pop(key))
 
 
-def _apart(item: Item) -> Item:
-    """Copies in pages of their own, which return to the system when they go."""
-    copies = [t if t is None or t.nbytes == 0 else _copy(t) for t in item]
-    make = getattr(type(item), "_make", type(item))  # a NamedTuple takes its items one by one
-    return make(copies)
-
-
 def _copy(tensor: Tensor) -> Tensor:
+    """A copy in pages of its own, which return to the system when it goes."""
     pages = mmap.mmap(-1, tensor.nbytes)
     return torch.frombuffer(pages, dtype=tensor.dtype).view(tensor.shape).copy_(tensor)
 
 
 def _size_of(item: tuple[Tensor | None, ...]) -> int:
-    """Bytes of some tensors together."""
     return sum(t.nbytes for t in item if t is not None)
 
 

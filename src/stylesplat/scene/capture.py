@@ -183,25 +183,26 @@ def at_most(capture: Capture, length: int) -> Capture:
         return capture
     cache, sizes = Cache[tuple[str, int]](KEPT), cameras.sizes.tolist()
 
-    def small(name: str, row: int) -> Tensor | None:
-        def make() -> tuple[Tensor | None]:
-            item, (width, height) = getattr(capture, name)[row], sizes[row]
-            return (None if item is None else SHRINK[name](item, (height, width)),)
+    def smaller(name: str, shrink: Callable[[Any, Size], Tensor]) -> Lazy | None:
+        items = getattr(capture, name)
 
-        return cache.get((name, row), make)[0]
+        def make(row: int) -> tuple[Tensor | None]:
+            item, (width, height) = items[row], sizes[row]
+            return (None if item is None else shrink(item, (height, width)),)
 
-    smaller = {
-        name: Lazy([partial(small, name, row) for row in range(len(capture))])
-        for name in SHRINK
-        if getattr(capture, name) is not None
-    }
-    factor = capture.cameras.shrink_to(length)
+        def get(row: int) -> Tensor | None:
+            return cache.get((name, row), partial(make, row))[0]
+
+        return None if items is None else Lazy([partial(get, row) for row in range(len(capture))])
+
     return replace(
         capture,
         cameras=cameras,
+        photos=smaller("photos", _averaged),
+        alphas=smaller("alphas", _averaged),
+        label_maps=smaller("label_maps", resize_labels),
         full=capture.full_cameras,
-        downscale=capture.downscale * factor,
-        **smaller,
+        downscale=capture.downscale * capture.cameras.shrink_to(length),
     )
 
 
@@ -210,11 +211,3 @@ def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w
     import cv2  # which commands without photos need not load
 
     return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))
-
-
-# What a capture holds per photo and pixel
-SHRINK: dict[str, Callable[[Any, Size], Tensor]] = {
-    "photos": _averaged,
-    "alphas": _averaged,
-    "label_maps": resize_labels,
-}

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -113,19 +114,13 @@ def with_strengths(
         strengths: By the names of the objects; other layers stay as they are.
         forms: Likewise.
     """
-    forms = forms or {}
-    layers = [
-        replace(
-            each,
-            strength=strengths.get(each.object, each.strength),
-            form=forms.get(each.object, each.form),
-        )
-        for each in scene.layers
-    ]
-    changed = any(
-        (one.strength, one.form) != (other.strength, other.form)
-        for one, other in zip(layers, scene.layers, strict=True)
-    )
+    changed = dict[int, Layer]()
+    for place, each in enumerate(scene.layers):
+        strength = strengths.get(each.object, each.strength)
+        form = (forms or {}).get(each.object, each.form)
+        if (strength, form) != (each.strength, each.form):
+            changed[place] = replace(each, strength=strength, form=form)
+    layers = [changed.get(place, each) for place, each in enumerate(scene.layers)]
     return with_layers(scene, layers) if changed else scene
 
 
@@ -140,11 +135,11 @@ def require_painted(scene: Scene, names: Collection[str] = ()) -> None:
     Raises:
         StyleSplatError: If it is not, or one of them is not.
     """
-    where = scene.path or "The scene"
     if not scene.layers:
-        options = ("--style", "OBJECT=IMAGE", "-o", "STYLED")
-        way = pasted("stylize", scene.path or "SCENE", *options)
-        raise StyleSplatError(f"{where} is not styled. Style it first: `{way}`.")
+        way = pasted("stylize", scene.path or "SCENE", "--style", "OBJECT=IMAGE", "-o", "STYLED")
+        raise StyleSplatError(
+            f"{scene.path or 'The scene'} is not styled. Style it first: `{way}`."
+        )
     unknown = next((name for name in names if name not in scene.painted_objects), None)
     if unknown is not None:
         raise StyleSplatError(
@@ -162,24 +157,16 @@ def mask_of(layer: Layer, scene: Scene) -> Bool[Tensor, " M"]:
 
 def spans(scene: Scene) -> list[tuple[Layer, int, int]]:
     """The layers that show, and where their canvases begin and end among the splats."""
-    found, start = [], len(scene.unpainted)
-    for layer in scene.layers:
-        if layer.is_shown:
-            found.append((layer, start, start + len(layer.parents)))
-            start += len(layer.parents)
-    return found
+    shown = [layer for layer in scene.layers if layer.is_shown]
+    ends = [*accumulate((len(layer.parents) for layer in shown), initial=len(scene.unpainted))]
+    return [*zip(shown, ends, ends[1:], strict=False)]
 
 
 def new_ones_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
     """The splats of a scene with the canvases of some layers after all else, and their families."""
-    order = [torch.arange(len(scene.unpainted))]
-    for last in (False, True):
-        order += [
-            torch.arange(first, end)
-            for layer, first, end in spans(scene)
-            if (layer.object in names) is last
-        ]
-    rows = torch.cat(order)
+    parts = sorted(spans(scene), key=lambda part: part[0].object in names)
+    order = [torch.arange(first, end) for _, first, end in parts]
+    rows = torch.cat([torch.arange(len(scene.unpainted)), *order])
     return scene.splats[rows], family(scene)[rows]
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.sh_basis import sh_basis
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh_basis
 
 # `ns-process-data` writes COLMAP's world with these axes: x, z, -y
 NERFSTUDIO_AXES = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -84,24 +84,14 @@ def known_frames(cameras: Cameras) -> dict[str, Frame]:
 
 def _normalized(cameras: Cameras, before: Frame) -> Frame:
     turned = seen_from(cameras, before)
-    up = torch.nn.functional.normalize(-turned.viewmats[:, 1, :3].mean(dim=0), dim=0)
-    rotation = _between(up, torch.tensor([0.0, 0.0, 1.0]).to(up))
+    up = -turned.viewmats[:, 1, :3].mean(dim=0)
+    upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], up[None].double().cpu())[0]
+    rotation = torch.from_numpy(upright.as_matrix()).to(up)
     centre = turned.positions.mean(dim=0)
     offsets = (turned.positions - centre) @ rotation.T
     scale = 1 / max(float(offsets.abs().max()), 1e-9)
     whole = rotation @ before.rotation.to(rotation)
     return Frame(whole, scale, -scale * rotation @ centre)
-
-
-def _between(one: Float[Tensor, "3"], other: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """The smallest rotation from one direction to another (Rodrigues)."""
-    axis = torch.linalg.cross(one, other)
-    sine, cosine = axis.norm(), one @ other
-    if sine < 1e-6:  # the same direction, or the opposite one: any axis will do
-        return torch.eye(3).to(one) if cosine > 0 else torch.diag(one.new_tensor([1, -1, -1]))
-    x, y, z = (axis / sine).tolist()
-    skew = one.new_tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return torch.eye(3).to(one) + sine * skew + (1 - cosine) * skew @ skew
 
 
 DIRECTIONS = 64  # 7 functions of the third degree are fixed by 7; more keep the system well-posed
@@ -118,11 +108,12 @@ def move_splats(splats: Splats, frame: Frame) -> Splats:
     shN = splats.shN
     if not torch.equal(rotation, torch.eye(3).double()):
         shN = torch.einsum("lk,nkc->nlc", _band_turn(rotation, splats.sh_degree).to(shN), shN)
-    quats = _product(_quaternion(rotation).to(splats.quats), splats.quats)
+    w, x, y, z = Rotation.from_matrix(rotation.numpy()).as_quat(scalar_first=True).tolist()
+    product = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return replace(
         splats,
         means=frame.place(splats.means),
-        quats=quats,
+        quats=splats.quats @ product.to(splats.quats).T,
         scales=splats.scales + math.log(frame.scale),
         shN=shN.contiguous(),
     )
@@ -141,29 +132,3 @@ def _band_turn(rotation: Float[Tensor, "3 3"], degree: int) -> Float[Tensor, "K 
     turn = torch.linalg.lstsq(after, before).solution
     whole = turn.round()
     return torch.where((turn - whole).abs() < EXACT, whole, turn)[1:, 1:]
-
-
-def _quaternion(rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "4"]:
-    """Of a rotation, wxyz: from its largest part, so that no root is of nearly 0 (Shepperd)."""
-    m = rotation.tolist()
-    trace = m[0][0] + m[1][1] + m[2][2]
-    parts = [trace, m[0][0], m[1][1], m[2][2]]
-    largest = parts.index(max(parts))
-    if largest == 0:
-        w = 1 + trace
-        found = [w, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]]
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        found = [m[k][j] - m[j][k], 0.0, 0.0, 0.0]
-        found[1 + i] = 1 + m[i][i] - m[j][j] - m[k][k]
-        found[1 + j] = m[j][i] + m[i][j]
-        found[1 + k] = m[k][i] + m[i][k]
-    return torch.nn.functional.normalize(torch.tensor(found, dtype=torch.float64), dim=0)
-
-
-def _product(one: Float[Tensor, "4"], other: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
-    """Hamilton's: the rotation of the other, then that of the one."""
-    w, x, y, z = one.tolist()
-    left = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return other @ left.to(other).T

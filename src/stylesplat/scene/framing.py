@@ -1,6 +1,7 @@
 """Cameras that nobody photographed with: framing content, rings around it, paths of key frames."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,9 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import Content, content_of
-from stylesplat.scene.poses import look_at
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
@@ -53,38 +53,23 @@ class Sight:
         return FILLED * torch.tensor(self.size).double() / 2
 
 
-@dataclass(frozen=True)
-class Distances:
-    """Distances from which a camera has all content in its picture."""
-
-    wanted: float
-    """The content fills the picture."""
-    closest: float
-    """It does with the widest lens."""
-    free: float
-    """Nothing hides the content."""
-
-    @property
-    def best(self) -> float:
-        """The distance wanted, or a smaller one if something is in the way."""
-        return max(min(self.wanted, max(self.free, self.closest)), NEAREST)
-
-
-def distances(content: Content, sight: Sight, focal: float) -> Distances:
-    """How far away a camera may stand.
+def fitting_distance(content: Content, sights: Sequence[Sight], focal: float) -> float:
+    """The distance at which the content fills the pictures, or less if something would hide it.
 
     Args:
         content: What to show.
-        sight: From where.
-        focal: Wanted, in pixels.
+        sights: From where; the distance suits all of them.
+        focal: The focal length wanted, in pixels. A wider lens can be necessary; see `focal_at`.
     """
-    offsets = sight.offsets(content.outline)
-    radius = max(float(offsets.norm(dim=1).max()), TINY)
-    return Distances(
-        wanted=_distance(offsets, radius, sight.half / focal),
-        closest=_distance(offsets, radius, sight.half / (WIDEST * sight.size[0])),
-        free=BEFORE * _free(content, sight, radius),
-    )
+    wanted, closest, free = [], [], []
+    for sight in sights:
+        offsets = sight.offsets(content.outline)
+        radius = max(float(offsets.norm(dim=1).max()), TINY)
+        for distances, lens in ((wanted, focal), (closest, WIDEST * sight.size[0])):
+            needed = (offsets[:, :2].abs() * lens / sight.half).amax(dim=1)
+            distances.append(float((needed.clamp(min=CLEAR * radius) - offsets[:, 2]).max()))
+        free.append(BEFORE * _free_distance(content, sight, radius))
+    return max(min(max(wanted), max(*closest, min(free))), NEAREST)
 
 
 def focal_at(points: Float[Tensor, "M 3"], sight: Sight, distance: float) -> float:
@@ -114,24 +99,19 @@ def centred_K(focal: float, size: tuple[int, int]) -> Float[Tensor, "3 3"]:
     return torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
 
 
-def _distance(offsets: Float[Tensor, "M 3"], radius: float, slopes: Float[Tensor, "2"]) -> float:
-    """From where all is in the picture, and well before the camera."""
-    needed = (offsets[:, :2].abs() / slopes).amax(dim=1).clamp(min=CLEAR * radius)
-    return float((needed - offsets[:, 2]).max())
-
-
-def _free(content: Content, sight: Sight, radius: float) -> float:
-    """How far one can go before something else hides the middle of the content."""
+def _free_distance(content: Content, sight: Sight, radius: float) -> float:
+    """The distance from which something else hides the middle of the content."""
     offsets = content.others - sight.focus
     ahead = offsets @ sight.outward
     aside = (offsets.square().sum(dim=1) - ahead.square()).clamp(min=0).sqrt()
-    within = MIDDLE * radius
-    between = (ahead > 0) & (aside < within + content.blurs)
+    middle = MIDDLE * radius
+    between = (ahead > 0) & (aside < middle + content.blurs)
     blurs = content.blurs[between]
+    # Nearest to the content first, at their near side, which the camera has to stand before
     along, order = (ahead[between] - blurs).sort()
-    shares = content.areas[between] / (torch.pi * (within**2 + blurs.square()))
-    walls = along[shares[order].cumsum(0) > HIDDEN]
-    return float(walls[0]) if len(walls) else float("inf")
+    hidden = content.areas[between] / (torch.pi * (middle**2 + blurs.square()))
+    walls = along[hidden[order].cumsum(0) > HIDDEN]
+    return float(walls[0]) if len(walls) else math.inf
 
 
 VIEWS = 36
@@ -159,7 +139,9 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
     parts = [content.outline_of(part) for part in _parts_along(content.points)]
     up = torch.nn.functional.normalize(up.double(), dim=0)
     side, ahead = level_axes(up)
-    size = _picture_size(content.outline @ torch.stack([side, ahead, up], dim=1))
+    outline = content.outline @ torch.stack([side, ahead, up], dim=1)
+    lengths = outline.amax(dim=0) - outline.amin(dim=0)
+    size = (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
     viewmats, focals = [], []
     for row in range(VIEWS):
         turn = 2 * math.pi * row / VIEWS
@@ -169,7 +151,7 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
         level = math.cos(turn) * side + math.sin(turn) * ahead
         outward = math.cos(tilt) * level + math.sin(tilt) * up
         sight = Sight(content.extent.centre, outward, up, size)
-        distance = distances(content, sight, FOCAL).best
+        distance = fitting_distance(content, [sight], FOCAL)
         focal = focal_at(content.outline, sight, distance)
         if close:
             part = parts[round % PARTS]
@@ -190,12 +172,6 @@ def has_no_photos(scene: Scene) -> bool:
     return scene.capture is None and scene.cameras.names == NAMES
 
 
-def _picture_size(points: Float[Tensor, "M 3"]) -> tuple[int, int]:
-    """Width and height of pictures of points, of which the last coordinate points up."""
-    lengths = points.amax(dim=0) - points.amin(dim=0)
-    return (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
-
-
 def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
     """Points by where they lie along the axis that they extend along most; all where none do."""
     offsets = points - points.mean(dim=0)
@@ -210,42 +186,42 @@ def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
 MOST_FRAMES = 36_000  # twenty minutes at 30 a second
 
 
-@dataclass(frozen=True)
-class KeyFrames:
-    """Two cameras or more that a path passes, one after the other, in equal times."""
+def smooth_path(
+    viewmats: Float[Tensor, "F 4 4"],
+    focals: Float[Tensor, " F"],
+    count: int,
+    size: tuple[int, int],
+    *,
+    closed: bool = False,
+) -> Cameras:
+    """A path past key frames in equal times: splines of positions, rotations and log focal lengths.
 
-    viewmats: Float[Tensor, "F 4 4"]
-    """World to camera, in OpenCV axes."""
-    focals: Float[Tensor, " F"]
-    """Over the pictures' height."""
+    Args:
+        viewmats: World to camera, in OpenCV axes, of two key frames or more.
+        focals: Over the pictures' height.
+        count: Number of frames; the last one is the last key frame, or, on a closed path, the one
+            before the first.
+        size: Width and height of the pictures.
+        closed: Whether it returns to the first key frame.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
 
-    def path(self, count: int, size: tuple[int, int], *, closed: bool = False) -> Cameras:
-        """A smooth path: cubic splines of places, of turns, and of the logarithm of lenses.
-
-        Args:
-            count: Number of frames; the last one is the last key frame, or, on a closed path, the
-                one before the first.
-            size: Width and height of the pictures.
-            closed: Whether it returns to the first key frame.
-        """
-        from scipy.interpolate import CubicSpline
-        from scipy.spatial.transform import Rotation, RotationSpline
-
-        keys = len(self.focals)
-        # A closed path is the middle one of three rounds, so that it is smooth where it closes
-        rows = np.tile(np.arange(keys), 3 if closed else 1)
-        begin, end = (keys, 2 * keys) if closed else (0, keys - 1)
-        times, keyed = np.linspace(begin, end, count, endpoint=not closed), np.arange(len(rows))
-        rotations = self.viewmats[:, :3, :3].double().numpy()
-        turns = RotationSpline(keyed, Rotation.from_matrix(rotations[rows]))(times).as_matrix()
-        places = -np.einsum("cji,cj->ci", rotations, self.viewmats[:, :3, 3].double().numpy())
-        places = CubicSpline(keyed, places[rows], bc_type="natural")(times)
-        lenses = np.log(self.focals.double().numpy())
-        lenses = np.exp(CubicSpline(keyed, lenses[rows], bc_type="natural")(times))
-        viewmats = torch.eye(4).repeat(count, 1, 1)
-        viewmats[:, :3, :3] = torch.from_numpy(turns)
-        viewmats[:, :3, 3] = -torch.from_numpy(np.einsum("cij,cj->ci", turns, places))
-        return path_of(viewmats, torch.from_numpy(lenses).float(), size)
+    keys = len(focals)
+    # A closed path is the middle one of three rounds, so that it is smooth where it closes
+    rows = np.tile(np.arange(keys), 3 if closed else 1)
+    begin, end = (keys, 2 * keys) if closed else (0, keys - 1)
+    times, keyed = np.linspace(begin, end, count, endpoint=not closed), np.arange(len(rows))
+    rotations = viewmats[:, :3, :3].double().numpy()
+    turns = RotationSpline(keyed, Rotation.from_matrix(rotations[rows]))(times).as_matrix()
+    positions = -np.einsum("cji,cj->ci", rotations, viewmats[:, :3, 3].double().numpy())
+    positions = CubicSpline(keyed, positions[rows], bc_type="natural")(times)
+    lenses = np.log(focals.double().numpy())
+    lenses = np.exp(CubicSpline(keyed, lenses[rows], bc_type="natural")(times))
+    path = torch.eye(4).repeat(count, 1, 1)
+    path[:, :3, :3] = torch.from_numpy(turns)
+    path[:, :3, 3] = -torch.from_numpy(np.einsum("cij,cj->ci", turns, positions))
+    return path_of(path, torch.from_numpy(lenses).float(), size)
 
 
 def path_of(

@@ -92,16 +92,15 @@ class Layer:
         """The form that the paint has already."""
         return float(self.settings.get("form", 0.0))
 
+    def to(self, device: torch.device | str) -> "Layer":
+        """The same layer on another device."""
+        moved = {n: t.to(device) for n, t in vars(self).items() if isinstance(t, Tensor)}
+        return replace(self, **moved, canvas=self.canvas.to(device))
+
 
 def without_identities(splats: Splats) -> Splats:
     """The Gaussians alone."""
     return replace(splats, identities=None, classifier=None, confidence=None)
-
-
-def on_device(layer: Layer, device: torch.device | str) -> Layer:
-    """The same layer on another device."""
-    moved = {n: t.to(device) for n, t in vars(layer).items() if isinstance(t, Tensor)}
-    return replace(layer, **moved, canvas=layer.canvas.to(device))
 
 
 def taken(

@@ -11,9 +11,8 @@ from torch.nn.functional import normalize
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap import posed_images, viewmats_of
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, focus_point, up_vector
 from stylesplat.scene.frames import Frame
-from stylesplat.scene.poses import focus_point, up_vector
 from stylesplat.scene.projection import depths_of, shown
 from stylesplat.scene.sampling import evenly
 

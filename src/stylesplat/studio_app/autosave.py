@@ -24,7 +24,7 @@ from stylesplat.scene.scene import Scene, check_name
 from stylesplat.studio_app.history import StudioState, replace_scene
 from stylesplat.studio_app.session import Progress, Session
 from stylesplat.verbs.export import export
-from stylesplat.verbs.orbit import orbit
+from stylesplat.verbs.render import orbit
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
 COMMANDS = "commands.json"  # in that folder

@@ -24,8 +24,7 @@ from stylesplat.studio_app.history import (
     object_names,
     replace_scene,
 )
-from stylesplat.verbs.delete import delete
-from stylesplat.verbs.rename import rename
+from stylesplat.verbs.objects import delete, rename
 from stylesplat.verbs.select import select
 
 How = Literal["new", "add", "away"]

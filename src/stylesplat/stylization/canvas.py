@@ -103,9 +103,8 @@ def lay_canvas(
     _, nearest = KDTree(splats.means[own].double().numpy()).query(discs.means.double().numpy())
     parents = own[torch.from_numpy(nearest)]
     laid = replace(splats[parents], **{**discs.tensors(), "shN": splats.shN[parents] * 0})
-    tensors = {k: torch.cat([t, laid.tensors()[k]]) for k, t in splats.tensors().items()}
     parents = torch.cat([torch.arange(len(splats)), parents])
-    canvas = Canvas(replace(splats, **tensors), parents, spacing, len(splats))
+    canvas = Canvas(Splats.cat([splats, laid]), parents, spacing, len(splats))
     return fade_hidden(splats, canvas, mask, boxes)
 
 

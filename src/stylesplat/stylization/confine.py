@@ -82,7 +82,7 @@ def confine_canvas(
 def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
     """The part of each camera's image that Gaussians may reach; cameras that see none go."""
     crops = []
-    for camera in (cameras[index] for index in range(len(cameras))):
+    for camera in cameras:
         low, high = pixel_bounds(splats, camera)
         low, high = (low - MARGIN).clamp(min=0), torch.minimum(high + MARGIN, camera.sizes[0])
         reached = (low < high).all(dim=1)

@@ -75,7 +75,7 @@ def crop_scene(context: PaintContext, mask: Bool[Tensor, " N"]) -> SceneCrop | N
     names = cameras.names
     if len(splats) < LARGE or splats.device.type != "cpu" or len({*names}) < len(names):
         return None
-    views = [cameras[index] for index in range(len(cameras))]
+    views = [*cameras]
     found = track(_nearby(splats, mask, views), "looking around the object", total=len(views))
     kept, visible = mask.clone(), set[str]()
     for name, rows in zip(names, found, strict=True):

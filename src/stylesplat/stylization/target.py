@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layer import Layer, Source, on_device
+from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_objects
@@ -151,7 +151,7 @@ class PaintTask:
             path = weights.path.resolve()
             weights = Source(path, weights.sha256 or digest(path))
         return replace(
-            on_device(layer, "cpu"),
+            layer.to("cpu"),
             styles=self.style.sources(),
             features=self.features,
             weights=weights,

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.poses import focus_point
 from stylesplat.scene.projection import shown
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 

@@ -1,6 +1,6 @@
 """`compare`: scenes side by side, in pictures and in the numbers of `evaluate`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,47 +95,34 @@ def compare(
     if len(scenes) < 2:
         raise StyleSplatError(f"Expected at least two scenes to compare, got {len(scenes)}.")
     shown = tuple(evenly(shared_views(scenes), max(1, views)))
-    notes, found = [*_notes(scenes)], []
+    (first, one), *others = scenes.items()
+    notes = [
+        f"{name} holds out other photos than {first}: their numbers are of different photos."
+        for name, scene in others
+        if {*scene.held_out} != {*one.held_out}
+    ]
+    found = list[Compared]()
     for name, scene in scenes.items():
         metrics: dict[str, Any] = {}
         try:
             metrics = evaluate(scene, (captures or {}).get(name), device=device)
         except StyleSplatError as error:  # it can be looked at all the same
             notes.append(f"{name} has no numbers: {error}")
-        pictures = _pictures(scene, shown, device)
+        cameras = scene.cameras[[*map(scene.cameras.names.index, shown)]]
+        splats = scene.splats.to(pick_device(device))
+        each = (render_pictures(splats, camera.at_most(LONGEST)) for camera in cameras)
+        pictures = tuple(picture for (picture,) in each)
         base = found[0] if found else None
         gap = metric_differences(metrics, base.metrics if base else metrics)
-        far = picture_differences([*pictures], [*(base.pictures if base else pictures)])
+        far = picture_differences(pictures, base.pictures if base else pictures)
         found.append(Compared(name, metrics, gap, far, pictures, scene))
     for note in notes:
         say(note)
     return Comparison(shown, tuple(found), tuple(notes))
 
 
-def _notes(scenes: Mapping[str, Scene]) -> list[str]:
-    """Scenes that hold out other photos than the first."""
-    (first, one), *others = scenes.items()
-    return [
-        f"{name} holds out other photos than {first}: their numbers are of different photos."
-        for name, scene in others
-        if {*scene.held_out} != {*one.held_out}
-    ]
-
-
-def _pictures(
-    scene: Scene, views: tuple[str, ...], device: str
-) -> tuple[UInt8[Tensor, "_ _ 3"], ...]:
-    rows = [scene.cameras.names.index(name) for name in views]
-    splats = scene.splats.to(pick_device(device))
-    return tuple(
-        picture
-        for row in rows
-        for picture in render_pictures(splats, scene.cameras[row].at_most(LONGEST))
-    )
-
-
 def picture_differences(
-    pictures: list[UInt8[Tensor, "_ _ 3"]], first: list[UInt8[Tensor, "_ _ 3"]]
+    pictures: Sequence[UInt8[Tensor, "_ _ 3"]], first: Sequence[UInt8[Tensor, "_ _ 3"]]
 ) -> dict[str, float]:
     """How far pictures are from others of the same views; of equal ones all numbers are 0.
 

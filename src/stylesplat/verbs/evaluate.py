@@ -19,7 +19,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import mask_of, without_layers
 from stylesplat.scene.frames import posed_as
-from stylesplat.scene.layer import Layer, Source
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Precision, StyleConfig, with_settings
@@ -140,13 +140,11 @@ def _style_of(layer: Layer) -> Style:
     Raises:
         StyleSplatError: If its pictures are missing or have changed.
     """
-    pictures = [_present(source) for source in layer.styles]
+    pictures = list[Path]()
+    for source in layer.styles:
+        if source.path is None:
+            raise StyleSplatError("its style was never a file.")
+        if source.sha256 is not None and digest(source.path) != source.sha256:
+            raise StyleSplatError(f"{source.path} is another picture now. Put the one before back.")
+        pictures.append(source.path)
     return Style(*pictures, config=with_settings(StyleConfig(), layer.settings))
-
-
-def _present(source: Source) -> Path:
-    if source.path is None:
-        raise StyleSplatError("its style was never a file.")
-    if source.sha256 is not None and digest(source.path) != source.sha256:
-        raise StyleSplatError(f"{source.path} is another picture now. Put the one before back.")
-    return source.path

@@ -12,7 +12,7 @@ from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file
 from stylesplat.io.gaussian_lists import SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
-from stylesplat.scene.scene import ListedObjects, Scene
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import listed_objects
@@ -42,8 +42,8 @@ def export(
             SuperSplat's form, four times smaller; in `.spz`, about six times smaller; in
             `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb` or
             `.gltf`, glTF with Khronos' KHR_gaussian_splatting, as float32; or in `.html`, a page
-            that any browser opens from
-            the disk, without a network, and that compares a styled scene with what it was before.
+            that any browser opens without a network, and that compares a styled scene with what
+            it was before.
         objects: Names or label ids of the objects to write; by default everything. Positions are
             those in the scene, so that parts fit together again.
         without: Names or label ids of objects to leave out.
@@ -72,7 +72,12 @@ def export(
     if sidecar:
         refuse_file(beside, overwrite=overwrite)
     listed = listed_objects(_scene(what)) if columns or sidecar else None
-    besides = _besides(what, selected, listed if columns else None)
+    besides = dict[str, Tensor]()
+    if columns and listed is not None:
+        besides |= {LABEL: listed.numbered().to(torch.int32), SHARE: listed.shares()}
+    if selected:
+        picked = [find_object(_scene(what), name).cpu() for name in selected]
+        besides[STATE] = torch.stack(picked).any(dim=0).byte()
     part = what
     if objects or without:
         rows = rows_of_part(_scene(what), objects, without)
@@ -143,19 +148,6 @@ def export_each(
         for name, part in zip(names, parts.values(), strict=True):
             export(part, new / name, sh_degree=sh_degree)
     return [Path(folder) / name for name in names]
-
-
-def _besides(
-    what: Scene | Splats, selected: Sequence[str], listed: ListedObjects | None
-) -> dict[str, Tensor]:
-    """The additional columns of a `.ply`."""
-    columns = dict[str, Tensor]()
-    if listed is not None:
-        columns |= {LABEL: listed.numbered().to(torch.int32), SHARE: listed.shares()}
-    if selected:
-        picked = [find_object(_scene(what), name).cpu() for name in selected]
-        columns[STATE] = torch.stack(picked).any(dim=0).byte()
-    return columns
 
 
 def _scene(what: Scene | Splats) -> Scene:

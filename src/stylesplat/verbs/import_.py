@@ -77,20 +77,30 @@ def import_(
     check_choice(frame, "frame", get_args(FrameName))
     if up is not None:
         check_choice(up, "direction", get_args(Up))
-    _refuse_idle_options(capture, frame, up)
+    if capture is None and frame != "capture":
+        raise StyleSplatError("--frame needs the capture. Name its folder as well.")
+    if capture is not None and up is not None:
+        raise StyleSplatError("--up is for splats without photos. Leave it out.")
     if like is not None and (capture is not None or up is not None or labels is not None):
         raise StyleSplatError("--like has views and labels. Leave the capture, --up, --labels out.")
     start = time.perf_counter()
-    splats = splat if isinstance(splat, Splats) else read_splats(splat)
     file = None if isinstance(splat, Splats) else Path(splat)
+    splats = splat if isinstance(splat, Splats) else read_splats(splat)
     counts, listed = dict[str, int](), ListedObjects(len(splats))
     if labels is not None:
-        splats, listed, counts = _labelled(splats, labels)
+        by_row = isinstance(labels, Tensor)
+        listed = replace(listed, labels=labels) if by_row else read_objects(labels, len(splats))
         capture = capture and replace(capture, label_maps=None, object_names={})
+    if listed.labels is not None:
+        splats = labelled(splats, listed.labels)
+        unlabelled = int((listed.labels == BACKGROUND).sum())
+        counts = {"label_ids": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
     if like is not None:
         scene = transfer_annotations(splats, like, name=str(file or "The splat"))
     elif capture is None:
-        scene = Scene(splats.to("cpu"), ring_cameras(splats, _direction(up or "-y")))
+        up = up or "-y"
+        direction = torch.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+        scene = Scene(splats.to("cpu"), ring_cameras(splats, direction))
         say(
             f"No photos: {len(scene.cameras)} views around the content. `stylesplat render` shows "
             "them, `stylesplat mask` finds objects in them."
@@ -99,39 +109,17 @@ def import_(
         splats = splats.to(pick_device(device))
         _check_fit(splats, str(file or "The splat"), at_most(capture, CHECK_SIZE), frame)
         scene = _with_photos(splats, capture, frame)
-    scene = _with_listed(scene, listed)
-    libraries = {"stylesplat": version("stylesplat")}
-    info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
-    seconds = round(time.perf_counter() - start, 2)
-    metrics = {"gaussians": len(splats), **counts, **scene.metrics, "seconds": seconds}
-    return replace(scene, info=info, metrics=metrics)
-
-
-def _labelled(
-    splats: Splats, labels: Path | str | Int[Tensor, " N"]
-) -> tuple[Splats, ListedObjects, dict[str, int]]:
-    """The splats with labels, the named objects of the file, and the counts for the metrics."""
-    if isinstance(labels, Tensor):
-        listed = ListedObjects(len(splats), labels=labels)
-    else:
-        listed = read_objects(labels, len(splats))
-    if listed.labels is None:
-        return splats, listed, {}
-    splats = labelled(splats, listed.labels)
-    unlabelled = int((listed.labels == BACKGROUND).sum())
-    counts = {"label_ids": len(object_ids(splats)), "unlabelled_gaussians": unlabelled}
-    return splats, listed, counts
-
-
-def _with_listed(scene: Scene, listed: ListedObjects) -> Scene:
-    """The scene with the named objects of a list."""
     for name, each in listed.objects.items():
         if not is_id(name):
             picked = torch.zeros(listed.count, dtype=torch.bool)
             picked[each.rows] = True
             how = {"ids": list(each.ids), "gaussians": len(each.rows)}
             scene = scene.with_object(name, SceneObject(picked, how))
-    return scene
+    libraries = {"stylesplat": version("stylesplat")}
+    info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
+    seconds = round(time.perf_counter() - start, 2)
+    metrics = {"gaussians": len(splats), **counts, **scene.metrics, "seconds": seconds}
+    return replace(scene, info=info, metrics=metrics)
 
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
@@ -159,14 +147,6 @@ def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
     return with_names(scene, capture.object_names)
 
 
-def _refuse_idle_options(capture: Capture | None, frame: FrameName, up: Up | None) -> None:
-    """Raise a StyleSplatError for options that have no effect."""
-    if capture is None and frame != "capture":
-        raise StyleSplatError("--frame needs the capture. Name its folder as well.")
-    if capture is not None and up is not None:
-        raise StyleSplatError("--up is for splats without photos. Leave it out.")
-
-
 def _check_fit(splats: Splats, name: str, small: Capture, frame: FrameName) -> None:
     """Raise a StyleSplatError if renders do not match the photos; it names the frame that does."""
     frames = known_frames(small.cameras)
@@ -187,7 +167,3 @@ def _check_fit(splats: Splats, name: str, small: Capture, frame: FrameName) -> N
     raise StyleSplatError(
         f"{fault}. Give the capture that it was made from, or leave out the capture."
     )
-
-
-def _direction(up: Up) -> torch.Tensor:
-    return torch.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)

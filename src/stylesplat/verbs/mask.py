@@ -107,7 +107,11 @@ def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
     source = given.get("source")
     method = method or ("grabcut" if source is None else "files")
     check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
-    _refuse_unused(method, given)
+    for name, value in given.items():
+        if value and name not in TAKES.get(method, MODELS_TAKE):
+            raise StyleSplatError(
+                f"`{name}` means nothing with the method `{method}`. Leave it out."
+            )
     if method == "files":
         if source is None:
             raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
@@ -131,12 +135,3 @@ def _mask_scene(scene: Scene, options: dict[str, Any], device: str) -> Scene:
     )
     drawn = options["method"] in (None, "grabcut") and not foreign
     return relabel(scene, masked, add=drawn, device=place)
-
-
-def _refuse_unused(method: Method, given: Mapping[str, Any]) -> None:
-    """Raise a StyleSplatError for what would change nothing."""
-    for name, value in given.items():
-        if value and name not in TAKES.get(method, MODELS_TAKE):
-            raise StyleSplatError(
-                f"`{name}` means nothing with the method `{method}`. Leave it out."
-            )

@@ -1,16 +1,20 @@
-"""`objects`: what there is in a scene."""
+"""`objects`, `rename` and `delete`: what there is in a scene, and what it is called."""
 
+from dataclasses import replace
 from typing import Any
 
 from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.progress import track
+from stylesplat.errors import StyleSplatError, brief
+from stylesplat.progress import say, track
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.content import Extent, content_of, extent_of
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
+from stylesplat.selection.objects import require_named
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import OwnShares
 
@@ -56,6 +60,58 @@ def extents(scene: Scene) -> dict[str, Any]:
         if each.picked.any()
     }
     return {"content": _place(content_of(scene.splats).extent), "named": named}
+
+
+@check_arguments
+def rename(scene: Scene, old: str, new: str) -> Scene:
+    """Call an object of a scene, and its layer of paint, something else.
+
+    Args:
+        scene: Where it is.
+        old: What it is called.
+        new: What to call it.
+
+    Raises:
+        StyleSplatError: If nothing is called so, or the new name is taken or cannot be one.
+
+    Example:
+        >>> scene = rename(scene, "object", "vase")  # doctest: +SKIP
+    """
+    require_named(scene, old)
+    check_name(new)
+    if new == old:
+        raise StyleSplatError(f"{brief(old)!r} is called so already. Choose another name.")
+    if new in scene.objects or new in scene.painted_objects:
+        raise StyleSplatError(
+            f"Cannot rename {old!r}: something else is called {new!r}. Choose another name, or "
+            f"delete that one first."
+        )
+    objects = {new if name == old else name: each for name, each in scene.objects.items()}
+    layers = (replace(e, object=new) if e.object == old else e for e in scene.layers)
+    return replace(scene, objects=objects, layers=tuple(layers))
+
+
+@check_arguments
+def delete(scene: Scene, name: str) -> Scene:
+    """Forget a named object of a scene. Its Gaussians stay, and so does what is painted on them.
+
+    Args:
+        scene: Where it is.
+        name: What it is called.
+
+    Raises:
+        StyleSplatError: If nothing is called so.
+
+    Example:
+        >>> scene = delete(scene, "lid")  # doctest: +SKIP
+    """
+    require_named(scene, name)
+    if name in scene.painted_objects:
+        options = ("--object", name, "--undo", "-o", "OTHER")
+        way = pasted("adjust", scene.path or "SCENE", *options)
+        say(f"{name} stays painted. `{way}` takes that back.")
+    objects = {other: each for other, each in scene.objects.items() if other != name}
+    return replace(scene, objects=objects)
 
 
 def _place(extent: Extent) -> dict[str, list[float]]:

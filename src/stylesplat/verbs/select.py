@@ -1,6 +1,6 @@
 """`select`: name some Gaussians of a scene."""
 
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.device import pick_device
-from stylesplat.scene.arguments import Places, check_box, parse_places
+from stylesplat.scene.arguments import Places, check_box, parse_places, several
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, Rules, choose
 from stylesplat.selection.identities import object_ids
@@ -89,8 +89,8 @@ def select(
         points=parse_places(point, 2, "point"),
         not_points=parse_places(not_point, 2, "not_point"),
         text=texts,
-        box3d=tuple(map(_box3d, _several(box3d))),
-        sphere=tuple(map(_sphere, _several(sphere))),
+        box3d=tuple(map(_box3d, several(box3d))),
+        sphere=tuple(map(_sphere, several(sphere))),
         rows=_listed(scene, name, rows),
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),
@@ -129,14 +129,6 @@ def _listed(
         return (("a mask", rows),)
     files = (rows,) if isinstance(rows, Path | str) else rows
     return tuple((str(file), read_rows(file, count, name)) for file in files)
-
-
-def _several(shapes: Sequence[Any] | None) -> Sequence[Any]:
-    """A shape, or several, as several."""
-    if shapes is None or not len(shapes):
-        return ()
-    alone = isinstance(shapes[0], str) or not isinstance(shapes[0], Sized)
-    return (shapes,) if alone else shapes
 
 
 def _box3d(corners: Sequence[float]) -> tuple[float, ...]:

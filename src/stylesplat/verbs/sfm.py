@@ -79,7 +79,12 @@ def sfm(
         check_choice(name, "setting", [field.name for field in fields(SfmConfig)])
     config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
     refuse_other_than_photos(source)
-    _refuse_each_other(source.resolve(), output)
+    if output.is_relative_to(source.resolve()):
+        raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
+    if source.resolve().is_relative_to(output):
+        raise StyleSplatError(
+            f"{source} lies inside of {output}, which would be replaced. Choose another folder."
+        )
     work = partial_of(output) / "sfm"
     photos = work / "prepared"
     with changing(output):
@@ -93,11 +98,17 @@ def sfm(
             record = _record(source, digest, prepared, found, frame, config)
             write_sfm(record, new)
             report = _checked(new, output)
-            _keep_label_maps(output, new)
+            if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
+                shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
+                say(f"The label maps in {output / OBJECT_MASK} are kept.")
         shutil.rmtree(work, ignore_errors=True)
         with suppress(OSError):  # something else lies beside it
             work.parent.rmdir()
-    _say_result(record)
+    say(f"Posed {record.registered} of {record.given} photos.")
+    for what, reasons in (("Left out", record.left_out), ("Not posed", record.unregistered)):
+        for why in dict.fromkeys(reasons.values()):
+            names = [name for name, other in reasons.items() if other == why]
+            say(f"{what}: {some(names, LISTED)}: {why}.")
     for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
@@ -117,23 +128,6 @@ def source_digest(source: Path) -> str:
     for name in names:
         state.update(f"{name}\0{(folder / name).stat().st_size}\0".encode(errors="replace"))
     return state.hexdigest()
-
-
-def _refuse_each_other(source: Path, output: Path) -> None:
-    """Raise a StyleSplatError if photos and capture lie in each other."""
-    if output.is_relative_to(source):
-        raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
-    if source.is_relative_to(output):
-        raise StyleSplatError(
-            f"{source} lies inside of {output}, which would be replaced. Choose another folder."
-        )
-
-
-def _keep_label_maps(output: Path, new: Path) -> None:
-    """Copy the label maps of an earlier capture: they may be handwork."""
-    if (output / OBJECT_MASK).is_dir():
-        shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
-        say(f"The label maps in {output / OBJECT_MASK} are kept.")
 
 
 def _record(
@@ -186,12 +180,3 @@ def _checked(folder: Path, output: Path) -> CaptureReport:
 def _lines(texts: Mapping[str, str]) -> dict[str, str]:
     """The same texts, printable: names may hold any characters."""
     return {printable(name): printable(text) for name, text in texts.items()}
-
-
-def _say_result(record: SfmRecord) -> None:
-    """Say how many photos are registered, and why the others are not."""
-    say(f"Posed {record.registered} of {record.given} photos.")
-    for what, reasons in (("Left out", record.left_out), ("Not posed", record.unregistered)):
-        for why in dict.fromkeys(reasons.values()):
-            names = [name for name, other in reasons.items() if other == why]
-            say(f"{what}: {some(names, LISTED)}: {why}.")

@@ -20,7 +20,7 @@ from stylesplat.training.initialize import scene_extent
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import with_refined_cameras
-from stylesplat.training.state import Ranks, State
+from stylesplat.training.state import Ranks
 from stylesplat.training.train_config import (
     PRESETS,
     SEGMENTS,
@@ -116,18 +116,15 @@ def train(
             "libraries": {name: version(name) for name in LIBRARIES},
         }
         | ({"fits": fits.names} if fits.names else {}),
-        metrics=metrics | _numbers(state, seconds),
+        metrics=metrics
+        | {
+            "seconds": round(seconds, 2),
+            "steps": state.step,
+            "gaussians": len(state.splats),
+            "steps_per_second": round(state.step / max(state.seconds, 1e-9), 2),
+        },
     )
     return with_names(scene, capture.object_names)
-
-
-def _numbers(state: State, seconds: float) -> dict[str, Any]:
-    return {
-        "seconds": round(seconds, 2),
-        "steps": state.step,
-        "gaussians": len(state.splats),
-        "steps_per_second": round(state.step / max(state.seconds, 1e-9), 2),
-    }
 
 
 def _lifted(splats: Splats, capture: Capture, rows: Sequence[int]) -> Splats:

@@ -12,8 +12,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.poses import look_at
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 

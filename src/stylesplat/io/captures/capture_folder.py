@@ -23,9 +23,8 @@ from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, no_capture
 from stylesplat.io.label_maps import DrawnLabels, fit_labels, match_label_maps, read_names
 from stylesplat.progress import say, track
 from stylesplat.scene.cache import Cache, Lazy
-from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.poses import are_rigid
 from stylesplat.scene.sampling import evenly
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture

@@ -1,6 +1,6 @@
 """Spherical harmonics on the CPU, with gradients of coefficients and directions.
 
-The basis is `scene.sh_basis`'s: same order, same signs.
+The basis is `scene.splats`'s: same order, same signs.
 """
 
 from math import sqrt
@@ -11,8 +11,7 @@ import numpy as np
 from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.scene.sh_basis import SH_C1, SH_C2, SH_C3, SH_C3_ZONAL
-from stylesplat.scene.splats import SH_C0
+from stylesplat.scene.splats import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL
 
 A2, B2, C2 = SH_C2
 A3, B3, C3 = SH_C3
