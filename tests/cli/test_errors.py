@@ -1,4 +1,4 @@
-"""Bad input gets one line on stderr and status 1; wrong usage gets status 2."""
+"""Bad input gets one line on stderr and status 1."""
 
 from pathlib import Path
 
@@ -6,8 +6,7 @@ import pytest
 
 from balls import CAMERAS
 from processes import complaint
-from stylesplat.cli import main
-from stylesplat.cli.parse import parse_box, parse_point, parse_style
+from stylesplat.cli.arguments import parse_box, parse_point, parse_style
 from stylesplat.errors import StyleSplatError
 
 VIEW = CAMERAS.names[0]
@@ -65,24 +64,6 @@ def test_one_line_and_status_1(
     assert expected.format(**places) in line
     after = {p: p.stat().st_mtime_ns for p in scene.parent.rglob("*") if p.is_file()}
     assert after == before, "nothing of the user's is changed"
-
-
-@pytest.mark.parametrize("arguments", [[], ["trane"], ["train"], ["render", "x", "--vies", "y"]])
-def test_wrong_usage_exits_with_2(arguments: list[str], capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(arguments)
-    assert stopped.value.code == 2
-    assert capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize(
-    "verb", ["demo", "train", "objects", "select", "stylize", "adjust", "sheet", "render"]
-)
-def test_help_has_an_example(verb: str, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main([verb, "--help"])
-    assert stopped.value.code == 0
-    assert f"Example: stylesplat {verb}" in capsys.readouterr().out
 
 
 def test_places_and_styles_are_parsed():

@@ -13,8 +13,8 @@ import torch
 import stylesplat
 from processes import complaint
 from stylesplat.cli import main
-from stylesplat.cli.exit_status import BUG, OUT_OF_MEMORY
 from stylesplat.cli.objects import Objects
+from stylesplat.cli.results import BUG, OUT_OF_MEMORY
 from stylesplat.cli.train import Train
 
 

@@ -176,7 +176,7 @@ print(command_line.main())
 A_BUG_IN_CLEAN_UP = """
 import signal, sys
 import stylesplat.__main__ as command_line
-from stylesplat.cli.exit_status import exit_status
+from stylesplat.cli.results import exit_status
 def interrupted():
     try:
         signal.raise_signal(signal.SIGINT)

@@ -9,7 +9,7 @@ import pytest
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.cli import main
-from stylesplat.cli.parse import parse_named_box
+from stylesplat.cli.arguments import parse_named_box
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.selection.identities import render_labels
@@ -108,7 +108,7 @@ def test_masks_with_names_that_cannot_be(
         (["--box", "3=0001.jpg:1,2,9,9"], "Cannot call an object '3'"),
         (["--box", "a/b=0001.jpg:1,2,9,9"], "Cannot call an object 'a/b': names must not contain"),
         (["--box", "vase=lost.jpg:1,2,9,9"], "No view is called 'lost.jpg'"),
-        (["--box", "vase=0001.jpg:nan,2,9,9"], "Box nan,2,9,9 is empty"),
+        (["--box", "vase=0001.jpg:nan,2,9,9"], "Expected VIEW:x0,y0,x1,y1"),
         (["--box", BOX, "--scene", "{photos}"], "not a scene"),
     ],
     ids=lambda value: "-".join(map(str, value))[:60] if isinstance(value, list) else "",
@@ -154,14 +154,6 @@ def test_label_maps_whose_picture_cannot_be_drawn(
     assert not (photos / "object_mask" / "preview.jpg").exists(), "that of other label maps"
     assert run(*mask) == 0
     assert "Picture:" not in capsys.readouterr().err
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit) as stopped:
-        main(["mask", "--help"])
-    assert stopped.value.code == 0
-    said = capsys.readouterr().out
-    assert "Example: stylesplat mask garden --box" in said and "--from" in said
 
 
 def test_places_with_names():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from stylesplat.cli.next_steps import next_lines, object_commands, stylize_command, unused
+from stylesplat.cli.results import next_lines, object_commands, stylize_command, unused
 from stylesplat.scene.arguments import pasted
 
 

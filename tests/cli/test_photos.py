@@ -9,7 +9,7 @@ from PIL import Image
 
 from capture_files import corner, save_noise, sfm_record, write_capture, write_photos
 from processes import complaint, result, run
-from stylesplat.cli.photos import (
+from stylesplat.cli.sfm import (
     capture_place,
     find_earlier_capture,
     find_photos_capture,

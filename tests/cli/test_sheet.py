@@ -10,7 +10,7 @@ from PIL import Image
 
 from balls import CAMERAS
 from processes import QUICK, complaint, run
-from stylesplat.cli.batch_verbs import batch_verbs
+from stylesplat.cli.batch import batch_verbs
 from stylesplat.cli.sheet import VARIED
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CAPTION, HEAD, MARGIN

@@ -20,14 +20,11 @@ def test_alone_it_shows_the_way_and_the_verbs(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as stopped:
         main([])
-    assert stopped.value.code == 2
-    out, err = capsys.readouterr()
-    way = [line.split()[1] for line in err.splitlines() if line.startswith("  stylesplat ")]
-    assert way == ["mask", "train", "stylize", "view", "export"] and not out
-    assert re.findall(r"• ([a-z]+)", err) == [*VERBS]
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    assert capsys.readouterr().out == err
+    assert not stopped.value.code
+    out = capsys.readouterr().out
+    way = [line.split()[1] for line in out.splitlines() if line.startswith("  stylesplat ")]
+    assert way == ["mask", "train", "stylize", "view", "export"]
+    assert re.findall(r"• ([a-z]+)", out) == [*VERBS]
 
 
 def test_version(capsys):

@@ -6,18 +6,17 @@ from contextlib import closing
 from typing import Any
 
 from stylesplat.cli.adjust import Adjust
-from stylesplat.cli.arguments import WRONG_USAGE, WrongUsage, read_arguments
+from stylesplat.cli.arguments import read_arguments
 from stylesplat.cli.batch import Batch
 from stylesplat.cli.check import Check
 from stylesplat.cli.demo import Demo
 from stylesplat.cli.evaluate import Evaluate
-from stylesplat.cli.exit_status import exit_status
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Delete, Objects, Rename
 from stylesplat.cli.render import Render
-from stylesplat.cli.results import Answer
+from stylesplat.cli.results import Answer, exit_status
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
@@ -54,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
-        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after one line on stderr.
+        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after a few lines on stderr.
     """
     command = None
     try:
@@ -72,9 +71,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(result, Answer):
             with closing(Bars()) as bars, observed(bars):
                 result.rest()
-    except WrongUsage as error:
-        write_lines(str(error))
-        raise SystemExit(WRONG_USAGE) from None
     except (Exception, KeyboardInterrupt) as error:
         status = exit_status(error, command)
         if status is None:

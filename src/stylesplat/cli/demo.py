@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.next_steps import next_lines, pasted
 from stylesplat.cli.options import CONTINUES, Command, Output
+from stylesplat.cli.results import next_lines, pasted
 from stylesplat.io.atomic import changing
 
 

@@ -8,8 +8,8 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import Command, Device, Flag, OptionalOutput
+from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
 from stylesplat.io.json_files import write_json

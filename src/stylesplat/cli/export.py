@@ -8,8 +8,8 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import file_size, next_lines, pasted, unused
 from stylesplat.cli.options import Command, Flag, OptionalOutput
+from stylesplat.cli.results import file_size, next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
+from stylesplat.cli.arguments import parse_size
 from stylesplat.cli.options import Command, Device, Output
-from stylesplat.cli.parse import parse_size
 from stylesplat.errors import StyleSplatError
 
 MOST_RATE = 1000  # frames a second, and seconds

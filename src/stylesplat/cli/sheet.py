@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.arguments import from_config
-from stylesplat.cli.next_steps import unused
+from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import (
     Command,
     Device,
@@ -19,8 +18,7 @@ from stylesplat.cli.options import (
     given,
     refuse_picture,
 )
-from stylesplat.cli.parse import parse_style
-from stylesplat.cli.results import write_or_rescue
+from stylesplat.cli.results import unused, write_or_rescue
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
 from stylesplat.stylization.config import StyleConfig

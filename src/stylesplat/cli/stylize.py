@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.arguments import from_config
-from stylesplat.cli.next_steps import next_lines, painted_commands
+from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import Command, Device, Features, Output, Weights
-from stylesplat.cli.parse import parse_style
-from stylesplat.cli.results import before_after_line, draw_before_after, save_or_rescue
+from stylesplat.cli.results import (
+    before_after_line,
+    draw_before_after,
+    next_lines,
+    painted_commands,
+    save_or_rescue,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_occupied
 from stylesplat.progress import say

@@ -14,10 +14,15 @@ from tyro.conf import Positional, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
-from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
 from stylesplat.cli.options import CONTINUES, Command, Device, Flag, Output, refuse_given
-from stylesplat.cli.photos import find_photos_capture, is_sfm_unfinished
-from stylesplat.cli.results import describe_scene, save_or_rescue
+from stylesplat.cli.results import (
+    describe_scene,
+    look_lines,
+    next_lines,
+    object_commands,
+    save_or_rescue,
+)
+from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import MARK, changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_there
