@@ -73,13 +73,3 @@ def test_held_out_photos_may_be_missing(project: Path, capsys: pytest.CaptureFix
     assert result(capsys, "evaluate", scene)["psnr"] != whole["psnr"]
     (photos / CAMERAS.names[1]).unlink()
     assert "None of the 2 held-out photos" in complaint(capsys, "evaluate", scene)
-
-
-def test_photos_that_came_back_do_no_harm(project: Path, capsys: pytest.CaptureFixture[str]):
-    """The scene was trained without the last one."""
-    whole = result(capsys, "evaluate", project / "scenes/balls")
-    scene = ss.open(project / "scenes/balls")
-    fewer = replace(scene, cameras=scene.cameras[[*range(len(CAMERAS) - 1)]])
-    ss.save(fewer, project / "fewer")
-    found = result(capsys, "evaluate", project / "fewer")
-    assert found["psnr"] == pytest.approx(whole["psnr"])

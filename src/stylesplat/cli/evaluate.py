@@ -90,22 +90,14 @@ class Evaluate(Command):
         from stylesplat.io.captures.capture_folder import exact_masks
 
         source = self.capture or scene.capture
-        if source is None and not scene.layers:
-            raise StyleSplatError(
-                f"{path} knows no photos to compare with. Pass --capture with their folder."
-            )
-        gone = self.capture is None and source is not None and not source.is_dir()
-        if gone and not scene.layers:
-            raise StyleSplatError(
-                f"The photos of {path} are no longer in {source}. Say with --capture where they "
-                "are."
-            )
-        if gone:
-            say(
-                f"The photos are no longer in {source}, so only the style is measured. "
-                "--capture says where they are."
-            )
-        if gone or source is None:
+        if source is None or not (self.capture or source.is_dir()):
+            gone = f"are no longer in {source}" if source else "are unknown"
+            if not scene.layers:
+                raise StyleSplatError(
+                    f"The photos of {path} {gone}. Pass --capture with their folder."
+                )
+            if source is not None:
+                say(f"The photos of {path} {gone}, so only the style is measured. See --capture.")
             return None
         return ss.load(source, downscale=scene.downscale, masks=self.masks or exact_masks(source))
 

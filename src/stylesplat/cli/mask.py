@@ -1,6 +1,5 @@
 """`stylesplat mask`: write label maps for photos, or give a scene without photos its objects."""
 
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -228,8 +227,7 @@ def _is_scene_without_photos(folder: Path) -> bool:
     from stylesplat.io.kinds import SCENE
     from stylesplat.scene.framing import has_no_photos
 
-    # Unlike Path.is_file, it takes any name
-    return os.path.isfile(folder / SCENE) and has_no_photos(ss.open(folder))  # noqa: PTH113
+    return is_file(folder / SCENE) and has_no_photos(ss.open(folder))
 
 
 def _revise_scene(before: "ss.Scene", after: "ss.Scene", place: Path) -> None:

@@ -63,12 +63,6 @@ class Command:
         raise NotImplementedError
 
 
-def given(command: object, names: tuple[str, ...]) -> dict[str, object]:
-    """The options of a command that are not None."""
-    values = {name: getattr(command, name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
-
-
 def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
     """Raise a StyleSplatError if an option is given that would change nothing."""
     for name in names:

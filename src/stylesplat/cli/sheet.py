@@ -15,7 +15,6 @@ from stylesplat.cli.options import (
     Features,
     Output,
     Weights,
-    given,
     refuse_picture,
 )
 from stylesplat.cli.results import unused, write_or_rescue
@@ -135,7 +134,8 @@ class Sheet(Command):
 
     def _commands(self, variations: dict[str, tuple[Any, ...]]) -> list[list[str]]:
         """The command that paints each cell, by row and column."""
-        shared = {**given(self, ("preset", "features", "weights")), **self.settings}
+        networks = {"features": self.features, "weights": self.weights}
+        shared = {"preset": self.preset, **networks, **self.settings}
         axes = [[(key, value) for value in values] for key, values in variations.items()]
         columns, *others = axes or [[("preset", self.preset)]]
         return [
@@ -153,10 +153,10 @@ class Sheet(Command):
         return pasted("stylize", self.scene, *words, "-o", unused(self.scene, "-painted"))
 
     def _picked(self, commands: list[list[str]]) -> str:
-        found = {
+        cells = {
             f"{row},{column}": command
-            for row, cells in enumerate(commands, 1)
-            for column, command in enumerate(cells, 1)
+            for row, line in enumerate(commands, 1)
+            for column, command in enumerate(line, 1)
         }
-        check_choice(self.pick, "cell", found)
-        return found[str(self.pick)]
+        check_choice(self.pick, "cell", cells)
+        return cells[str(self.pick)]
