@@ -59,3 +59,8 @@ def test_wrong_mixes_are_refused(scene: Path, darker: Path, capsys):
         ((scene, darker, "--compare", "-o", "p.json"), "got p.json as its place."),
     ):
         assert line in complaint(capsys, "evaluate", *arguments)
+
+
+def test_without_photos_there_are_pictures(scene: Path, darker: Path, capsys):
+    found = result(capsys, "evaluate", scene, darker, "--compare", "-o", "p.html")
+    assert [each["metrics"] for each in found["scenes"]] == [{}, {}] and len(found["notes"]) == 2

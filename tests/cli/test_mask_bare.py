@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from balls import BALLS, BARE, agreement, around
-from processes import as_nobody, complaint, public_folder, result
+from processes import as_nobody, complaint, public_folder, result, run
 from stylesplat.io import scene_folder
 
 
@@ -60,5 +60,6 @@ def test_pictures_of_what_a_name_no_longer_means_go(
         found = result(capsys, "select", folder, "--name", name, f"--sphere={x},0,0,1")
         pictures[name] = Path(found["picture"])
     box = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
-    result(capsys, "mask", folder, "--box", box, "--device", "cpu")
+    assert run("mask", folder, "--box", box, "--device", "cpu") == 0
+    assert f"Picture: {folder / 'masks.jpg'}" in capsys.readouterr().err
     assert not pictures["red"].exists() and pictures["blue"].is_file()

@@ -9,7 +9,7 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from processes import complaint, result
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import revise
 
 
@@ -46,15 +46,6 @@ def test_a_changed_scene_keeps_its_way_there(project: Path):
     moved = project.rename(project.with_name("elsewhere"))
     assert ss.open(moved / "scenes/balls").capture == moved / "capture"
     assert ss.open(moved / "scenes/balls").info == {"more": 1}
-
-
-def test_scenes_of_earlier_versions_have_no_way(project: Path):
-    file = project / "scenes/balls/scene.json"
-    content = read_json(file)
-    del content["capture_relative"]
-    write_json(content, file)
-    moved = project.rename(project.with_name("elsewhere"))
-    assert ss.open(moved / "scenes/balls").capture == project / "capture"
 
 
 def test_photos_that_are_gone_are_asked_for(project: Path, tmp_path: Path, capsys):

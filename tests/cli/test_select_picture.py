@@ -63,15 +63,6 @@ def test_a_picture_that_cannot_be_written(scene: Path, capsys):
     assert (scene / "selections").read_text() == "mine"
 
 
-def test_no_picture(scene: Path, capsys):
-    """Nor that of what was called so before."""
-    red = ("select", scene, "--name", "it", "--id", 3)
-    old = Path(result(capsys, *red)["picture"])
-    assert old.exists()
-    assert result(capsys, *red, "--no-picture")["picture"] is None
-    assert not old.exists()
-
-
 def test_no_two_names_share_a_picture(scene: Path):
     names = ["vase", "Vase", "a.b", "a-b", "a b", ".", "..", "花瓶", "花", "x" * 99, "x" * 100]
     pictures = [selected(scene, name, 3)["picture"] for name in names]

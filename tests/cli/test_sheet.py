@@ -8,8 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS
-from processes import QUICK, complaint, run
+from processes import complaint, run
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.cli.sheet import VARIED
 from stylesplat.figures.grid import CAPTION, HEAD, MARGIN
@@ -21,7 +20,6 @@ from stylesplat.verbs.sheet import CELL
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"
-OTHER = ("--steps", 2, "--intensity", 0.5, *QUICK)  # as `styled` is painted
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 
@@ -78,25 +76,6 @@ def test_intensities_are_blends_of_one_result(draw, style: Path):
     assert (full - none).abs().mean() > 6
     # Half of it if no blend; what shows through a fading canvas and clamped colours make it more
     assert (half - (none + full) / 2).abs().mean() < 0.35 * (full - none).abs().mean()
-
-
-def test_what_is_painted_is_painted_anew(
-    styled: Path, scene: Path, style: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    """From the colours before, as `stylize` does it; what lies beneath stays and shows."""
-    gradient = tmp_path / "gradient.png"
-    Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(gradient)
-    ways = ("--style", f"7={gradient}", "--view", CAMERAS.names[0], *FAST)
-    other = tmp_path / "other"
-    assert run("stylize", scene, "-o", other, "--style", f"3={style}", *OTHER) == 0
-    files = []
-    for name, place in {"upon": styled, "bare": other}.items():
-        files.append(tmp_path / f"{name}.png")
-        assert run("sheet", place, "-o", files[-1], *ways) == 0
-    upon, bare = map(read_image, files)
-    assert torch.equal(cell(upon, 0, 1), cell(bare, 0, 1))
-    assert not torch.equal(cell(upon, 0, 0), cell(bare, 0, 0)), "the object as it is"
-    assert "anew" not in capsys.readouterr().err
 
 
 def test_several_styles_are_rows(draw, style: Path, tmp_path: Path):

@@ -24,7 +24,6 @@ BEFORE_AFTER = "before_after.png"
 PHOTO_AND_RENDER = "photo_and_render.png"
 VIEW = "view.png"
 PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
-LATER = "      "  # in front of the second command, below the first
 AT_FAULT = 1  # the user's input, or a machine that is too small for it
 PIPE_CLOSED = 141  # as shells report it, after `| head`
 # Words of torch, OpenCV and CUDA, in errors of many kinds
@@ -180,26 +179,13 @@ def unused(near: Path, ending: str) -> Path:
 
 
 def next_lines(*commands: str) -> list[str]:
-    """The commands, one a line."""
-    return [f"{LATER if number else 'Next: '}{command}" for number, command in enumerate(commands)]
-
-
-def file_size(file: Path) -> str:
-    """The size of a file."""
-    return f"{file.stat().st_size / 1e6:.1f} MB"
+    """The commands, one a line, each below the first."""
+    return [f"{'      ' if number else 'Next: '}{each}" for number, each in enumerate(commands)]
 
 
 def stylize_command(scene: Path, name: str) -> str:
     style = f"{name}={PICTURE}"
     return pasted("stylize", scene, "--style", style, "-o", unused(scene, "-painted"))
-
-
-def painted_commands(scene: Path) -> list[str]:
-    """Commands for a painted scene."""
-    return [
-        pasted("adjust", scene, "--intensity", 0.7, "-o", unused(scene, "-softer")),
-        pasted("export", scene, unused(scene, ".ply")),
-    ]
 
 
 def mask_command(capture: Path) -> str:

@@ -18,14 +18,12 @@ from stylesplat.cli.options import (
     refuse_picture,
 )
 from stylesplat.cli.results import unused, write_or_rescue
+from stylesplat.cli.stylize import SETTINGS
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
 from stylesplat.stylization.config import StyleConfig
 
-VARIED = (  # options of `stylize`
-    *("preset", "quality", "steps", "stroke_size", "rotate", "region", "intensity", "color"),
-    *("form", "content", "seed"),
-)
+VARIED = ("preset", "stroke_size", *SETTINGS.__annotations__)  # options of `stylize`
 RENAMED = {"scale": "stroke_size"}  # the other name that `stylize` has for an option
 
 

@@ -14,8 +14,9 @@ from stylesplat.cli.results import (
     before_after_line,
     draw_before_after,
     next_lines,
-    painted_commands,
+    pasted,
     save_or_rescue,
+    unused,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_occupied
@@ -98,7 +99,11 @@ class Stylize(Command):
 
         yield f"{self.output}: painted."
         yield from before_after_line(result)
-        yield from next_lines(*painted_commands(self.output))
+        softer = unused(self.output, "-softer")
+        yield from next_lines(
+            pasted("adjust", self.output, "--intensity", 0.7, "-o", softer),
+            pasted("export", self.output, unused(self.output, ".ply")),
+        )
         yield from style_lines(result, result["seconds_by_object"])
 
     def _recipe(self) -> "Recipe":
