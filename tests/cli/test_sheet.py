@@ -152,3 +152,9 @@ def test_each_cell_has_a_command_that_paints_it(scene: Path, style: Path, tmp_pa
 def test_what_varies_is_an_option_of_stylize():
     options = batch_verbs()["stylize"].options
     assert {key.replace("_", "-") for key in VARIED} <= {*options}
+
+
+def test_a_line_for_each_cell(scene: Path, style: Path, tmp_path: Path, capsys):
+    assert run("sheet", scene, "-o", tmp_path / "a.png", "--style", f"3={style}", *FAST) == 0
+    said = capsys.readouterr().err
+    assert "a.png: 1 pictures, seen from" in said and "\n1,1:  stylesplat stylize " in said

@@ -26,7 +26,7 @@ Device = Annotated[
     arg(help="Where to compute; auto uses an NVIDIA GPU if there is one."),
 ]
 Json = Annotated[Flag, arg(help="Print the result as JSON on stdout.")]
-Verbose = Annotated[Flag, arg(help="Print the numbers as well.")]
+Verbose = Annotated[Flag, arg(help="Print the numbers as well, as YAML.")]
 Overwrite = Annotated[Flag, arg(help="Replace what the output holds.")]
 Features = Annotated[
     Network | None,
