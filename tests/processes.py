@@ -19,7 +19,7 @@ from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_file import plan_batch
 from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job
 from stylesplat.cli import main
-from stylesplat.cli.batch_verbs import batch_verbs
+from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.per_photo import first_of_photos

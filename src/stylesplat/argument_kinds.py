@@ -2,7 +2,7 @@
 
 import inspect
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import wraps
 from numbers import Integral, Real
 from os import PathLike
@@ -21,29 +21,64 @@ REMEDIES = {
     "Cameras": "A scene has them as `scene.cameras`.",
     "Style": "Write it as `Style(FILE)`.",
     "Recipe": 'Name the objects, as in {"vase": "wave.jpg"}.',
-    "Mapping": "Pass a dictionary.",
 }
 
 
 def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """Make a verb raise a StyleSplatError for arguments of other types than it declares."""
     signature = inspect.signature(verb)
+    kinds = {
+        name: _alternatives(each.annotation)
+        for name, each in signature.parameters.items()
+        if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
+    }
 
     @wraps(verb)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
         for name, value in signature.bind(*args, **kwargs).arguments.items():
-            parameter = signature.parameters[name]
-            if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-                continue
-            if not _fits(value, parameter.annotation):
-                _refuse(verb.__name__, name, value, parameter.annotation)
+            if name in kinds and not any(_is_instance(value, each) for each in kinds[name]):
+                _refuse(verb.__name__, name, value, kinds[name])
         return verb(*args, **kwargs)
 
     return checked
 
 
-def _refuse(verb: str, name: str, value: Any, kind: Any) -> None:
-    names = [*dict.fromkeys(_name(each) for each in _alternatives(kind))]
+def _alternatives(kind: Any) -> list[Any]:
+    """The types that an annotation allows, and the values of a Literal."""
+    if get_origin(kind) in (Union, types.UnionType, Literal):
+        return [one for each in get_args(kind) for one in _alternatives(each)]
+    if isinstance(kind, TypeVar):
+        return [*(kind.__constraints__ or (Any,))]
+    return [kind]
+
+
+def _without_parameters(kind: Any) -> Any:
+    plain = get_origin(kind) or kind
+    return getattr(plain, "array_type", plain)  # of jaxtyping's, the type of the array
+
+
+def _is_instance(value: Any, kind: Any) -> bool:
+    """Whether a value, with the items of a dict or list, is of a type; or of that of a value."""
+    plain, items = _without_parameters(kind), get_args(kind)
+    if kind is None or kind is Any:
+        return value is None or kind is Any
+    if not isinstance(plain, type):  # of a Literal: the verb says which values there are
+        return isinstance(value, type(plain))
+    if isinstance(value, str) and plain is Sequence:
+        return False  # else its characters would be taken for what it names
+    if not isinstance(value, WIDER.get(plain, plain)):
+        return False
+    if isinstance(value, dict) and len(items) == 2:
+        value, items = value.values(), items[1:]
+    elif not isinstance(value, list | tuple) or len(items) != 1:
+        return True
+    kinds = _alternatives(items[0])
+    return all(any(_is_instance(each, kind) for kind in kinds) for each in value)
+
+
+def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
+    plain = ["None" if each in (None, types.NoneType) else each for each in kinds]
+    names = [getattr(_without_parameters(each), "__name__", str(each)) for each in plain]
     given = type(value).__name__
     if isinstance(value, dict | list | tuple):
         items = value.values() if isinstance(value, dict) else value
@@ -51,52 +86,6 @@ def _refuse(verb: str, name: str, value: Any, kind: Any) -> None:
     shown = f", {brief(repr(value))}" if isinstance(value, str | int | float | PathLike) else ""
     remedy = next((REMEDIES[each] for each in reversed(names) if each in REMEDIES), None)
     raise StyleSplatError(
-        f"Cannot call {verb} with this `{name}`: it must be {' or '.join(names)}, and is {given}"
-        f"{shown}. {remedy or f'`help(stylesplat.{verb})` says what it takes.'}"
+        f"Cannot call {verb} with this `{name}`: it must be {' or '.join(dict.fromkeys(names))}, "
+        f"and is {given}{shown}. {remedy or f'`help(stylesplat.{verb})` says what it takes.'}"
     )
-
-
-def _alternatives(kind: Any) -> Iterator[Any]:
-    """The types that an annotation allows, and the values of a Literal."""
-    if get_origin(kind) in (Union, types.UnionType, Literal):
-        for each in get_args(kind):
-            yield from _alternatives(each)
-    elif isinstance(kind, TypeVar):
-        for each in kind.__constraints__ or (Any,):
-            yield from _alternatives(each)
-    else:
-        yield kind
-
-
-def _fits(value: Any, kind: Any) -> bool:
-    return any(_is_instance(value, each) for each in _alternatives(kind))
-
-
-def _is_instance(value: Any, kind: Any) -> bool:
-    """Whether a value, with the items of a dict or list, is of a type; or of that of a value."""
-    plain, items = _plain(kind), get_args(kind)
-    if kind in (None, Any, inspect.Parameter.empty):
-        return value is None or kind is not None
-    if not isinstance(plain, type):  # of a Literal: the verb says which values there are
-        return isinstance(value, type(plain)) if isinstance(plain, str | int) else True
-    if isinstance(value, str) and plain is Sequence:
-        return False  # else its characters would be taken for what it names
-    if not isinstance(value, WIDER.get(plain, plain)):
-        return False
-    if isinstance(value, dict) and len(items) == 2:
-        return all(_fits(each, items[1]) for each in value.values())
-    if isinstance(value, list | tuple) and len(items) == 1:
-        return all(_fits(each, items[0]) for each in value)
-    return True
-
-
-def _plain(kind: Any) -> Any:
-    """A type without its parameters; of jaxtyping's, that of the array."""
-    plain = get_origin(kind) or kind
-    return getattr(plain, "array_type", plain)
-
-
-def _name(kind: Any) -> str:
-    if kind in (None, types.NoneType):
-        return "None"
-    return repr(kind) if isinstance(kind, str) else getattr(_plain(kind), "__name__", str(kind))

@@ -5,7 +5,7 @@ The command line installs one that draws bars; a program of your own installs an
 
 import sys
 from collections.abc import Iterable, Iterator, Sized
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -32,7 +32,7 @@ class Observer(Protocol):
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
     ) -> AbstractContextManager[Task]:
-        """Work begins; it ends with the context.
+        """Work begins, and ends with the context.
 
         Args:
             what: What is done.
@@ -50,12 +50,11 @@ class Observer(Protocol):
 class Silence:
     """The observer that ignores everything."""
 
-    @contextmanager
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
-    ) -> Iterator[Task]:
+    ) -> AbstractContextManager[Task]:
         """Count nothing."""
-        yield self
+        return nullcontext(self)
 
     def advance(self, amount: int | float = 1) -> None:
         """Count nothing."""

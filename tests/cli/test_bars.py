@@ -6,9 +6,7 @@ from io import StringIO
 
 import pytest
 
-from stylesplat import cli
 from stylesplat.cli.bars import Bars
-from stylesplat.cli.objects import Objects
 from stylesplat.progress import Observer, observed, say, task, track
 
 
@@ -94,21 +92,3 @@ def test_an_interruption_leaves_no_half_line(terminal: bool, monkeypatch: pytest
     with observed(Bars(terminal=terminal)), pytest.raises(KeyboardInterrupt):
         say("A line.")
     assert stderr.getvalue() == "A line.\n"
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_bars_are_for_terminals(terminal: bool, monkeypatch: pytest.MonkeyPatch):
-    def work(_: Objects) -> dict[str, int]:
-        with task("work", 2) as half:
-            half.advance()
-            say("Half.")
-        return {"a": 1}
-
-    shown = StringIO()
-    monkeypatch.setattr(shown, "isatty", lambda: terminal)
-    monkeypatch.setattr(sys, "stderr", shown)
-    monkeypatch.setattr(Objects, "run", work)
-    monkeypatch.setattr(Objects, "words", lambda *_: ["Done."])
-    assert cli.main(["objects", "x"]) == 0
-    assert ("work:  50%" in shown.getvalue()) == terminal
-    assert terminal or shown.getvalue() == "Half.\nDone.\n"

@@ -61,16 +61,6 @@ def test_wrong_mixes_are_refused(scene: Path, darker: Path, capsys):
         assert line in complaint(capsys, "evaluate", *arguments)
 
 
-def test_scenes_of_other_photos_are_refused(scene: Path, capsys):
-    opened, other = ss.open(scene), scene.with_name("other")
-    names = tuple(f"other{row}.png" for row in range(len(opened.cameras)))
-    ss.save(replace(opened, cameras=replace(opened.cameras, names=names), held_out=()), other)
-    line = complaint(capsys, "evaluate", scene, other, "--compare", "-o", "p.html")
-    assert "No view is in all of scene, other" in line and not Path("p.html").exists()
-
-
 def test_without_photos_there_are_pictures(scene: Path, darker: Path, capsys):
     found = result(capsys, "evaluate", scene, darker, "--compare", "-o", "p.html")
-    assert [each["metrics"] for each in found["scenes"]] == [{}, {}]
-    assert found["scenes"][1]["from_first"]["changed_share"] > 0.1
-    assert len(found["notes"]) == 2 and "has no numbers" in Path("p.html").read_text()
+    assert [each["metrics"] for each in found["scenes"]] == [{}, {}] and len(found["notes"]) == 2

@@ -13,8 +13,8 @@ import torch
 import stylesplat
 from processes import complaint
 from stylesplat.cli import main
-from stylesplat.cli.exit_status import BUG, OUT_OF_MEMORY
 from stylesplat.cli.objects import Objects
+from stylesplat.cli.results import BUG, OUT_OF_MEMORY
 from stylesplat.cli.train import Train
 
 
@@ -36,11 +36,9 @@ def failing(error: Exception):
 @pytest.mark.parametrize(
     ("fail", "expected"),
     [
-        (failing(MemoryError()), OUT_OF_MEMORY),
         (too_much, OUT_OF_MEMORY),
         (too_much_for_torch, OUT_OF_MEMORY),
         (failing(torch.OutOfMemoryError("CUDA out of memory. Tried to ...")), OUT_OF_MEMORY),
-        (failing(OSError(errno.ENOMEM, "Cannot allocate memory")), OUT_OF_MEMORY),
         (failing(OSError(errno.ENOSPC, "No space", "a")), "Disk full: a. Free some space"),
         (failing(PermissionError(errno.EACCES, "Not allowed", "a")), "Not allowed: a. Mend"),
         (failing(OSError("image file is truncated\nmore")), "image file is truncated. Mend"),
@@ -49,15 +47,6 @@ def failing(error: Exception):
 def test_one_line(fail, expected: str, monkeypatch: pytest.MonkeyPatch, capsys):
     monkeypatch.setattr(Objects, "run", lambda _: fail())
     assert expected in complaint(capsys, "objects", "x")
-
-
-def test_how_to_go_on_is_asked_after_interruptions_only(monkeypatch: pytest.MonkeyPatch, capsys):
-    def ask(_: Objects) -> str:
-        raise AssertionError("asked")
-
-    monkeypatch.setattr(Objects, "after_interruption", property(ask), raising=False)
-    monkeypatch.setattr(Objects, "run", failing(MemoryError()))
-    assert OUT_OF_MEMORY in complaint(capsys, "objects", "x")
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch):

@@ -90,16 +90,16 @@ def test_while_it_starts(library: str, number: signal.Signals, capture: Path, tm
     begun = Begun(tmp_path, "train", capture, "-o", out, "--steps", 99_999, "--device", "cpu")
     begun.wait_for(lambda begun: begun.has_loaded(library))
     begun.ended_by(number)
-    assert {p.name for p in tmp_path.iterdir()} == {"stderr", "stdout"}
+    files = {p.name for p in tmp_path.rglob("*") if p.is_file()}
+    assert files == {"stderr", "stdout"}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_training_is_kept_and_goes_on(number: signal.Signals, capture: Path, tmp_path: Path):
+def test_a_training_is_kept_and_goes_on(capture: Path, tmp_path: Path):
     out = tmp_path / "out"
     options = ("--device", "cpu", "--max-seconds", 3)
     begun = Begun(tmp_path, "train", capture, "-o", out, *options)
     begun.wait_for(lambda begun: begun.says("Gaussians"))
-    assert begun.ended_by(number) == f"{CONTINUES} {FINISHES}"
+    assert begun.ended_by(signal.SIGTERM) == f"{CONTINUES} {FINISHES}"
     assert [p.name for p in (tmp_path / "out.partial").iterdir()] == ["checkpoint_lift.pt"]
     assert run("train", capture, "-o", out, *options) == 0
     assert not (tmp_path / "out.partial").exists()
@@ -113,20 +113,12 @@ def test_a_stylisation_leaves_everything_as_it_was(scene: Path, style: Path, tmp
     assert {p.name for p in tmp_path.iterdir()} == {"scene", style.name, "stderr", "stdout"}
 
 
-def test_pictures_that_are_drawn(scene: Path, tmp_path: Path):
-    begun = Begun(tmp_path, "render", scene, "-o", tmp_path / "out.mp4", "--views", "orbit")
-    begun.wait_for(lambda _: any(p.suffix == ".mp4" for p in tmp_path.iterdir()))
-    assert begun.ended_by(signal.SIGTERM) == WHOLE
-    assert {p.name for p in tmp_path.iterdir()} == {"scene", "stderr", "stdout"}
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_viewer(number: signal.Signals, scene: Path, tmp_path: Path):
+def test_the_viewer(scene: Path, tmp_path: Path):
     pytest.importorskip("viser")
     begun = Begun(tmp_path, "view", scene)
     begun.wait_for(lambda begun: begun.says("Ctrl-C closes the viewer."))
     assert begun.says("StyleSplat: http://127.0.0.1:") and begun.says("/?token=")
-    assert begun.ended_by(number) == "The viewer is closed."
+    assert begun.ended_by(signal.SIGINT) == "The viewer is closed."
 
 
 def test_the_console_script_is_the_module_that_takes_signals():
@@ -176,7 +168,7 @@ print(command_line.main())
 A_BUG_IN_CLEAN_UP = """
 import signal, sys
 import stylesplat.__main__ as command_line
-from stylesplat.cli.exit_status import exit_status
+from stylesplat.cli.results import exit_status
 def interrupted():
     try:
         signal.raise_signal(signal.SIGINT)

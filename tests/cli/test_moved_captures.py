@@ -9,7 +9,7 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from processes import complaint, result
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import revise
 
 
@@ -48,15 +48,6 @@ def test_a_changed_scene_keeps_its_way_there(project: Path):
     assert ss.open(moved / "scenes/balls").info == {"more": 1}
 
 
-def test_scenes_of_earlier_versions_have_no_way(project: Path):
-    file = project / "scenes/balls/scene.json"
-    content = read_json(file)
-    del content["capture_relative"]
-    write_json(content, file)
-    moved = project.rename(project.with_name("elsewhere"))
-    assert ss.open(moved / "scenes/balls").capture == project / "capture"
-
-
 def test_photos_that_are_gone_are_asked_for(project: Path, tmp_path: Path, capsys):
     gone = project / "capture"
     moved = gone.rename(tmp_path / "garden")
@@ -73,13 +64,3 @@ def test_held_out_photos_may_be_missing(project: Path, capsys: pytest.CaptureFix
     assert result(capsys, "evaluate", scene)["psnr"] != whole["psnr"]
     (photos / CAMERAS.names[1]).unlink()
     assert "None of the 2 held-out photos" in complaint(capsys, "evaluate", scene)
-
-
-def test_photos_that_came_back_do_no_harm(project: Path, capsys: pytest.CaptureFixture[str]):
-    """The scene was trained without the last one."""
-    whole = result(capsys, "evaluate", project / "scenes/balls")
-    scene = ss.open(project / "scenes/balls")
-    fewer = replace(scene, cameras=scene.cameras[[*range(len(CAMERAS) - 1)]])
-    ss.save(fewer, project / "fewer")
-    found = result(capsys, "evaluate", project / "fewer")
-    assert found["psnr"] == pytest.approx(whole["psnr"])

@@ -1,13 +1,9 @@
 """The verb `objects`."""
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
-from processes import complaint, result
-from stylesplat.io import atomic
+from processes import result
 from stylesplat.io.images import read_image
 from stylesplat.io.scene_folder import open
 from stylesplat.selection.pick import pick_objects
@@ -36,26 +32,3 @@ def test_haze_is_not_an_objects_own(scene: Path):
     hazy = replace(splats, scales=scales, opacities=opacities)
     after = objects(replace(opened, splats=hazy))[0]
     assert after["gaussians"] == before["gaussians"] and after["own"] == before["own"] - 1
-
-
-def test_nothing_is_drawn_into_a_scene_that_is_changed(
-    scene: Path, capsys, monkeypatch: pytest.MonkeyPatch
-):
-    """Who changes it takes unfinished files for those of a process that was killed."""
-    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
-    holding, done = threading.Event(), threading.Event()
-
-    def change() -> None:
-        with atomic.changing(scene):
-            holding.set()
-            done.wait(60)
-
-    thread = threading.Thread(target=change)
-    thread.start()
-    holding.wait(60)
-    try:
-        assert "is at work on it" in complaint(capsys, "objects", scene)
-    finally:
-        done.set()
-        thread.join()
-    assert not (scene / "objects.png").exists()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from balls import CAMERAS
 from capture_files import write_ball_capture
-from processes import as_nobody, complaint, no_room, public_folder, run
+from processes import as_nobody, complaint, no_room, public_folder
 from stylesplat.io import images
 from stylesplat.io.kinds import SCENE
 
@@ -138,9 +138,3 @@ def test_a_sheet_is_saved_elsewhere_in_the_end(
     (made,) = elsewhere.rglob("a.png")
     assert f"The sheet is in {made}: move it from there." in line
     assert not (tmp_path / "a.png").exists() and (scene / SCENE).is_file()
-
-
-def test_good_places_are_taken(scene: Path, tmp_path: Path):
-    """Folders on the way are made."""
-    assert run("export", scene, tmp_path / "new/er/a.ply") == 0
-    assert (tmp_path / "new/er/a.ply").is_file()

@@ -9,7 +9,7 @@ from PIL import Image
 
 from capture_files import corner, save_noise, sfm_record, write_capture, write_photos
 from processes import complaint, result, run
-from stylesplat.cli.photos import (
+from stylesplat.cli.sfm import (
     capture_place,
     find_earlier_capture,
     find_photos_capture,
@@ -49,25 +49,22 @@ def test_a_capture_is_taken_as_it_is(tmp_path: Path):
     assert [p.name for p in tmp_path.iterdir()] == ["garden"]
 
 
-def test_what_is_not_there_is_said(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"There is no folder .*nothing: .* Check it"):
-        find_photos_capture(tmp_path / "nothing", beside=tmp_path / "scene")
-
-
-@pytest.mark.parametrize("near", ["My photos", "elsewhere/scene"])
-def test_an_earlier_capture_is_found_beside_the_photos_and_the_scene(
-    near: str, photos: Path, tmp_path: Path
-):
+def test_an_earlier_capture_is_found_beside_the_photos_and_the_scene(photos: Path, tmp_path: Path):
     scene = tmp_path / "elsewhere" / "scene"
-    place = capture_place(photos, beside=tmp_path / near)
-    assert place.name == "My photos-capture" and place.parent == (tmp_path / near).parent
-    write_record(write_capture(place), photos)
-    assert find_photos_capture(photos, beside=scene) == place
+    for near in (scene, photos):  # those beside the photos come first
+        place = capture_place(photos, beside=near)
+        assert place == near.parent / "My photos-capture"
+        write_record(write_capture(place), photos)
+        assert find_photos_capture(photos, beside=scene) == place
 
 
-def test_of_a_video_it_is_called_without_the_extension(tmp_path: Path):
+def test_where_captures_are_kept(photos: Path, tmp_path: Path):
     (tmp_path / "walk.mp4").write_bytes(b"")
     assert capture_place(tmp_path / "walk.mp4", beside=tmp_path / "scene").name == "walk-capture"
+    among = capture_place(photos, beside=photos / "sub" / "scene")
+    assert among.parent == tmp_path, "never among the photos"
+    with pytest.raises(StyleSplatError, match="Choose another name"):
+        find_photos_capture(photos, beside=tmp_path / "My photos-capture")
 
 
 def test_photos_that_have_changed_since(photos: Path, tmp_path: Path):
@@ -78,12 +75,6 @@ def test_photos_that_have_changed_since(photos: Path, tmp_path: Path):
     assert read_sfm(place) is not None
 
 
-def test_hidden_files_are_no_change(photos: Path):
-    before = source_digest(photos)
-    (photos / ".DS_Store").write_bytes(b"1")
-    assert source_digest(photos) == before
-
-
 def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
     others = tmp_path / "others" / photos.name
     shutil.copytree(photos, others)
@@ -91,15 +82,6 @@ def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
     assert find_earlier_capture(photos, beside=photos) is None
     with pytest.raises(StyleSplatError, match=r"something else\. Find them with .* -o CAPTURE`"):
         find_photos_capture(photos, beside=photos)
-
-
-def test_a_scene_is_not_called_like_the_capture(photos: Path, tmp_path: Path):
-    with pytest.raises(StyleSplatError, match="Choose another name"):
-        find_photos_capture(photos, beside=tmp_path / "My photos-capture")
-
-
-def test_never_among_the_photos(photos: Path, tmp_path: Path):
-    assert capture_place(photos, beside=photos / "sub" / "scene").parent == tmp_path
 
 
 def test_photos_by_the_names_that_the_user_knows(photos: Path, tmp_path: Path):
@@ -112,13 +94,6 @@ def test_photos_by_the_names_that_the_user_knows(photos: Path, tmp_path: Path):
     for name in ("2.jpg", "2"):
         with pytest.raises(StyleSplatError, match=r"2\.jpg has no pose: blurred"):
             view_of_photo(name, record)
-
-
-def test_a_damaged_record(photos: Path):
-    place = write_capture(capture_place(photos, beside=photos))
-    (place / "sfm.json").write_text('{"source": 3}')
-    with pytest.raises(StyleSplatError, match=r"Cannot read .*sfm\.json"):
-        find_earlier_capture(photos, beside=photos)
 
 
 @pytest.mark.parametrize(

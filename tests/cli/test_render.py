@@ -4,14 +4,12 @@ import json
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 import torch
 from PIL import Image
 
 from balls import CAMERAS
 from processes import complaint, result, run
-from stylesplat.figures.pictures import label_colors
 from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import read_label_map
 
@@ -55,17 +53,9 @@ def test_one_view_into_one_picture(scene: Path, tmp_path: Path, capsys):
     line = complaint(capsys, "render", scene, "-o", tmp_path / "b.png", "--views", "orbit")
     assert line.endswith("180 views. Choose one with --view NAME, or name a folder.")
     line = complaint(capsys, "render", scene, "-o", tmp_path / "b", "--views", "orbit", *two)
-    assert line.endswith("--view chooses views by name. Leave --views out.")
+    assert "--views and --view each say what views there are. Choose one" in line
     assert "'cat'" in complaint(capsys, "render", scene, "-o", tmp_path / "b", "--view", "cat")
     assert not [*tmp_path.glob("b*")]
-
-
-def test_a_round_trip_as_gif_has_half_the_frames(scene: Path, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("stylesplat.verbs.render.FRAMES", 6)
-    for name, count in (("o.gif", 3), ("o.webm", 6)):
-        assert run("render", scene, "-o", tmp_path / name, "--views", "orbit") == 0
-        with av.open(str(tmp_path / name)) as video:
-            assert sum(1 for _ in video.decode(video=0)) == count
 
 
 def played(path: Path) -> tuple[int, float, tuple[int, int]]:
@@ -80,6 +70,8 @@ def test_length_rate_and_size_of_a_round_trip(scene: Path, tmp_path: Path, capsy
     trip = ("render", scene, "-o", tmp_path / "a.mp4", "--seconds", 0.5, "--size", "64x30")
     assert run(*trip, "--views", "orbit", "--fps", 10) == 0
     assert played(tmp_path / "a.mp4") == (5, 10, (64, 30))
+    assert run("render", scene, "-o", tmp_path / "a.gif", "--views", "orbit", "--seconds", 0.2) == 0
+    assert played(tmp_path / "a.gif")[0] == 3, "at 14 frames a second"
     assert "--views orbit" in complaint(capsys, *trip, "--overwrite")
     wrong = complaint(capsys, *trip, "--overwrite", "--views", "orbit", "--size", "64")
     assert "WIDTHxHEIGHT" in wrong
@@ -100,7 +92,7 @@ def test_a_round_trip_about_an_object_shows_it_large(scene: Path, tmp_path: Path
         assert abs(float(rows.float().mean()) - 17.5) < 3
         assert abs(float(columns.float().mean()) - 23.5) < 3
     line = complaint(capsys, *about, "-o", tmp_path / "b", "--view", "0000")
-    assert "--around says which views there are" in line
+    assert "--view and --around each say" in line
     assert "'cat'" in complaint(capsys, "render", scene, "-o", tmp_path / "b", "--around", "cat")
 
 
@@ -117,7 +109,7 @@ def test_a_camera_path(scene: Path, tmp_path: Path, capsys):
     assert (first.float() - read_image(tmp_path / "b.png").float()).abs().max() <= 1
     assert "Choose one" in complaint(capsys, *made, "-o", tmp_path / "c", "--around", "7")
     line = complaint(capsys, *made, "-o", tmp_path / "c", "--views", "orbit")
-    assert line.endswith("--path says which views there are. Leave the others out.")
+    assert "--views and --path each say" in line
 
 
 def test_an_object_cut_out(scene: Path, tmp_path: Path, capsys):
@@ -126,47 +118,12 @@ def test_an_object_cut_out(scene: Path, tmp_path: Path, capsys):
     with Image.open(tmp_path / "cut.png") as image:
         cut = torch.from_numpy(np.array(image)).float()
     assert cut.shape == (36, 48, 4)
+    assert run(*alone, tmp_path / "blue.png", "--background", "#336699") == 0
     alpha = cut[..., 3:] / 255
-    assert (cut[cut[..., 3] == 0] == 0).all() and alpha.max() > 0.9
-    for name, color in (("white", 255), ("#336699", torch.tensor([0x33, 0x66, 0x99]))):
-        assert run(*alone, tmp_path / f"{name}.png", "--background", name) == 0
-        composed = cut[..., :3] * alpha + color * (1 - alpha)
-        # Rounded twice: alpha and, weighted by it, the colours
-        assert (composed - read_image(tmp_path / f"{name}.png")).abs().max() <= 1.51
-    assert run(*alone, tmp_path / "plain.png") == 0
-    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "white.png").read_bytes()
+    composed = cut[..., :3] * alpha + torch.tensor([0x33, 0x66, 0x99]) * (1 - alpha)
+    # Rounded twice: alpha and, weighted by it, the colours
+    assert (composed - read_image(tmp_path / "blue.png")).abs().max() <= 1.51
     video = ("render", scene, "--what", "object:7", "-o", tmp_path / "v.mp4")
     assert "no transparency" in complaint(capsys, *video, "--background", "transparent")
-    assert run(*video, "--background", "#336699") == 0
-    with av.open(str(tmp_path / "v.mp4")) as found:
-        corner = next(found.decode(video=0)).to_ndarray(format="rgb24")[0, 0]
-    assert np.abs(corner - np.array([0x33, 0x66, 0x99])).max() <= 4
     line = complaint(capsys, *alone, tmp_path / "x.png", "--background", "blue-ish")
     assert line.endswith("Use transparent, black, white, or a colour as #rrggbb.")
-
-
-def numbers(path: Path) -> np.ndarray:
-    """As another library reads them."""
-    return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
-
-
-def test_depths_as_numbers(scene: Path, tmp_path: Path, capsys):
-    made = ("render", scene, "-o")
-    assert run(*made, tmp_path / "float", "--what", "depth-float") == 0
-    steps = result(capsys, *made, tmp_path / "steps", "--what", "depth-16bit")
-    scale = json.loads((tmp_path / "steps" / "depth.json").read_text())["world_units_per_step"]
-    assert steps["world_units_per_step"] == scale and steps["views"] == len(CAMERAS)
-    for path in (tmp_path / "float").iterdir():
-        depths, counted = numbers(path), numbers(tmp_path / "steps" / f"{path.stem}.png")
-        assert ((depths > 0) == (counted > 0)).all()
-        assert np.abs(counted * scale - depths).max() <= 0.51 * scale
-    line = complaint(capsys, *made, tmp_path / "x.mp4", "--what", "depth-float")
-    assert "not into .mp4" in line
-
-
-def test_labels_in_colours(scene: Path, tmp_path: Path):
-    assert run("render", scene, "-o", tmp_path / "ids", "--what", "labels") == 0
-    assert run("render", scene, "-o", tmp_path / "colors", "--what", "label-colors") == 0
-    for path in (tmp_path / "ids").iterdir():
-        expected = label_colors(read_label_map(path).long())
-        assert torch.equal(read_image(tmp_path / "colors" / path.name), expected)

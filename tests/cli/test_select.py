@@ -54,15 +54,6 @@ def test_options_that_are_repeated_append(scene: Path, capsys):
         assert result(capsys, "select", scene, "--name", "f", *both)["gaussians"] == sum(alone)
 
 
-def test_select_grows_and_shrinks(scene: Path, capsys):
-    red = ("select", scene, "--name", "red", "--id", 3)
-    plain = result(capsys, *red)["gaussians"]
-    assert result(capsys, *red, "--grow", 0.2)["gaussians"] > plain
-    assert 0 < result(capsys, *red, "--shrink", 0.1)["gaussians"] < plain
-    for bad in ("nan", 0, 3):
-        assert "Give more than 0 and at most 1" in complaint(capsys, *red, "--grow", bad)
-
-
 def test_select_by_text(scene: Path, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(
@@ -71,29 +62,3 @@ def test_select_by_text(scene: Path, capsys, monkeypatch):
     found = result(capsys, "select", scene, "--name", "it", "--text", "blue", "--model", "a/b")
     assert found["ids"] == [300] and found["scores"].keys() == {"300"}
     assert asked[0][0] == "a/b"
-
-
-def test_select_by_several_texts(scene: Path, capsys, monkeypatch):
-    monkeypatch.setattr("stylesplat.verbs.select.load_detector", lambda *a: ColorDetector())
-    texts = ("--text", "blue", "--text", "red")
-    found = result(capsys, "select", scene, "--name", "them", *texts)
-    assert found["ids"] == [300, 3] and found["text"] == ["blue", "red"]
-    assert found["scores"].keys() == {"300", "3"}
-
-
-def test_select_by_text_with_a_real_detector(scene: Path, tiny_model, capsys, monkeypatch):
-    """Random weights find what fits by chance, and that is said in one line."""
-    monkeypatch.setattr("stylesplat.selection.text.CHANCE", 1.0)
-    folder = tiny_model("grounding-dino")
-    asked = ("select", scene, "--name", "it", "--text", "red ball", "--model", folder)
-    assert "what fits 'red ball'. By id, with scores: 3 (0." in complaint(capsys, *asked)
-
-
-def test_select_everything_and_the_background(scene: Path, capsys):
-    assert result(capsys, "select", scene, "--name", "red", "--id", 3)["gaussians"] <= 80
-    everything = result(capsys, "select", scene, "--name", "everything", "--all")
-    assert everything["gaussians"] == 440 and everything["all"] is True
-    table = result(capsys, "select", scene, "--name", "table", "--background")
-    assert table["gaussians"] == 200 and table["background"] is True
-    rest = ("select", scene, "--name", "rest", "--all", "--minus", "table")
-    assert result(capsys, *rest)["gaussians"] == 240

@@ -63,34 +63,6 @@ def test_a_picture_that_cannot_be_written(scene: Path, capsys):
     assert (scene / "selections").read_text() == "mine"
 
 
-def test_a_picture_that_there_is_no_memory_for(scene: Path, monkeypatch, capsys):
-    def fail(*_: object) -> None:
-        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate")
-
-    monkeypatch.setattr("stylesplat.figures.sheets.selection_picture", fail)
-    assert run("select", scene, "--name", "red", "--id", 3) == 0
-    assert "There is no picture of red: Out of memory." in capsys.readouterr().err
-    assert scene_folder.open(scene).objects.keys() == {"red"}
-
-
-def test_no_picture(scene: Path, capsys):
-    """Nor that of what was called so before."""
-    red = ("select", scene, "--name", "it", "--id", 3)
-    old = Path(result(capsys, *red)["picture"])
-    assert old.exists()
-    assert result(capsys, *red, "--no-picture")["picture"] is None
-    assert not old.exists()
-
-
-def test_a_picture_of_it(scene: Path):
-    found = selected(scene, "red", 3)
-    assert found["picture"] == scene / "selections" / "red.png"
-    before = read_image(found["picture"])
-    assert "picture" not in scene_folder.open(scene).objects["red"].how
-    selected(scene, "red", 7)
-    assert (read_image(found["picture"]) != before).any(), "it shows the last one of that name"
-
-
 def test_no_two_names_share_a_picture(scene: Path):
     names = ["vase", "Vase", "a.b", "a-b", "a b", ".", "..", "花瓶", "花", "x" * 99, "x" * 100]
     pictures = [selected(scene, name, 3)["picture"] for name in names]
@@ -121,27 +93,6 @@ def test_no_picture_is_drawn_through_a_link_that_leads_outside(scene: Path, tmp_
         selected(scene, "red", 3)
     assert not [*(tmp_path / "elsewhere").iterdir()]
     assert not scene_folder.open(scene).objects, "it is refused before it is done"
-
-
-def test_a_picture_that_json_names_is_there(scene: Path, capsys):
-    """Of what other things hide, though it lies within views, there is none."""
-    red = ("select", scene, "--name", "red", "--id", 3)
-    picture = Path(result(capsys, *red)["picture"])
-    assert picture.is_file()
-    picked = SPLATS.means[200:280]
-    inside = replace(SPLATS, opacities=SPLATS.opacities.clone())
-    inside.opacities[200:280] = -20.0  # nothing shows of it
-    scene_folder.save(Scene(inside, CAMERAS), scene / "other")
-    low, high = (edge - 0.01 for edge in (picked.amin(dim=0), picked.amax(dim=0) + 0.02))
-    corners = ",".join(f"{number:.4f}" for number in (*low.tolist(), *high.tolist()))
-    found = result(capsys, "select", scene / "other", "--name", "red", f"--box3d={corners}")
-    assert found["picture"] is None and found["gaussians"] >= 80
-
-
-def test_verbose_numbers_name_a_picture_that_is_there(scene: Path, capsys):
-    assert run("select", scene, "--name", "red", "--id", 3, "--verbose") == 0
-    assert f"picture: {selection_file(scene, 'red')}" in capsys.readouterr().err
-    assert selection_file(scene, "red").is_file()
 
 
 def test_a_picture_in_a_new_scene(scene: Path, tmp_path: Path, capsys):

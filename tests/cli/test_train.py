@@ -2,7 +2,6 @@
 
 import json
 import signal
-import threading
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS
 from processes import complaint, result, run
-from stylesplat.io import atomic
 from stylesplat.training.loop import fit
 
 STOP = 5  # steps after which Ctrl-C is pressed
@@ -66,39 +64,15 @@ def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):
         assert again[name] == pytest.approx(metrics[name], abs=1e-3), name
 
 
-@pytest.mark.parametrize("options", [("--preset", "paper"), ("--segment", "joint")])
-def test_labels_learned_in_training(capture: Path, tmp_path: Path, options: tuple[str, str]):
-    out = tmp_path / "scene"
+def test_labels_learned_in_training(capture: Path, tmp_path: Path):
+    out, options = tmp_path / "scene", ("--preset", "paper")
     assert run("train", capture, "-o", out, "--steps", 4, "--device", "cpu", *options) == 0
     scene = ss.open(out)
     assert scene.info["settings"]["segment"] == "joint"
     assert scene.splats.identities is not None and scene.splats.confidence is None
 
 
-def test_train_keeps_what_is_there(capture: Path, scene: Path, capsys):
-    before = (scene / "splats.ply").read_bytes()
-    assert run("train", capture, "-o", scene, "--steps", 1) == 1
-    assert "--overwrite" in capsys.readouterr().err
-    assert (scene / "splats.ply").read_bytes() == before
-    assert run("train", capture, "-o", scene, "--steps", 1, "--overwrite") == 0
-    assert (scene / "splats.ply").read_bytes() != before
-
-
-def test_an_interrupted_run_lies_beside_the_scene_and_continues(
-    capture: Path, tmp_path: Path, capsys, interrupted
-):
-    out = tmp_path / "scene"
-    command = ("train", capture, "-o", out, "--steps", 12)
-    interrupted(*command)
-    assert not out.exists()
-    assert [p.name for p in (tmp_path / "scene.partial").iterdir()] == ["checkpoint_lift.pt"]
-    assert run(*command) == 0
-    assert "Continuing" in capsys.readouterr().err
-    assert ss.open(out).metrics["steps"] == 12
-    assert [*tmp_path.iterdir()] == [out], "what was interrupted is done"
-
-
-def test_overwriting_continues_too_and_keeps_the_scene_until_then(
+def test_an_interrupted_run_continues_and_keeps_the_scene_until_then(
     capture: Path, scene: Path, capsys, interrupted
 ):
     before = {p.name: p.read_bytes() for p in scene.iterdir()}
@@ -107,27 +81,32 @@ def test_overwriting_continues_too_and_keeps_the_scene_until_then(
     assert {p.name: p.read_bytes() for p in scene.iterdir()} == before
     assert ss.open(scene).metrics == {"psnr": 30.0}, "still readable"
     assert "--overwrite" in complaint(capsys, *command[:-1])
-    assert (scene.parent / "scene.partial" / "checkpoint_lift.pt").exists()
+    partial = scene.parent / "scene.partial"
+    assert [p.name for p in partial.iterdir()] == ["checkpoint_lift.pt"]
     assert run(*command) == 0
     assert "Continuing" in capsys.readouterr().err
     assert ss.open(scene).metrics["steps"] == 12
-    assert not (scene.parent / "scene.partial").exists()
+    assert [*scene.parent.iterdir()] == [scene], "what was interrupted is done"
 
 
-def test_restart_begins_anew(capture: Path, tmp_path: Path, capsys, interrupted):
-    out = tmp_path / "scene"
+def test_restart_begins_anew_and_deletes_what_is_ours_only(
+    capture: Path, tmp_path: Path, capsys, interrupted
+):
+    out, partial = tmp_path / "scene", tmp_path / "scene.partial"
     interrupted("train", capture, "-o", out, "--steps", 60)
+    (partial / ".checkpoint_lift.0123456789ab.pt").touch()
+    (partial / "notes.txt").write_text("mine")
     # With other settings the run cannot be continued
     other = ("train", capture, "-o", out, "--steps", 30, "--seed", 3)
     assert "another steps, seed" in complaint(capsys, *other)
-    assert (tmp_path / "scene.partial" / "checkpoint_lift.pt").exists()
+    assert (partial / "checkpoint_lift.pt").exists()
     assert run(*other, "--restart") == 0
     assert "Continuing" not in capsys.readouterr().err
     assert ss.open(out).metrics["steps"] == 30
-    assert [*tmp_path.iterdir()] == [out]
+    assert [path.name for path in partial.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize("how", [("--finish",), ("--finish", "--max-seconds", 900), ("--steps", 2)])
+@pytest.mark.parametrize("how", [("--finish", "--max-seconds", 900), ("--steps", 2)])
 def test_an_interrupted_run_may_end_where_it_is(
     capture: Path, tmp_path: Path, capsys, interrupted, how: tuple
 ):
@@ -164,48 +143,3 @@ def test_what_is_wrong_costs_no_checkpoint(capture: Path, tmp_path: Path, capsys
     damaged = complaint(capsys, "train", capture, "-o", tmp_path / "scene", "--steps", 1)
     assert "Cannot continue" in damaged
     assert checkpoint.read_bytes() == b"hours of work"
-
-
-def test_a_folder_with_other_files_is_left_alone(capture: Path, tmp_path: Path, capsys):
-    (tmp_path / "checkpoint.pt").touch()
-    (tmp_path / "thesis.tex").touch()
-    assert "--overwrite" in complaint(capsys, "train", capture, "-o", tmp_path)
-
-
-def test_restarting_deletes_what_is_ours_only(capture: Path, tmp_path: Path, capsys, interrupted):
-    out = tmp_path / "scene"
-    interrupted("train", capture, "-o", out, "--steps", 12)
-    partial = tmp_path / "scene.partial"
-    (partial / ".checkpoint_lift.0123456789ab.pt").touch()
-    (partial / "notes.txt").write_text("mine")
-    assert run("train", capture, "-o", out, "--steps", 12) == 0, "it stands in nobody's way"
-    assert "Continuing" in capsys.readouterr().err
-    assert [path.name for path in partial.iterdir()] == ["notes.txt"]
-    interrupted("train", capture, "-o", out, "--steps", 12, "--overwrite")
-    assert run("train", capture, "-o", out, "--steps", 6, "--overwrite", "--restart") == 0
-    assert "Continuing" not in capsys.readouterr().err
-    assert [path.name for path in partial.iterdir()] == ["notes.txt"]
-
-
-def test_a_second_run_leaves_the_first_one_alone(
-    capture: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-):
-    out, checkpoint = tmp_path / "scene", tmp_path / "scene.partial" / "checkpoint_lift.pt"
-    checkpoint.parent.mkdir()
-    checkpoint.write_bytes(b"of the first")
-    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
-    holding, done = threading.Event(), threading.Event()
-
-    def first() -> None:
-        with atomic.changing(out):
-            holding.set()
-            done.wait(60)
-
-    thread = threading.Thread(target=first)
-    thread.start()
-    holding.wait(60)
-    line = complaint(capsys, "train", capture, "-o", out, "--steps", 1, "--restart")
-    done.set()
-    thread.join()
-    assert "is at work on it. Wait until it is done, or end it." in line
-    assert checkpoint.read_bytes() == b"of the first"

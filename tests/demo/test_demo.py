@@ -14,8 +14,15 @@ from PIL import Image
 import stylesplat as ss
 from browser import as_url, launched, needs_chromium
 from stylesplat.demo import demo_run
-from stylesplat.demo.demo_run import ARCHIVE, STYLES, TRAINING, copy_capture, run_demo
-from stylesplat.demo.warm_up import stylize_noise, warm_up_stylization
+from stylesplat.demo.demo_run import (
+    ARCHIVE,
+    STYLES,
+    TRAINING,
+    copy_capture,
+    run_demo,
+    stylize_noise,
+    warm_up_stylization,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.config import StyleConfig
 

@@ -1,23 +1,22 @@
 """The command line: read the arguments, call one verb, print its result."""
 
+import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from typing import Any
 
 from stylesplat.cli.adjust import Adjust
-from stylesplat.cli.arguments import WRONG_USAGE, WrongUsage, read_arguments
+from stylesplat.cli.arguments import read_arguments
 from stylesplat.cli.batch import Batch
 from stylesplat.cli.check import Check
 from stylesplat.cli.demo import Demo
 from stylesplat.cli.evaluate import Evaluate
-from stylesplat.cli.exit_status import exit_status
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Delete, Objects, Rename
 from stylesplat.cli.render import Render
-from stylesplat.cli.results import Answer
+from stylesplat.cli.results import Answer, exit_status
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
@@ -54,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
-        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after one line on stderr.
+        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after a few lines on stderr.
     """
     command = None
     try:
@@ -64,55 +63,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         with closing(Bars()) as bars, observed(bars):
             result = command.run()
+        text = strict_json(result)
         if command.json:
-            print(strict_json(result), flush=True)
+            print(text, flush=True)
         else:
-            numbers = _numbers(result) if command.verbose else []
-            write_lines(*command.words(result), *numbers)
+            write_lines(*command.words(result))
+            if command.verbose:
+                import yaml
+
+                style = {"sort_keys": False, "default_flow_style": None, "allow_unicode": True}
+                write_lines(yaml.safe_dump(json.loads(text), **style).rstrip())
         if isinstance(result, Answer):
             with closing(Bars()) as bars, observed(bars):
                 result.rest()
-    except WrongUsage as error:
-        write_lines(str(error))
-        raise SystemExit(WRONG_USAGE) from None
     except (Exception, KeyboardInterrupt) as error:
         status = exit_status(error, command)
         if status is None:
             raise
         return status
     return 0
-
-
-def _numbers(result: Mapping[Any, Any], indent: str = "") -> list[str]:
-    """A result as text, one value a line."""
-    lines = []
-    for name, value in result.items():
-        if isinstance(value, dict) and value:
-            lines += [f"{indent}{name}:", *_numbers(value, indent + "  ")]
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            rows = (_as_text({k: v for k, v in row.items() if v != []}) for row in value)
-            lines += [f"{indent}{name}:", *(f"{indent}  {row}" for row in rows)]
-        else:
-            lines.append(f"{indent}{name}: {_as_text(value)}")
-    return lines
-
-
-def _as_text(value: Any) -> str:
-    """A value without brackets, None or many digits.
-
-    Example:
-        >>> print(_as_text(["a.jpg", (1.0, 2.5)]), _as_text(None), _as_text(True), _as_text(()))
-        a.jpg 1, 2.5 none yes none
-    """
-    if value is None or value in ((), [], {}):
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_as_text(each)}" for key, each in value.items())
-    if isinstance(value, list | tuple):
-        nested = any(isinstance(each, list | tuple) for each in value)
-        return (" " if nested else ", ").join(_as_text(each) for each in value if each != "")
-    return str(value)

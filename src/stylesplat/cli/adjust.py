@@ -8,9 +8,15 @@ from typing import Any
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import Command, Flag, NewScene
-from stylesplat.cli.results import before_after_line, draw_before_after, rewrite_scene
+from stylesplat.cli.results import (
+    before_after_line,
+    draw_before_after,
+    next_lines,
+    pasted,
+    rewrite_scene,
+    unused,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 

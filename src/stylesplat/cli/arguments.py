@@ -1,19 +1,18 @@
-"""From the dataclass of a command to its options, by tyro.
+"""From the dataclass of a command to its options, by tyro, and values that are written as text.
 
 The fields of a command are its options, and the strings under them their help. Settings of a stage
 are declared in the stage's config only: a command takes them by `from_config`.
 """
 
-import os
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+import math
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import reduce
 from importlib.metadata import version
 from inspect import getdoc
-from io import StringIO
 from operator import or_
+from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, TypedDict, get_args, get_type_hints, is_typeddict
 
@@ -27,16 +26,15 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import is_file
+
 PROGRAM = "stylesplat"
-WRONG_USAGE = 2
 ALIASES = {"stylize": ("stylise",)}
 REGISTRY = ConstructorRegistry()
-LOOK = (DisallowNone, PositionalMetavarFromFieldName)
-WIDE = "10000"  # columns in which tyro wraps no error
-FRAME = "│╭╮╰╯─ "
-DETAILS = " " * 8  # in front of the help of single options, in errors
-ENDS = ("Argument helptext", "Got errors", "For full helptext")  # what a user need not read
-WAY = """\
+TYRO = {"config": (DisallowNone, PositionalMetavarFromFieldName), "registry": REGISTRY}
+MOST_PIXELS = 16_384  # along a picture's side
+OVERVIEW = """\
 Repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 
 From photos to a painted splat:
@@ -51,12 +49,31 @@ From photos to a painted splat:
 """
 
 
-class WrongUsage(Exception):
-    """Arguments that tyro does not understand; the message is one line."""
+def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
+    """The command that the user typed.
 
-    def __init__(self, prog: str, fact: str) -> None:
-        super().__init__(f"{prog}: {fact}. See `{prog} --help`.")
-        self.fact = fact
+    Raises:
+        SystemExit: After help, version or completion (0), or wrong usage (2).
+    """
+    name = arguments[0] if arguments else "--help"
+    if name == "--version":
+        print(PROGRAM, version(PROGRAM))
+        raise SystemExit
+    verb = next((each for each in verbs if name in (each, *ALIASES.get(each, ()))), None)
+    if verb is not None:  # alone, its help begins with all that its docstring says
+        return read_command(verbs[verb], arguments[1:], f"{PROGRAM} {verb}")
+    commands = []
+    for each, command in verbs.items():
+        summary = (getdoc(command) or "").partition("\n")[0]
+        named = subcommand(each, description=summary, aliases=ALIASES.get(each))
+        commands.append(Annotated[command, named])
+    words = arguments or ["--help"]
+    return read_command(reduce(or_, commands), words, PROGRAM, description=OVERVIEW)
+
+
+def read_command(kind: Any, words: Sequence[str], prog: str, **options: Any) -> Any:
+    """A command, or one of a union of commands, with the options in the words after `prog`."""
+    return tyro.cli(kind, prog=prog, args=words, **TYRO, **options)
 
 
 def help_texts(config: type) -> dict[str, str]:
@@ -116,72 +133,97 @@ def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(info.type, tuple(options))
 
 
-def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
-    """The command that the user typed.
+Place = tuple[str, tuple[float, ...]]
+"""A view's name, which is empty in the world, and numbers."""
 
-    Raises:
-        WrongUsage: If tyro does not understand the arguments.
-        SystemExit: After help, version or completion (0); or after help if there is no verb (2).
+
+def _parse_place(text: str, form: str, *, in_view: int = -1, in_world: int = -1) -> Place:
+    """`VIEW:number,...` or `number,...`, with as many numbers as that takes."""
+    view, _, values = text.rpartition(":")
+    try:
+        numbers = tuple(map(float, values.split(",")))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != (in_view if view else in_world) or not all(map(math.isfinite, numbers)):
+        raise StyleSplatError(f"Expected {form}, got {text!r}.")
+    return view, numbers
+
+
+def parse_point(text: str) -> Place:
+    """A view and a pixel."""
+    return _parse_place(text, "VIEW:x,y with pixels of the photo", in_view=2)
+
+
+def parse_box(text: str) -> Place:
+    """A view and a rectangle of pixels."""
+    return _parse_place(text, "VIEW:x0,y0,x1,y1 with pixels of the photo", in_view=4)
+
+
+def parse_box3d(text: str) -> Place:
+    """Two corners in the world."""
+    return _parse_place(text, "x0,y0,z0,x1,y1,z1 in world units", in_world=6)
+
+
+def parse_sphere(text: str) -> Place:
+    """A centre and a radius; the centre in the world, or as the pixel of a view that shows it.
+
+    Example:
+        >>> parse_sphere("0,1.5,2,0.5"), parse_sphere("view_003.png:640,400,0.5")
+        (('', (0.0, 1.5, 2.0, 0.5)), ('view_003.png', (640.0, 400.0, 0.5)))
     """
-    name = arguments[0] if arguments else ""
-    verb = next((each for each in verbs if name in (each, *ALIASES.get(each, ()))), None)
-    if verb is not None:
-        return read_command(verbs[verb], arguments[1:], f"{PROGRAM} {verb}")
-    if name == "--version":
-        print(PROGRAM, version(PROGRAM))
-        raise SystemExit
-    commands = reduce(or_, (_subcommand(name, command) for name, command in verbs.items()))
-    if name:
-        return read_command(commands, arguments, PROGRAM, description=WAY)
-    try:
-        with redirect_stdout(sys.stderr):
-            return read_command(commands, ["--help"], PROGRAM, description=WAY)
-    except SystemExit:
-        raise SystemExit(WRONG_USAGE) from None
+    form = "x,y,z,RADIUS in world units, or VIEW:x,y,RADIUS"
+    return _parse_place(text, form, in_view=3, in_world=4)
 
 
-def read_command(kind: Any, words: Sequence[str], prog: str, **options: Any) -> Any:
-    """A command, or one of a union of commands, with the options in the words after `prog`."""
-    options |= {"prog": prog, "args": words, "config": LOOK, "registry": REGISTRY}
-    if not {"-h", "--help"}.isdisjoint(words):
-        return tyro.cli(kind, **options)
-    box = StringIO()
-    try:
-        with redirect_stderr(box), _wide_terminal():
-            return tyro.cli(kind, **options)
-    except SystemExit as stop:
-        if stop.code:
-            raise WrongUsage(prog, _one_line(box.getvalue())) from None
-        raise
+def parse_named_box(text: str) -> tuple[str, Place]:
+    """An object's name, which may be left out, with a box.
+
+    Example:
+        >>> parse_named_box("vase=IMG_0007.jpg:10,20,110,90")
+        ('vase', ('IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0)))
+    """
+    name, equals, place = text.partition("=")
+    return (name, parse_box(place)) if equals else ("object", parse_box(text))
 
 
-def _subcommand(name: str, command: type) -> Any:
-    summary = (getdoc(command) or "").partition("\n")[0]
-    aliases = ALIASES.get(name)
-    return Annotated[command, subcommand(name, description=summary, aliases=aliases)]
+def parse_stroke(text: str) -> tuple[str, str, tuple[tuple[float, float], ...]]:
+    """An object's name, which may be left out, a view, and the points of a line.
+
+    Example:
+        >>> parse_stroke("vase=IMG_0007.jpg:10,20,110,90")
+        ('vase', 'IMG_0007.jpg', ((10.0, 20.0), (110.0, 90.0)))
+    """
+    name, equals, place = text.partition("=")
+    count = (text.rpartition(":")[2].count(",") + 2) // 2 * 2  # any even one
+    form = "NAME=VIEW:x,y,x,y,... with photo pixels"
+    view, numbers = _parse_place(place if equals else text, form, in_view=count)
+    return name if equals else "object", view, tuple(zip(numbers[::2], numbers[1::2], strict=True))
 
 
-@contextmanager
-def _wide_terminal() -> Iterator[None]:
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = WIDE
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["COLUMNS"]
-        else:
-            os.environ["COLUMNS"] = before
+def parse_size(text: str) -> tuple[int, int]:
+    """A width and a height in pixels."""
+    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if not (2 <= width <= MOST_PIXELS and 2 <= height <= MOST_PIXELS):
+        raise StyleSplatError(
+            f"Expected WIDTHxHEIGHT in pixels, each 2 to {MOST_PIXELS:,}, got {text!r}."
+        )
+    return width, height
 
 
-def _one_line(box: str) -> str:
-    """The error in tyro's box, without its frame and title, and without the help of options."""
-    rows = [row.strip("│").removeprefix(" ").rstrip() for row in box.splitlines()[1:]]
-    line = ""
-    for row in rows:
-        text = row.strip(FRAME)
-        if text.startswith(ENDS):
-            break
-        if text and not row.startswith(DETAILS):
-            line += text + (" " if text.endswith(":") else "; ")
-    return line.strip(".; ")
+def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:
+    """An object and its style pictures. A comma belongs to a name if there is such a file.
+
+    Example:
+        >>> name, images = parse_style("vase=wave.jpg,night.jpg")
+        >>> print(name, *images)
+        vase wave.jpg night.jpg
+    """
+    name, _, images = text.partition("=")
+    parts = [images] if is_file(images) else images.split(",")
+    if not (name and all(parts)):
+        raise StyleSplatError(
+            f"Expected OBJECT=IMAGE or OBJECT=IMAGE,IMAGE, got {text!r}. "
+            "OBJECT is a name that `select` gave, or an id."
+        )
+    return name, tuple(map(Path, parts))

@@ -8,9 +8,9 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import mask_command, next_lines, pasted, unused
 from stylesplat.cli.options import Command, OptionalOutput, refuse_picture
-from stylesplat.cli.photos import find_earlier_capture
+from stylesplat.cli.results import mask_command, next_lines, pasted, unused
+from stylesplat.cli.sfm import find_earlier_capture
 from stylesplat.io.atomic import changing
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.next_steps import next_lines, pasted
 from stylesplat.cli.options import CONTINUES, Command, Output
+from stylesplat.cli.results import mask_command, next_lines
 from stylesplat.io.atomic import changing
 
 
@@ -33,4 +33,4 @@ class Demo(Command):
         yield f"Page: {result['page']}, which shows the splat in any browser, before and after."
         yield f"Video: {result['video']}"
         yield f"It took {result['seconds']} s."
-        yield from next_lines(pasted("mask", "MyPhotos", "--box", "NAME=PHOTO:x0,y0,x1,y1"))
+        yield from next_lines(mask_command(Path("MyPhotos")))

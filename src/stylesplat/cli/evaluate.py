@@ -8,8 +8,8 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, pasted, unused
 from stylesplat.cli.options import Command, Device, Flag, OptionalOutput
+from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
 from stylesplat.io.json_files import write_json
@@ -90,22 +90,14 @@ class Evaluate(Command):
         from stylesplat.io.captures.capture_folder import exact_masks
 
         source = self.capture or scene.capture
-        if source is None and not scene.layers:
-            raise StyleSplatError(
-                f"{path} knows no photos to compare with. Pass --capture with their folder."
-            )
-        gone = self.capture is None and source is not None and not source.is_dir()
-        if gone and not scene.layers:
-            raise StyleSplatError(
-                f"The photos of {path} are no longer in {source}. Say with --capture where they "
-                "are."
-            )
-        if gone:
-            say(
-                f"The photos are no longer in {source}, so only the style is measured. "
-                "--capture says where they are."
-            )
-        if gone or source is None:
+        if source is None or not (self.capture or source.is_dir()):
+            gone = f"are no longer in {source}" if source else "are unknown"
+            if not scene.layers:
+                raise StyleSplatError(
+                    f"The photos of {path} {gone}. Pass --capture with their folder."
+                )
+            if source is not None:
+                say(f"The photos of {path} {gone}, so only the style is measured. See --capture.")
             return None
         return ss.load(source, downscale=scene.downscale, masks=self.masks or exact_masks(source))
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import file_size, next_lines, pasted, unused
 from stylesplat.cli.options import Command, Flag, OptionalOutput
+from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 
@@ -90,8 +90,9 @@ class Export(Command):
             yield f"{self.each}: {', '.join(path.name for path in result['files'])}."
             return
         file, suffix = result["file"], result["file"].suffix.lower()
+        size = f"{file.stat().st_size / 1e6:.1f} MB"
         if "objects" in result:
-            yield f"{file}: {counted(result['objects'], 'object')}, {file_size(file)}."
+            yield f"{file}: {counted(result['objects'], 'object')}, {size}."
             return
         opened_by = "SuperSplat opens it"
         if suffix in (".glb", ".gltf"):
@@ -100,7 +101,7 @@ class Export(Command):
             opened_by = "Any browser opens it, without a network"
         elif suffix == ".ply" and ".compressed" not in file.name and self.sh_degree is None:
             opened_by = "SuperSplat, Blender and other programs open it"
-        yield f"{file}: {result['gaussians']:,} Gaussians, {file_size(file)}. {opened_by}."
+        yield f"{file}: {result['gaussians']:,} Gaussians, {size}. {opened_by}."
         if self.sidecar:
             yield f"Objects: {file}.objects.npz, for `import --labels`."
         video = unused(self.scene, ".mp4")

@@ -8,9 +8,15 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import look_lines, next_lines, object_commands, pasted
 from stylesplat.cli.options import Command, Device, Output
-from stylesplat.cli.results import describe_scene, save_or_rescue
+from stylesplat.cli.results import (
+    describe_scene,
+    look_lines,
+    next_lines,
+    object_commands,
+    pasted,
+    save_or_rescue,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_occupied
 

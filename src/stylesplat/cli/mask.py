@@ -1,6 +1,5 @@
 """`stylesplat mask`: write label maps for photos, or give a scene without photos its objects."""
 
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -11,12 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, pasted, stylize_command, unused
+from stylesplat.cli.arguments import parse_named_box, parse_stroke
 from stylesplat.cli.objects import selection_file
 from stylesplat.cli.options import CONTINUES, Command, Device, OptionalOutput, refuse_given
-from stylesplat.cli.parse import parse_named_box, parse_stroke
-from stylesplat.cli.photos import find_photos_capture, is_sfm_unfinished, view_of_photo
-from stylesplat.cli.results import optional_picture, save_or_rescue, write_or_rescue
+from stylesplat.cli.results import (
+    next_lines,
+    optional_picture,
+    pasted,
+    save_or_rescue,
+    stylize_command,
+    unused,
+    write_or_rescue,
+)
+from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished, view_of_photo
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, partial_of, refuse_occupied, refuse_unwritable
 from stylesplat.io.files import is_file
@@ -221,8 +227,7 @@ def _is_scene_without_photos(folder: Path) -> bool:
     from stylesplat.io.kinds import SCENE
     from stylesplat.scene.framing import has_no_photos
 
-    # Unlike Path.is_file, it takes any name
-    return os.path.isfile(folder / SCENE) and has_no_photos(ss.open(folder))  # noqa: PTH113
+    return is_file(folder / SCENE) and has_no_photos(ss.open(folder))
 
 
 def _revise_scene(before: "ss.Scene", after: "ss.Scene", place: Path) -> None:

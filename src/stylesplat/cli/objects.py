@@ -8,9 +8,8 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, object_commands, stylize_command
 from stylesplat.cli.options import Command, NewScene, OptionalOutput, refuse_picture
-from stylesplat.cli.results import rewrite_scene
+from stylesplat.cli.results import next_lines, object_commands, rewrite_scene, stylize_command
 from stylesplat.io.atomic import atomic_path, changing, refuse_file
 from stylesplat.io.files import file_stem, inside, read_bytes
 from stylesplat.progress import say

@@ -26,7 +26,7 @@ Device = Annotated[
     arg(help="Where to compute; auto uses an NVIDIA GPU if there is one."),
 ]
 Json = Annotated[Flag, arg(help="Print the result as JSON on stdout.")]
-Verbose = Annotated[Flag, arg(help="Print the numbers as well.")]
+Verbose = Annotated[Flag, arg(help="Print the numbers as well, as YAML.")]
 Overwrite = Annotated[Flag, arg(help="Replace what the output holds.")]
 Features = Annotated[
     Network | None,
@@ -61,12 +61,6 @@ class Command:
     def words(self, result: dict[str, Any]) -> Iterable[str]:
         """What was made, and how to go on, in lines."""
         raise NotImplementedError
-
-
-def given(command: object, names: tuple[str, ...]) -> dict[str, object]:
-    """The options of a command that are not None."""
-    values = {name: getattr(command, name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
 
 
 def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:

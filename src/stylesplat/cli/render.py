@@ -8,8 +8,8 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
+from stylesplat.cli.arguments import parse_size
 from stylesplat.cli.options import Command, Device, Output
-from stylesplat.cli.parse import parse_size
 from stylesplat.errors import StyleSplatError
 
 MOST_RATE = 1000  # frames a second, and seconds
@@ -111,15 +111,16 @@ class Render(Command):
         return frame_count(FRAMES / FPS if self.seconds is None else self.seconds, fps)
 
     def _refuse_mixed(self) -> None:
-        if self.view and self.views != "all":
-            raise StyleSplatError("--view chooses views by name. Leave --views out.")
-        if self.around is not None and self.path is not None:
-            raise StyleSplatError("--around and --path are two ways. Choose one.")
-        if self.around is not None or self.path is not None:
-            trip = "--path" if self.around is None else "--around"
-            allowed = ("all",) if self.around is None else ("all", "orbit")
-            if self.view or self.views not in allowed:
-                raise StyleSplatError(f"{trip} says which views there are. Leave the others out.")
+        whole_trip = self.around is not None and self.views == "orbit"
+        ways = {
+            "--views": self.views != "all" and not whole_trip,
+            "--view": bool(self.view),
+            "--around": self.around is not None,
+            "--path": self.path is not None,
+        }
+        if sum(ways.values()) > 1:
+            given = " and ".join(name for name, is_given in ways.items() if is_given)
+            raise StyleSplatError(f"{given} each say what views there are. Choose one of them.")
         for name, value in (("--fps", self.fps), ("--seconds", self.seconds)):
             if value is not None and not 0 < value <= MOST_RATE:
                 raise StyleSplatError(

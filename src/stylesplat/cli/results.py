@@ -1,28 +1,38 @@
-"""Results of commands: answers, scenes that are written, and the pictures in them."""
+"""How commands end: results and their pictures, the next commands, errors and exit status."""
 
+import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import stylesplat as ss
-from stylesplat.cli.exit_status import user_message
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import reason
-from stylesplat.progress import say
+from stylesplat.io.files import DISK_FULL, reason
+from stylesplat.progress import say, write_lines
+from stylesplat.scene.arguments import pasted
+from stylesplat.signals import WHOLE, report_interruption
 
 if TYPE_CHECKING:
-    from jaxtyping import UInt8
-    from torch import Tensor
-
     from stylesplat.stylization.views import Box
 
 T = TypeVar("T")
 BEFORE_AFTER = "before_after.png"
 PHOTO_AND_RENDER = "photo_and_render.png"
 VIEW = "view.png"
+PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
+AT_FAULT = 1  # the user's input, or a machine that is too small for it
+PIPE_CLOSED = 141  # as shells report it, after `| head`
+# Words of torch, OpenCV and CUDA, in errors of many kinds
+NO_MEMORY = ("allocate memory", "not enough memory", "out of memory", "insufficient memory")
+OUT_OF_MEMORY = (
+    "Out of memory. Close other programs, or work on less: smaller photos, fewer views or fewer "
+    "Gaussians."
+)
+BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
 
 class Answer(dict[str, Any]):
@@ -106,18 +116,17 @@ def draw_before_after(
 ) -> dict[str, Any]:
     """Draw a painted scene before and after, for `before_after_line`."""
     from stylesplat.figures.sheets import before_after
+    from stylesplat.io.atomic import changing
+    from stylesplat.io.images import write_image
 
-    views = list[str]()
-
-    def draw() -> "UInt8[Tensor, 'H W 3'] | None":
+    target = folder / BEFORE_AFTER
+    with optional_picture(), changing(target):
+        target.unlink(missing_ok=True)  # it shows an earlier painting
         found = before_after(scene, surveys=surveys, device=device)
-        if found is None:
-            return None
-        views.append(found[0])
-        return found[1]
-
-    path = _write_picture(draw, folder / BEFORE_AFTER)
-    return {"before_after": path} | ({"before_after_view": views[0]} if path else {})
+        if found is not None:
+            write_image(found[1], target)
+            return {"before_after": target, "before_after_view": found[0]}
+    return {"before_after": None}
 
 
 def before_after_line(result: Mapping[str, Any]) -> Iterator[str]:
@@ -131,21 +140,21 @@ def describe_scene(
 ) -> dict[str, Any]:
     """Describe a new scene, and draw one of its views beside the photo, a held-out one if any."""
     from stylesplat.figures.sheets import beside_photo, one_view
+    from stylesplat.io.atomic import changing
+    from stylesplat.io.images import write_image
 
     names = scene.held_out or scene.cameras.names
     name = names[len(names) // 2]
-    if capture is None:
-        picture = _write_picture(lambda: one_view(scene, name, device=device), folder / VIEW)
-    else:
-        picture = _write_picture(
-            lambda: beside_photo(scene, capture, name, device=device), folder / PHOTO_AND_RENDER
-        )
-    return {
-        "scene": folder,
-        "picture": picture,
-        "objects": sorted(scene.objects),
-        "labelled": scene.splats.classifier is not None,
-    }
+    target = folder / (VIEW if capture is None else PHOTO_AND_RENDER)
+    described = {"scene": folder, "picture": None, "objects": sorted(scene.objects)}
+    with optional_picture(), changing(target):
+        if capture is None:
+            picture = one_view(scene, name, device=device)
+        else:
+            picture = beside_photo(scene, capture, name, device=device)
+        write_image(picture, target)
+        described["picture"] = target
+    return described | {"labelled": scene.splats.classifier is not None}
 
 
 @contextmanager
@@ -158,18 +167,86 @@ def optional_picture(of: str = "") -> Iterator[None]:
         say(f"{what}: {user_message(error) or reason(error)}")
 
 
-def _write_picture(
-    draw: "Callable[[], UInt8[Tensor, 'H W 3'] | None]", target: Path
-) -> Path | None:
-    """The picture's file; None if there is nothing to draw, or drawing fails."""
-    from stylesplat.io.atomic import changing
-    from stylesplat.io.images import write_image
+def unused(near: Path, ending: str) -> Path:
+    """A path beside a file or folder, such as `garden-scene`, that does not exist."""
+    stem, dot, suffix = ending.partition(".")
+    folder = near if near.name else near.resolve()  # `.` and `..` have no name of their own
+    place, number = folder.with_name(f"{folder.name}{ending}"), 2
+    while place.exists():
+        place = folder.with_name(f"{folder.name}{stem}-{number}{dot}{suffix}")
+        number += 1
+    return place
 
-    with optional_picture(), changing(target):
-        picture = draw()
-        if picture is None:
-            target.unlink(missing_ok=True)
-            return None
-        write_image(picture, target)
-        return target
-    return None
+
+def next_lines(*commands: str) -> list[str]:
+    """The commands, one a line, each below the first."""
+    return [f"{'      ' if number else 'Next: '}{each}" for number, each in enumerate(commands)]
+
+
+def stylize_command(scene: Path, name: str) -> str:
+    style = f"{name}={PICTURE}"
+    return pasted("stylize", scene, "--style", style, "-o", unused(scene, "-painted"))
+
+
+def mask_command(capture: Path) -> str:
+    return pasted("mask", capture, "--box", "NAME=PHOTO:x0,y0,x1,y1")
+
+
+def look_lines(result: dict[str, Any]) -> list[str]:
+    """The picture and the names of a new scene."""
+    lines = [f"Picture: {result['picture']}"] if result["picture"] else []
+    return lines + [f"Objects: {', '.join(result['objects'])}."] * bool(result["objects"])
+
+
+def object_commands(
+    scene: Path, names: Sequence[str], *, labelled: bool, photos: bool = True
+) -> list[str]:
+    """The way to an object to paint, which has a name, a label id, or neither.
+
+    Of a scene that was not made from photos, the views can be masked.
+    """
+    if names:
+        return [stylize_command(scene, names[0])]
+    if labelled:
+        return [pasted("objects", scene), pasted("select", scene, "--name", "NAME", "--id", "ID")]
+    by_place = pasted("select", scene, "--name", "NAME", "--sphere", "VIEW:x,y,RADIUS")
+    by_box = pasted("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1")
+    look = pasted("render", scene, "-o", unused(scene, "-views"))
+    return [look, by_place if photos else by_box]
+
+
+def exit_status(error: BaseException, command: object = None) -> int | None:
+    """Say why a command failed, and what to do about it; return None if the error is a bug.
+
+    After Ctrl-C the command's `after_interruption` says how to continue.
+    """
+    if isinstance(error, KeyboardInterrupt):
+        return report_interruption(error, getattr(command, "after_interruption", WHOLE))
+    if isinstance(error, BrokenPipeError):
+        with Path(os.devnull).open("wb") as nowhere:  # for what Python still writes at its end
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError, ValueError):
+                    os.dup2(nowhere.fileno(), stream.fileno())
+        return PIPE_CLOSED
+    line = user_message(error)
+    if line is None:
+        error.add_note(BUG)
+        return None
+    write_lines(f"stylesplat: {line}")
+    return AT_FAULT
+
+
+def user_message(error: BaseException) -> str | None:
+    """The fact and the remedy; None if the user can do nothing about the error."""
+    if isinstance(error, StyleSplatError):
+        return str(error)
+    text = str(error).lower()
+    full = isinstance(error, OSError) and error.errno in DISK_FULL
+    if not full and (isinstance(error, MemoryError) or any(words in text for words in NO_MEMORY)):
+        return OUT_OF_MEMORY
+    if not isinstance(error, OSError):
+        return None
+    place = f": {error.filename}" if error.filename else ""
+    if full:
+        return f"Disk full{place}. Free some space and try again."
+    return f"{error.strerror or reason(error)}{place}. Mend that and try again."

@@ -1,6 +1,6 @@
 """`stylesplat select`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -10,11 +10,16 @@ from typing import Any
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import next_lines, stylize_command
+from stylesplat.cli.arguments import Place, parse_box, parse_box3d, parse_point, parse_sphere
 from stylesplat.cli.objects import selection_file
 from stylesplat.cli.options import Command, Flag, NewScene
-from stylesplat.cli.parse import parse_box, parse_box3d, parse_point, parse_sphere
-from stylesplat.cli.results import Answer, optional_picture, rewrite_scene
+from stylesplat.cli.results import (
+    Answer,
+    next_lines,
+    optional_picture,
+    rewrite_scene,
+    stylize_command,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 from stylesplat.progress import say
@@ -108,15 +113,12 @@ class Select(Command):
             scene,
             self.name,
             id=[*chain(*self.id)],
-            box=[(view, *numbers) for view, numbers in map(parse_box, self.box)],
-            point=[(view, *numbers) for view, numbers in map(parse_point, self.point)],
-            not_point=[(view, *numbers) for view, numbers in map(parse_point, self.not_point)],
+            box=_places(parse_box, self.box),
+            point=_places(parse_point, self.point),
+            not_point=_places(parse_point, self.not_point),
             text=self.text,
-            box3d=[*map(parse_box3d, self.box3d)],
-            sphere=[
-                (view, *numbers) if view else numbers
-                for view, numbers in map(parse_sphere, self.sphere)
-            ],
+            box3d=_places(parse_box3d, self.box3d),
+            sphere=_places(parse_sphere, self.sphere),
             rows=self.rows,
             plus=[*chain(*self.plus)],
             minus=[*chain(*self.minus)],
@@ -146,6 +148,11 @@ class Select(Command):
                 write_image(picture, target)
             return target
         return None
+
+
+def _places(parse: Callable[[str], Place], texts: tuple[str, ...]) -> list[Any]:
+    """The places as `ss.select` takes them: numbers, after the view if there is one."""
+    return [(view, *numbers) if view else numbers for view, numbers in map(parse, texts)]
 
 
 def _picture_line(target: Path) -> str:

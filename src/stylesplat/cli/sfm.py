@@ -1,15 +1,24 @@
-"""`stylesplat sfm`."""
+"""`stylesplat sfm`, and photos or a video in place of a capture: their poses are found once."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.next_steps import mask_command, next_lines
 from stylesplat.cli.options import CONTINUES, Command, Output
+from stylesplat.cli.results import mask_command, next_lines
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import is_file, is_there, real_path
+from stylesplat.progress import say
+
+if TYPE_CHECKING:
+    from stylesplat.io.captures.sfm_file import SfmRecord
+
+SUFFIX = "-capture"  # after the name of the photos' folder
+Drawn = Iterable[tuple[str, Sequence[float] | None]]
 
 
 @dataclass(frozen=True)
@@ -61,3 +70,105 @@ class Sfm(Command):
         if (picture := self.output / PICTURE).is_file():
             yield f"Picture: {picture}, the cameras and points from above and the side."
         yield from next_lines(mask_command(self.output))
+
+
+def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
+    """The capture that was given, or that of the photos or the video that were.
+
+    An earlier capture of the same photos is used if it lies beside them or beside `beside`;
+    otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked.
+    """
+    from stylesplat.io.kinds import is_posed, kind_of, no_capture, refuse_other_than_photos
+
+    if is_posed(given):
+        return given
+    refuse_other_than_photos(given)
+    if kind_of(given) == "part of a capture":
+        raise no_capture(given)
+    from stylesplat.structure_from_motion.prepare import check_source
+    from stylesplat.verbs.sfm import sfm
+
+    output = capture_place(given, beside=beside)
+    if output == beside.resolve():
+        raise StyleSplatError(
+            f"{beside} is where the capture of {given} is kept. Choose another name."
+        )
+    found = find_earlier_capture(given, beside=beside)
+    if found is not None:
+        say(f"{given} has no camera poses: taking those in {found}.")
+        return found
+    if output.exists():
+        raise StyleSplatError(
+            f"{given} has no camera poses, and where they would be kept, {output}, is something "
+            f"else. Find them with `stylesplat sfm {given} -o CAPTURE`, and name that in its place."
+        )
+    check_source(given)
+    _check_drawn(given, drawn)
+    say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
+    sfm(given, output)
+    return output
+
+
+def _check_drawn(given: Path, drawn: Drawn) -> None:
+    """Check names and boxes, except in a video, whose frames have no names yet."""
+    from stylesplat.io.atomic import partial_of
+    from stylesplat.io.images import image_sizes
+    from stylesplat.scene.arguments import check_box
+    from stylesplat.scene.cameras import row_called
+    from stylesplat.structure_from_motion.photo_folder import find_sources
+
+    photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()
+    for view, box in drawn if photos else ():
+        name = photos[row_called(view, photos)]
+        if box is not None:
+            check_box(box, image_sizes(given / name)[1], name)
+
+
+def capture_place(given: Path, *, beside: Path) -> Path:
+    """The folder for the capture of photos or a video, which is never among the photos."""
+    own, folder = real_path(given), real_path(beside).parent
+    if folder.is_relative_to(own):
+        folder = own.parent
+    return folder / f"{own.stem if is_file(own) else own.name}{SUFFIX}"
+
+
+def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
+    """The capture that was made of photos or a video; an error if these have changed since."""
+    from stylesplat.io.captures.sfm_file import read_sfm
+    from stylesplat.verbs.sfm import source_digest
+
+    stale = None
+    for place in dict.fromkeys(capture_place(given, beside=near) for near in (given, beside)):
+        record = read_sfm(place)
+        if record is not None and Path(record.source) == given.resolve():
+            if record.digest == source_digest(given):
+                return place
+            stale = place
+    if stale is None:
+        return None
+    raise StyleSplatError(
+        f"The photos in {given} have changed since {stale} was made of them. Make it again with "
+        f"`stylesplat sfm {given} -o {stale} --overwrite` (its label maps are kept), or use it as "
+        "it is: name it in place of the photos."
+    )
+
+
+def view_of_photo(name: str, record: "SfmRecord | None") -> str:
+    """The name in a capture of a photo that the user knows by its own name."""
+    if record is None:
+        return name
+    unposed = record.left_out | record.unregistered
+    views = {own: view for view, own in record.origins.items()}
+    if name not in unposed | views:
+        alike = [own for own in unposed | views if Path(own).with_suffix("").as_posix() == name]
+        name = alike[0] if len(alike) == 1 else name
+    if name in unposed:
+        raise StyleSplatError(f"The photo {name} has no pose: {unposed[name]}. Take another one.")
+    return views.get(name, name)
+
+
+def is_sfm_unfinished(given: Path, *, beside: Path) -> bool:
+    """Whether `find_photos_capture` would continue an interrupted run."""
+    from stylesplat.io.atomic import partial_of
+
+    return is_there(partial_of(capture_place(given, beside=beside)) / "sfm")

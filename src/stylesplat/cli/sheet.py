@@ -8,27 +8,22 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from stylesplat.cli.arguments import from_config
-from stylesplat.cli.next_steps import unused
+from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import (
     Command,
     Device,
     Features,
     Output,
     Weights,
-    given,
     refuse_picture,
 )
-from stylesplat.cli.parse import parse_style
-from stylesplat.cli.results import write_or_rescue
+from stylesplat.cli.results import unused, write_or_rescue
+from stylesplat.cli.stylize import SETTINGS
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
 from stylesplat.stylization.config import StyleConfig
 
-VARIED = (  # options of `stylize`
-    *("preset", "quality", "steps", "stroke_size", "rotate", "region", "intensity", "color"),
-    *("form", "content", "seed"),
-)
+VARIED = ("preset", "stroke_size", *SETTINGS.__annotations__)  # options of `stylize`
 RENAMED = {"scale": "stroke_size"}  # the other name that `stylize` has for an option
 
 
@@ -137,7 +132,8 @@ class Sheet(Command):
 
     def _commands(self, variations: dict[str, tuple[Any, ...]]) -> list[list[str]]:
         """The command that paints each cell, by row and column."""
-        shared = {**given(self, ("preset", "features", "weights")), **self.settings}
+        networks = {"features": self.features, "weights": self.weights}
+        shared = {"preset": self.preset, **networks, **self.settings}
         axes = [[(key, value) for value in values] for key, values in variations.items()]
         columns, *others = axes or [[("preset", self.preset)]]
         return [
@@ -155,10 +151,10 @@ class Sheet(Command):
         return pasted("stylize", self.scene, *words, "-o", unused(self.scene, "-painted"))
 
     def _picked(self, commands: list[list[str]]) -> str:
-        found = {
+        cells = {
             f"{row},{column}": command
-            for row, cells in enumerate(commands, 1)
-            for column, command in enumerate(cells, 1)
+            for row, line in enumerate(commands, 1)
+            for column, command in enumerate(line, 1)
         }
-        check_choice(self.pick, "cell", found)
-        return found[str(self.pick)]
+        check_choice(self.pick, "cell", cells)
+        return cells[str(self.pick)]

@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.arguments import from_config
-from stylesplat.cli.next_steps import next_lines, painted_commands
+from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import Command, Device, Features, Output, Weights
-from stylesplat.cli.parse import parse_style
-from stylesplat.cli.results import before_after_line, draw_before_after, save_or_rescue
+from stylesplat.cli.results import (
+    before_after_line,
+    draw_before_after,
+    next_lines,
+    pasted,
+    save_or_rescue,
+    unused,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_occupied
 from stylesplat.progress import say
@@ -94,7 +99,11 @@ class Stylize(Command):
 
         yield f"{self.output}: painted."
         yield from before_after_line(result)
-        yield from next_lines(*painted_commands(self.output))
+        softer = unused(self.output, "-softer")
+        yield from next_lines(
+            pasted("adjust", self.output, "--intensity", 0.7, "-o", softer),
+            pasted("export", self.output, unused(self.output, ".ply")),
+        )
         yield from style_lines(result, result["seconds_by_object"])
 
     def _recipe(self) -> "Recipe":

@@ -1,7 +1,6 @@
 """`stylesplat train`."""
 
 import os
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,12 +13,17 @@ from tyro.conf import Positional, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
-from stylesplat.cli.next_steps import look_lines, next_lines, object_commands
 from stylesplat.cli.options import CONTINUES, Command, Device, Flag, Output, refuse_given
-from stylesplat.cli.photos import find_photos_capture, is_sfm_unfinished
-from stylesplat.cli.results import describe_scene, save_or_rescue
+from stylesplat.cli.results import (
+    describe_scene,
+    look_lines,
+    next_lines,
+    object_commands,
+    save_or_rescue,
+)
+from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import MARK, changing, partial_of, refuse_occupied
+from stylesplat.io.atomic import changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_there
 from stylesplat.progress import Silence, observed
 from stylesplat.signals import WHOLE
@@ -36,7 +40,6 @@ SETTINGS = from_config(
     "max_memory",
 )
 FINISHES = "`--finish` makes the scene of what there is."
-KEPT_IN_IT = re.compile(rf"checkpoint_\w+\.pt|\.checkpoint_\w+\.{MARK}\.pt")  # whole, or not
 PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 
 
@@ -138,10 +141,9 @@ class Train(Command):
     def _delete_checkpoints(self) -> None:
         """Delete what a run has left, and no other file in that folder."""
         partial = self._checkpoint.parent
-        for file in partial.glob("*"):
-            if KEPT_IN_IT.fullmatch(file.name):
-                with suppress(OSError):
-                    file.unlink()
+        for file in (*partial.glob("checkpoint_*.pt"), *partial.glob(".checkpoint_*.pt")):
+            with suppress(OSError):
+                file.unlink()
         with suppress(OSError):  # there is none, or it is not empty
             partial.rmdir()
 
@@ -149,6 +151,8 @@ class Train(Command):
 @contextmanager
 def _torchrun(device: str) -> Iterator[bool]:
     """Join the processes that `torchrun` started, if any; see `training.ranks`.
+
+    Each has a GPU of its own, or its share of the cores.
 
     Yields:
         Whether this is the first process, or the only one.
@@ -159,19 +163,9 @@ def _torchrun(device: str) -> Iterator[bool]:
     if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
         yield True
         return
-    import torch.distributed as dist
-
-    dist.init_process_group(_backend(device), timeout=PATIENCE)
-    try:
-        yield dist.get_rank() == 0
-    finally:
-        dist.destroy_process_group()
-
-
-def _backend(device: str) -> str:
-    """Give this process a GPU, or its share of the cores; return how processes communicate."""
     import numba
     import torch
+    import torch.distributed as dist
 
     from stylesplat.rendering.device import pick_device
 
@@ -184,8 +178,14 @@ def _backend(device: str) -> str:
                 f"`--nproc-per-node {gpus}`, or train with `--device cpu`."
             )
         torch.cuda.set_device(number)
-        return "nccl"
-    share = max(1, numba.get_num_threads() // count)
-    numba.set_num_threads(share)
-    torch.set_num_threads(share)
-    return "gloo"
+        backend = "nccl"
+    else:
+        share = max(1, numba.get_num_threads() // count)
+        numba.set_num_threads(share)
+        torch.set_num_threads(share)
+        backend = "gloo"
+    dist.init_process_group(backend, timeout=PATIENCE)
+    try:
+        yield dist.get_rank() == 0
+    finally:
+        dist.destroy_process_group()

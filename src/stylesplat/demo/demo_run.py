@@ -1,21 +1,27 @@
 """`demo`: the whole way from photos to a repainted splat, on a still life that ships with us."""
 
 import shutil
+import subprocess
+import sys
 import time
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from stylesplat.demo.report import REPORT, SHEET, write_report
-from stylesplat.demo.warm_up import warm_up_stylization
 from stylesplat.figures.sheets import object_sheet
 from stylesplat.io.atomic import atomic_folder, refuse_occupied
 from stylesplat.io.images import write_image
 from stylesplat.io.kinds import SCENE, TRANSFORMS
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.view_files import write_views
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
@@ -115,3 +121,43 @@ def _render(scene: Scene, styled: Scene, output: Path) -> None:
         write_views(views.names, views.pictures, output / folder, overwrite=True)
     orbit = render(styled, "orbit")
     write_views(orbit.names, orbit.pictures, output / VIDEO, overwrite=True)
+
+
+@contextmanager
+def warm_up_stylization(capture: Path) -> Iterator[None]:
+    """Compile the kernels of stylisation in another process, which ends with the block.
+
+    Numba compiles on one core, and keeps machine code on disk for all processes.
+    """
+    command = [sys.executable, "-m", __name__, capture]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def stylize_noise(capture: Path, count: int = 400) -> None:
+    """Paint and render a cloud of random Gaussians, which calls every kernel once."""
+    cameras = load(capture, downscale=5.0).cameras
+    generator = torch.Generator().manual_seed(0)
+    splats = Splats(
+        means=torch.randn(count, 3, generator=generator) / 2,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=torch.full((count, 3), -3.0),
+        opacities=torch.full((count,), 2.0),
+        sh0=torch.randn(count, 1, 3, generator=generator),
+        shN=torch.zeros(count, 8, 3),
+        identities=torch.randn(count, IDENTITY_SIZE, generator=generator),
+        classifier=Classifier(torch.eye(IDENTITY_SIZE)[:2], torch.zeros(2), ids=(0, 1)),
+    )
+    noise = {"noise": SceneObject(torch.ones(count, dtype=torch.bool), {})}
+    scene = Scene(splats, cameras, held_out=cameras.names[:1], objects=noise)
+    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, object_size=112))
+    stylize(scene, {"noise": style}, device="cpu")
+    next(render(scene, "test", what="identities").pictures)
+
+
+if __name__ == "__main__":
+    stylize_noise(Path(sys.argv[1]))
