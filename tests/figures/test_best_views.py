@@ -6,17 +6,15 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from balls import BLUE, CAMERAS, GREEN, SPLATS, enlarged
+from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.figures.best_views import (
     SEARCHED_VIEWS,
     best_rows,
     find_views,
     masks_of,
     most_detailed,
-    quiet_cut,
     visibility,
 )
-from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.views import find_boxes
@@ -102,24 +100,6 @@ def test_visibility(cut: str):
     assert visibility(image) == 100
     image = image.roll((-10, 0) if cut == "top" else (0, -10), (0, 1))
     assert visibility(image) == pytest.approx(25)
-
-
-def covered(row: int, picked: torch.Tensor, place: float) -> float:
-    """What a line cuts of an object."""
-    return float((coverage(SPLATS, CAMERAS[row], picked)[:, int(place * 48)] > 0.5).sum())
-
-
-def test_between_two_objects():
-    place = quiet_cut(SPLATS, CAMERAS[0], [RED, GREEN])
-    assert 0.35 < place < 0.65 and covered(0, RED | GREEN, place) == 0
-
-
-def test_beside_a_single_one():
-    assert covered(0, BLUE, quiet_cut(SPLATS, CAMERAS[0], [BLUE])) == 0
-
-
-def test_nothing_in_the_picture_is_cut_in_the_middle():
-    assert quiet_cut(SPLATS, CAMERAS[0], [torch.zeros_like(RED)]) == 0.5
 
 
 def test_a_survey_of_the_painting_finds_the_same_views():
