@@ -216,11 +216,10 @@ def _depth_picture(
     """Depths in colours, near ones bright."""
     depths, alphas = expected_depth(splats, camera)
     nearness = (1 / depths.clamp(min=near) - 1 / far) / (1 / near - 1 / far)
-    bgr = cv2.applyColorMap(
-        to_uint8(nearness[..., None])[..., 0].cpu().numpy(), cv2.COLORMAP_VIRIDIS
-    )
+    levels = to_uint8(nearness[..., None]).cpu().numpy()
+    bgr = torch.from_numpy(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)).to(depths.device)
     alpha = alphas[..., None]
-    return over(torch.from_numpy(bgr).to(alpha.device).flip(-1) / 255 * alpha, alpha, behind)
+    return over(bgr.flip(-1) / 255 * alpha, alpha, behind)
 
 
 def _robust_range(
