@@ -46,13 +46,9 @@ def measure_changes(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
 ) -> dict[str, int | float]:
-    """Compare renders before and after where the painted Gaussians are not visible.
+    """Compare at most 4 renders before and after where the painted Gaussians are not visible.
 
-    Args:
-        base: The scene before.
-        styled: The scene after, which may have more Gaussians at its end.
-        cameras: Views, of which at most 4 are compared.
-        picked: The Gaussians that were repainted.
+    The scene after may have more Gaussians at its end.
 
     Returns:
         `changed_gaussians`, new ones included; `painted_gaussians` and `changed_outside`, those of

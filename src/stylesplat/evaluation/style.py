@@ -65,11 +65,10 @@ def measure_painted(
         studio: The scene before, and the views that were optimised on.
         jobs: The objects and their styles.
         styled: The scene after, which may have more Gaussians.
-        held_out: Views to measure on; those of the studio by default.
+        held_out: Views to measure on instead of those of the studio.
         surveys: By name, the boxes of objects in the views, if they are known.
         cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
-        families: The rows of the base that the Gaussians before and after belong to; needed with
-            `cuts`.
+        families: The rows of the base that the Gaussians before and after belong to, for `cuts`.
 
     Returns:
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
@@ -104,13 +103,7 @@ def measure_painted(
 def measure_style(
     studio: PaintContext, job: PaintTarget, styled: Splats, *, boxes: Sequence[Box] | None = None
 ) -> dict[str, float]:
-    """Measure how close an object is to its style by NNFM, in float32.
-
-    Args:
-        studio: The scene before, and the views to measure on.
-        job: The object and its style.
-        styled: The scene after; it may have more Gaussians.
-        boxes: The boxes of the object in these views, if they are known.
+    """Measure how close an object is to its style by NNFM, in float32, in the views of `studio`.
 
     Returns:
         `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see

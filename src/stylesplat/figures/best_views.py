@@ -57,12 +57,8 @@ def find_views(
 ) -> list[ObjectMask]:
     """The views that show most of an object from sides that differ, the best one first.
 
-    Args:
-        splats: The scene.
-        cameras: Views to choose from.
-        picked: The Gaussians of the object.
-        count: How many to find; fewer if it is visible in fewer.
-        masks: The mask in every view that shows it, if they are known (`masks_of`).
+    There are fewer than `count` if it is visible in fewer. `masks` are those of `masks_of`, which
+    save the search.
     """
     surface = splats.means[solid(splats, picked)]
     shares = share_in_images(surface, cameras)
@@ -141,10 +137,7 @@ def small(camera: Cameras) -> Cameras:
 def close_up(
     splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
 ) -> Cameras:
-    """A square view of an object and a margin, from the camera that shows most of it.
-
-    Returns:
-        One camera, named as the one it was made from.
+    """A square view of an object and a margin, made from the camera that shows most of it.
 
     Raises:
         StyleSplatError: If the object shows in none of the views.

@@ -35,7 +35,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
     Args:
         cameras: The capture's cameras.
         count: Number of frames; the one after the last would be the first again.
-        focus: What to look at instead.
+        focus: What to look at; by default the point that the cameras look at.
 
     Returns:
         Cameras of one even size, with the intrinsics of the photo whose view is median in width
@@ -75,12 +75,9 @@ def filled(path: Cameras, content: Content) -> Cameras:
 
 
 def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
-    """A smooth closed path around what a splat without photos is of, all of it in every frame.
+    """A smooth closed path around the content of a splat without photos, all of it in every frame.
 
-    Args:
-        content: What to show.
-        views: Those that the splat was given, for what is up and for the pictures' size.
-        count: Number of frames; the one after the last would be the first again.
+    The views tell the upward direction and the pictures' size.
     """
     up, size = up_vector(views), views.size
     focal = LENS * max(size)
@@ -142,7 +139,6 @@ class FirstView:
     """The upright camera that a viewer starts with."""
 
     position: Float[Tensor, "3"]
-    """Its position."""
     target: Float[Tensor, "3"]
     """The point that it looks at and turns around."""
     up: Float[Tensor, "3"]
@@ -152,12 +148,7 @@ class FirstView:
 
 
 def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
-    """Returns the camera of the first photo, or one from which all content is visible.
-
-    Args:
-        splats: At least one Gaussian.
-        cameras: Cameras of the photos; without them the upward direction is `UP`.
-    """
+    """Returns the camera of the first photo, or without photos one that sees all content."""
     content = content_of(splats)
     middle = content.extent.centre
     if cameras is not None:

@@ -169,12 +169,8 @@ def before_after(
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """Draw the view that shows most of the painted objects and of their detail, before and after.
 
-    It is as large as its photo, up to 2048 pixels a side.
-
-    Args:
-        scene: A painted scene.
-        surveys: The boxes of the painted objects, if they are known.
-        device: Where to render.
+    It is as large as its photo, up to 2048 pixels a side. `surveys` are the boxes of the painted
+    objects, if they are known.
 
     Returns:
         The view's name and the pictures side by side; None if no view shows painted objects.
