@@ -46,13 +46,6 @@ def object_views(rows: list[int]) -> list[ObjectView]:
     return views
 
 
-def test_equal_sets_have_no_distance():
-    feats = rows(40)
-    assert style_statistics_distance(feats, feats) == 0
-    shuffled_twice = torch.cat([feats, feats]).flip(0)
-    assert style_statistics_distance(shuffled_twice, feats) < 1e-6
-
-
 def test_distance_matches_its_formula():
     x, y = rows(40), 3 * rows(70, seed=1)
     mean = (x.mean(0) - y.mean(0)).norm() / y.mean(0).norm()
@@ -61,6 +54,7 @@ def test_distance_matches_its_formula():
     found = style_statistics_distance(x, y)
     torch.testing.assert_close(found, (mean + spread) / 2)
     torch.testing.assert_close(style_statistics_distance(7 * x, 7 * y), found)
+    assert style_statistics_distance(torch.cat([x, x]).flip(0), x) < 1e-6
 
 
 def test_a_missing_colour_is_noticed():
@@ -115,19 +109,9 @@ def test_content_falls_as_noise_grows():
 def test_content_is_luminance():
     """A change of hue that keeps Rec. 709's luminance keeps the content."""
     shift = torch.tensor([0.0722, 0.0, -0.2126]) * PICKED[:, None, None]
-    found = content_ssim(
-        SPLATS,
-        replace(SPLATS, sh0=SPLATS.sh0 - 2 * shift),
-        CAMERAS[:3],
-        PICKED,
-    )
+    recoloured = replace(SPLATS, sh0=SPLATS.sh0 - 2 * shift)
+    found = content_ssim(SPLATS, recoloured, CAMERAS[:3], PICKED)
     assert found == pytest.approx(1, abs=1e-3)
-
-
-def test_content_beyond_white_is_white():
-    bright, brighter = (replace(SPLATS, sh0=SPLATS.sh0 + shift) for shift in (200, 300))
-    found = content_ssim(bright, brighter, CAMERAS[:1], PICKED)
-    assert found == pytest.approx(1, abs=5e-3)  # faint edges of the table differ
 
 
 def test_content_elsewhere_does_not_count():
@@ -149,8 +133,9 @@ def colors(count: int, seed: int = 0) -> torch.Tensor:
 
 def test_a_picture_is_on_its_own_palette():
     picture = colors(3 * PIXELS)
-    assert off_palette(picture, picture) == 0
-    assert palette_distance(picture, picture) == 0
+    assert off_palette(picture, picture) == palette_distance(picture, picture) == 0
+    grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
+    assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
 
 
 @pytest.mark.parametrize(("away", "expected"), [(TOLERANCE - 0.5, 0.0), (TOLERANCE + 0.5, 0.25)])
@@ -162,11 +147,6 @@ def test_what_is_farther_than_10_is_off(away: float, expected: float):
     assert (
         off_palette(grey[[0, 0, 0, 1], None].expand(4, 3), grey[:1, None].expand(1, 3)) == expected
     )
-
-
-def test_one_color_far_from_a_picture_is_off():
-    grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
-    assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
 
 
 def test_the_distance_of_palettes_is_of_shares_too():

@@ -218,11 +218,9 @@ def beside_photo(
 
 
 @torch.no_grad()
-def one_view(
-    scene: Scene, name: str, *, longest: int = LONGEST, device: str = "auto"
-) -> UInt8[Tensor, "H W 3"]:
-    """Render one of the views of a scene, at most so many pixels along its longer side."""
-    camera = scene.cameras[scene.cameras.index(name)].at_most(longest)
+def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, "H W 3"]:
+    """Render one of the views of a scene, up to 2048 pixels a side."""
+    camera = scene.cameras[scene.cameras.index(name)].at_most(LONGEST)
     return _render(scene.splats.to(pick_device(device)), camera)
 
 
