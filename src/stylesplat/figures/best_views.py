@@ -122,14 +122,14 @@ def best_rows(
 
 
 def visibility(shown: Bool[Tensor, "h w"]) -> float:
-    """Pixels that show an object, fewer if the border cuts it: of a square cut along a side 1/4."""
+    """Pixels that show an object, fewer if the border cuts it: a quarter for a square."""
     area = float(shown.sum())
     border = sum(float(edge.sum()) for edge in (shown[0], shown[-1], shown[:, 0], shown[:, -1]))
     return area / (1 + border / math.sqrt(area)) ** 2 if area else 0.0
 
 
 def small(camera: Cameras) -> Cameras:
-    """The same camera, for a render in which objects are only looked for."""
+    """The same camera at the size at which objects are searched."""
     return camera.at_most(SURVEY_SIZE)
 
 

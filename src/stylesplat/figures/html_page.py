@@ -74,12 +74,12 @@ def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def file_url(path: Path) -> str:
-    """A picture's or video's file as a URL that holds it."""
+    """The data URL of a picture's or video's file."""
     return _url(path.read_bytes(), path.suffix)
 
 
 def picture_url(picture: UInt8[Tensor, "H W 3"]) -> str:
-    """A picture as a URL that holds it, as JPEG."""
+    """The data URL of a picture, as JPEG."""
     content = BytesIO()
     Image.fromarray(picture.cpu().numpy()).save(content, "JPEG", quality=QUALITY)
     return _url(content.getvalue(), ".jpg")
@@ -121,13 +121,13 @@ class SceneColumn:
 def comparison_page(
     columns: Sequence[SceneColumn], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
 ) -> str:
-    """The page as HTML that needs no other file.
+    """An HTML page that needs no other file.
 
     Args:
-        columns: The scenes; the first is what others are compared with.
-        views: What the pictures are of.
-        title: Of the page.
-        notes: Sentences to read before the numbers.
+        columns: The scenes; the others are compared with the first.
+        views: The names of the views, in the order of the scenes' pictures.
+        title: The heading.
+        notes: Sentences above the pictures.
     """
     heads = ["", *(column.name for column in columns)]
     rows = []
