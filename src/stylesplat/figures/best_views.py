@@ -43,7 +43,7 @@ class ObjectMask:
     row: int
     """The camera's."""
     mask: Bool[Tensor, "h w"]
-    """The pixels that show it, in the camera that `small` returns."""
+    """The pixels that show it, in the camera that `survey_view` returns."""
 
 
 @torch.no_grad()
@@ -66,7 +66,7 @@ def find_views(
     rows = evenly(likely.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
 
     def mask(row: int) -> Tensor:
-        return coverage(splats, small(cameras[row]), picked) > MIN_COVERAGE
+        return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
 
     if masks is None:
         found = at_once(mask, rows, splats.device)
@@ -82,7 +82,7 @@ def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bo
     for box in chain.from_iterable(surveys):
         (name,) = box.camera.names
         row = cameras.index(name)
-        width, height = small(cameras[row]).size
+        width, height = survey_view(cameras[row]).size
         mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
         scale = box.points.new_tensor([width, height]) / box.camera.sizes[0]
         x, y = (box.points * scale).long().unbind(1)
@@ -93,7 +93,7 @@ def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bo
 @torch.no_grad()
 def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask]) -> ObjectMask:
     """The view that shows most of an object and of its own detail: a face rather than a back."""
-    return max(found, key=lambda each: _detail(splats, small(cameras[each.row]), each.mask))
+    return max(found, key=lambda each: _detail(splats, survey_view(cameras[each.row]), each.mask))
 
 
 def _detail(splats: Splats, camera: Cameras, mask: Bool[Tensor, "h w"]) -> float:
@@ -128,7 +128,7 @@ def visibility(shown: Bool[Tensor, "h w"]) -> float:
     return area / (1 + border / math.sqrt(area)) ** 2 if area else 0.0
 
 
-def small(camera: Cameras) -> Cameras:
+def survey_view(camera: Cameras) -> Cameras:
     """The same camera at the size at which objects are searched."""
     return camera.at_most(SURVEY_SIZE)
 

@@ -73,7 +73,7 @@ def draw_grid(rows: Sequence[Row]) -> UInt8[Tensor, "H W 3"]:
     return torch.from_numpy(np.array(sheet))
 
 
-def in_lines(cells: Sequence[GridCell], columns: int) -> list[Row]:
+def wrap_cells(cells: Sequence[GridCell], columns: int) -> list[Row]:
     """Rows of so many cells each."""
     return [Row(cells[first : first + columns]) for first in range(0, len(cells), columns)]
 

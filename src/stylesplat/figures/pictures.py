@@ -61,7 +61,7 @@ def parse_background(text: str) -> Background:
     return red, green, blue
 
 
-def over(
+def _on_background(
     image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], background: Background
 ) -> ColorPicture:
     """A picture on a background; without one, its own colours and how opaque it is."""
@@ -142,10 +142,10 @@ def _renderer(
 ) -> Callable[[Cameras], ViewPicture]:
     """The function that renders a picture of one camera."""
     if what == "color":
-        return lambda camera: over(*render(splats, camera), behind)
+        return lambda camera: _on_background(*render(splats, camera), behind)
     if what == "object" and picked is not None:
         alone = splats[picked.to(splats.device)]
-        return lambda camera: over(*render(alone, camera), behind)
+        return lambda camera: _on_background(*render(alone, camera), behind)
     if what == "labels":
         require_identities(splats)
         return lambda camera: render_labels(splats, camera)
@@ -157,7 +157,7 @@ def _renderer(
 
         def identities(camera: Cameras) -> ColorPicture:
             image, alphas = render(splats, camera, features=colors, sh_degree=0)
-            return over(image[..., 3:], alphas, behind)
+            return _on_background(image[..., 3:], alphas, behind)
 
         return identities
     if what == "depth":
@@ -219,7 +219,7 @@ def _depth_picture(
     levels = to_uint8(nearness[..., None]).cpu().numpy()
     bgr = torch.from_numpy(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)).to(depths.device)
     alpha = alphas[..., None]
-    return over(bgr.flip(-1) / 255 * alpha, alpha, behind)
+    return _on_background(bgr.flip(-1) / 255 * alpha, alpha, behind)
 
 
 def _robust_range(

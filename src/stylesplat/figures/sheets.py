@@ -18,7 +18,7 @@ from stylesplat.figures.best_views import (
     find_views,
     masks_of,
     most_detailed,
-    small,
+    survey_view,
     visibility,
 )
 from stylesplat.figures.grid import (
@@ -29,7 +29,7 @@ from stylesplat.figures.grid import (
     Row,
     add_legend,
     draw_grid,
-    in_lines,
+    wrap_cells,
 )
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.io.captures.capture_folder import open_capture
@@ -99,7 +99,7 @@ def object_sheet(
             "Train with label maps that name some."
         )
     searched = evenly(range(len(cameras)), SURVEY_VIEWS)
-    views = [small(cameras[row]) for row in searched]
+    views = [survey_view(cameras[row]) for row in searched]
     scores: dict[int, dict[int, float]] = {id: {} for id in ids}  # by object and row
     labelled = at_once(lambda view: render_labels(splats, view), views, splats.device)
     for row, labels in zip(
@@ -120,7 +120,7 @@ def object_sheet(
         caption = f"{title}\n{int(picked.sum()):,} Gaussians"
         cells.append((_portraits(nearby, own, cameras[rows]), caption))
     lines = math.ceil(len(cells) / max(MAX_COLUMNS, math.sqrt(len(cells))))
-    return draw_grid(in_lines(cells, math.ceil(len(cells) / lines)))
+    return draw_grid(wrap_cells(cells, math.ceil(len(cells) / lines)))
 
 
 @torch.no_grad()
@@ -157,7 +157,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
         (names.get(id, str(id)), label_colors(torch.tensor([[id]]))[0, 0].tolist())
         for id in sorted(ids)
     ]
-    return add_legend(draw_grid(in_lines(cells, PHOTO_COLUMNS)), key)
+    return add_legend(draw_grid(wrap_cells(cells, PHOTO_COLUMNS)), key)
 
 
 @torch.no_grad()

@@ -82,11 +82,11 @@ def plan_sheet(
                 (caption or "styled", Style(*pictures, **{**settings, **changed, **more}))
                 for caption, more in columns
             )
-            rows.append(PlannedRow(label or " + ".join(map(_title, pictures)), cells))
+            rows.append(PlannedRow(label or " + ".join(map(_picture_title, pictures)), cells))
     return SheetPlan(tuple(rows))
 
 
-def captioned(
+def caption_rows(
     plan: SheetPlan, pictures: Mapping[tuple[int, int], GridPicture], before: GridPicture
 ) -> list[Row]:
     """The grid's rows, which begin with the object before; style pictures lead where they change.
@@ -113,14 +113,14 @@ def _choices(variations: Sequence[Variation]) -> list[tuple[str, dict[str, Any]]
         return [("", {})]
     ((key, values),) = variations
     words = key.replace("_", " ")
-    return [(f"{words} {_shown(value)}", {FIELDS.get(key, key): value}) for value in values]
+    return [(f"{words} {_value_text(value)}", {FIELDS.get(key, key): value}) for value in values]
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, tuple):
-        return ", ".join(map(_shown, value))
+        return ", ".join(map(_value_text, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _title(picture: object) -> str:
+def _picture_title(picture: object) -> str:
     return Path(picture).stem if isinstance(picture, str | Path) else "picture"
