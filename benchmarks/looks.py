@@ -51,9 +51,9 @@ from judge import (
     painting_features,
     resized,
 )
+from painted_objects import OBJECTS, Name, Outlines, find_outlines, find_scene, photos_of
 from paintings import DRAWN, SHIPPED, find_painting
 from target_2d import target_2d
-from test_objects import OBJECTS, Name, Outlines, find_outlines, find_scene, photos_of
 from torch import Tensor
 
 import stylesplat as ss

@@ -20,11 +20,12 @@ from torch.nn import functional as F
 
 import stylesplat as ss
 from paper_figures.book import Cell, Outcome, Results
+from paper_figures.masked_change import changed_share, masked_psnr, strength
 from paper_figures.story import Block, Figure, Row, Table, Text, digits, percent
 from paper_figures.subject import JOINT_TRAINING, Subject, each, shot
 from still_life.label_faults import FaultConfig, corrupt_label_maps
+from stylesplat.evaluation.changes import farther_than
 from stylesplat.evaluation.statistics import content_ssim
-from stylesplat.metrics.masked_change import changed_share, farther_than, masked_psnr, strength
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras

@@ -8,7 +8,6 @@ from judge import (
     Sight,
     features_kept,
     nnfm_of_views,
-    own_features,
     painting_features,
     spill_and_missed,
 )
@@ -46,11 +45,6 @@ def test_features_are_kept_in_other_colours_and_lost_in_other_shapes():
     assert kept(torch.full_like(BEFORE, 0.5)) == pytest.approx((0, 0), abs=0.01)
 
 
-def test_what_is_beside_the_object_keeps_no_features():
-    other = torch.where(SHARE[..., None] > 0, BEFORE, torch.ones(3))
-    assert kept(other) == pytest.approx((1, 1), abs=0.01)
-
-
 def test_what_has_most_contrast_does_not_speak_for_all_places():
     before = 0.5 + 0.05 * (BEFORE - 0.5)
     before[:, 48:] += (XS[:SIZE, 48:SIZE, None] // 6 % 2) * 0.4
@@ -79,12 +73,6 @@ def test_a_cut_out_of_the_painting_is_near_to_it(compact: FeatureNetwork):
         (own,) = nnfm_of_views([SIGHT], [cut], STRIPES, compact, size)
         (noise,) = nnfm_of_views([SIGHT], [BEFORE], STRIPES, compact, size)
         assert own < 0.3 * noise
-
-
-def test_features_are_those_of_the_object_alone(compact: FeatureNetwork):
-    full, half = (own_features(SIGHT, BEFORE, compact, size) for size in (1.0, 0.5))
-    assert len(full) == pytest.approx(4 * len(half), rel=0.2)
-    assert len(full) < (SIZE / compact.cells(3).stride) ** 2
 
 
 def test_free_pixels_come_closer_and_leave_the_rest(compact: FeatureNetwork):

@@ -28,12 +28,6 @@ def test_twice_the_strokes_are_twice_as_long():
     assert ratios == pytest.approx([2, 2], rel=0.25)  # as far as its file says it holds
 
 
-def test_a_gaussian_blur_has_the_length_of_its_autocorrelation():
-    """Of white noise blurred by s that is exp(-r^2 / 4 s^2), half at 2 s sqrt(ln 2)."""
-    found = detail_length(BEFORE, blobs(3), MASK, 112)
-    assert found == pytest.approx(2 * 3 * np.log(2) ** 0.5, rel=0.15)  # one sample of noise
-
-
 def test_the_same_pattern_in_other_colours_adds_nothing_of_its_length():
     recoloured = BEFORE.flip(-1) * 0.5 + 0.3 + 0.3 * (blobs(4) - 0.5)
     assert detail_length(BEFORE, recoloured, MASK, 112) > 4, "of the strokes, not of the pattern"

@@ -6,11 +6,9 @@ import torch
 
 from balls import _viewmat
 from stylesplat.evaluation.consistency import (
-    MAX_PAIRS,
     OCCLUDED,
     ObjectRender,
     view_consistency,
-    view_pairs,
     warped_difference,
 )
 from stylesplat.rendering.sh import sh0_from_rgb
@@ -73,32 +71,13 @@ def everything(splats: Splats) -> torch.Tensor:
     return torch.ones(len(splats), dtype=torch.bool)
 
 
-@pytest.mark.parametrize("pixels", [3, -3])
-def test_a_shifted_wall_matches_itself(pixels: int):
+def test_a_shifted_wall_matches_itself():
+    pixels = 3
     colors = noise()
     moved = wall(shifted(pixels), colors.roll(-pixels, dims=1))
     found = warped_difference(wall(torch.eye(4), colors), moved)
     assert found.shape == (SIDE * (SIDE - 3), 6)  # three columns have left the image
     assert found.abs().max() < 1e-5  # whole pixels: nothing is interpolated, but for rounding
-
-
-def test_a_rolled_camera_matches():
-    colors, roll = noise(), torch.eye(4)
-    roll[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])  # the picture turns clockwise
-    turned = colors.rot90(-1)
-    found = warped_difference(wall(torch.eye(4), colors), wall(roll, turned))
-    assert found.shape == (SIDE * SIDE, 6)
-    assert found.abs().max() < 1e-5
-    assert warped_difference(wall(torch.eye(4), colors), wall(roll, colors)).abs().max() > 0.5
-
-
-def test_half_a_pixel_is_the_mean_of_two():
-    colors = noise()
-    found = warped_difference(
-        wall(torch.eye(4), colors), wall(shifted(0.5), torch.zeros_like(colors))
-    )
-    between = (colors[:, :-1] + colors[:, 1:]) / 2
-    torch.testing.assert_close(found.view(SIDE, SIDE, 6)[:, :-1], between, atol=1e-5, rtol=0)
 
 
 def test_what_is_not_the_same_surface_is_left_out():
@@ -119,15 +98,6 @@ def test_what_is_behind_the_other_camera_is_left_out():
     assert len(found) == 0
 
 
-def test_pairs():
-    assert view_pairs(3, 1) == [(0, 1), (1, 2)]
-    assert view_pairs(5, 7) == [(0, 4)]
-    assert view_pairs(1, 1) == view_pairs(0, 7) == []
-    many = view_pairs(100, 7)
-    assert len(set(many)) == MAX_PAIRS
-    assert all(b - a == 7 and b < 100 for a, b in many)
-
-
 def test_a_matte_ball_is_consistent_and_a_glossy_one_is_not(ball: Splats, arc: Cameras):
     shN = torch.zeros_like(ball.shN)
     shN[:, 2] = 1.0  # brighter from one side, along x
@@ -144,23 +114,11 @@ def test_noise_that_views_share_is_consistent(ball: Splats, arc: Cameras):
     loud = torch.randn(ball.shN.shape, generator=generator)
     found = view_consistency(ball, replace(ball, shN=loud), arc, everything(ball))
     assert found["short_range_rmse"] > 3 * found["short_range_rmse_base"]
-    same = view_consistency(ball, ball, arc, everything(ball))
-    assert same["short_range_rmse"] == same["short_range_rmse_base"]
-    assert same["long_range_rmse"] == same["long_range_rmse_base"]
-
-
-def test_colours_beyond_white_are_white(ball: Splats, arc: Cameras):
-    shN = torch.randn(ball.shN.shape, generator=torch.Generator().manual_seed(0))
-    white = replace(ball, sh0=ball.sh0 + 200, shN=shN)
-    found = view_consistency(ball, white, arc, everything(ball))
-    assert found["short_range_rmse"] < 1e-6  # the weights of four white pixels, rounded
-
-
-def test_the_styled_scene_may_have_more_gaussians(ball: Splats, arc: Cameras):
     more = replace(ball, **{k: torch.cat([t, t[:9]]) for k, t in ball.tensors().items()})
-    more.opacities[-9:] = -20.0  # not seen
-    found = view_consistency(ball, more, arc, everything(ball))
-    assert found["short_range_rmse"] == pytest.approx(found["short_range_rmse_base"], rel=1e-4)
+    more.opacities[-9:] = -20.0  # not visible
+    same = view_consistency(ball, more, arc, everything(ball))
+    for name in ("short_range_rmse", "long_range_rmse"):
+        assert same[name] == pytest.approx(same[f"{name}_base"], rel=1e-4)
 
 
 def test_the_rest_of_the_scene_does_not_count(ball: Splats, arc: Cameras):
@@ -182,9 +140,3 @@ def test_the_rest_of_the_scene_does_not_count(ball: Splats, arc: Cameras):
 def test_too_few_views(ball: Splats, arc: Cameras):
     assert view_consistency(ball, ball, arc[:1], everything(ball)) == {}
     assert view_consistency(ball, ball, arc, ~everything(ball)) == {}
-
-
-def test_cameras_are_downscaled(ball: Splats, arc: Cameras):
-    large, small = (arc[:2].downscale(64 / side) for side in (640, 320))
-    found = view_consistency(ball, ball, large, everything(ball))
-    assert found == pytest.approx(view_consistency(ball, ball, small, everything(ball)), rel=1e-4)

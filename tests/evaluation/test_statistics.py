@@ -9,15 +9,12 @@ from balls import CAMERAS, SPLATS
 from stylesplat.evaluation.statistics import (
     TOLERANCE,
     content_ssim,
-    moments,
     object_statistics_distance,
     off_palette,
     palette_distance,
-    pool,
     style_statistics_distance,
 )
 from stylesplat.metrics.lab import PIXELS
-from stylesplat.metrics.ssim import ssim, ssim_map
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -49,13 +46,6 @@ def object_views(rows: list[int]) -> list[ObjectView]:
     return views
 
 
-def test_equal_sets_have_no_distance():
-    feats = rows(40)
-    assert style_statistics_distance(feats, feats) == 0
-    shuffled_twice = torch.cat([feats, feats]).flip(0)
-    assert style_statistics_distance(shuffled_twice, feats) < 1e-6
-
-
 def test_distance_matches_its_formula():
     x, y = rows(40), 3 * rows(70, seed=1)
     mean = (x.mean(0) - y.mean(0)).norm() / y.mean(0).norm()
@@ -64,6 +54,7 @@ def test_distance_matches_its_formula():
     found = style_statistics_distance(x, y)
     torch.testing.assert_close(found, (mean + spread) / 2)
     torch.testing.assert_close(style_statistics_distance(7 * x, 7 * y), found)
+    assert style_statistics_distance(torch.cat([x, x]).flip(0), x) < 1e-6
 
 
 def test_a_missing_colour_is_noticed():
@@ -76,20 +67,6 @@ def test_styles_without_contrast_or_features():
     assert style_statistics_distance(flat, flat) == 0
     assert style_statistics_distance(0 * flat, 0 * flat) == 0
     assert torch.isfinite(style_statistics_distance(rows(6)[:, :3], 0 * flat))
-
-
-def test_pooled_moments_are_those_of_all_rows():
-    parts = [100 + rows(n, seed=n) for n in (3, 50, 17)]  # sums of squares would lose digits
-    found = pool(pool(moments(parts[0]), moments(parts[1])), moments(parts[2]))
-    everything = torch.cat(parts)
-    assert found.count == 70
-    torch.testing.assert_close(found.mean, everything.mean(0))
-    expected = everything.double().T.cov(correction=0).float()
-    torch.testing.assert_close(found.covariance, expected, atol=1e-4, rtol=1e-4)
-
-
-def test_one_channel():
-    assert moments(rows(4)[:, :1]).covariance.shape == (1, 1)
 
 
 def test_object_statistics_pool_the_views(network: FeatureNetwork, stripes: torch.Tensor):
@@ -106,31 +83,17 @@ def test_object_statistics_pool_the_views(network: FeatureNetwork, stripes: torc
         distances.append(style_statistics_distance(torch.cat(feats), target))
     assert found == pytest.approx(float(sum(distances)) / len(BLOCKS), rel=1e-4)
     assert found > 0.1
-
-
-def test_an_object_in_its_own_style(network: FeatureNetwork):
-    views = object_views([3])
-    image = rasterize(SPLATS, views[0].camera)[0][0].clamp(0, 1)
-    feats = network(image, BLOCKS)
-    targets = [f[cells] for f, cells in zip(feats, views[0].cells, strict=True)]
-    rest = (views, targets, network, BLOCKS)
-    assert object_statistics_distance(SPLATS, *rest) < 1e-6
     other = repainted(torch.ones(len(SPLATS)))
-    assert object_statistics_distance(other, *rest) > 0.05
-
-
-def test_the_map_of_ssim_has_its_mean():
-    generator = torch.Generator().manual_seed(0)
-    x, y = (torch.rand(30, 41, generator=generator) for _ in range(2))
-    expected = ssim(x[..., None].expand(-1, -1, 3), (x + y)[..., None].expand(-1, -1, 3) / 2)
-    found = ssim_map(x[None], (x + y)[None] / 2)[0]
-    assert found.shape == x.shape
-    torch.testing.assert_close(found.mean(), expected)
+    assert object_statistics_distance(other, *rest) != found
 
 
 def test_content_of_the_same_scene_is_kept():
-    found = content_ssim(SPLATS, SPLATS, CAMERAS[:3], PICKED)
-    assert found == pytest.approx(1, abs=1e-5)  # variances are differences of rounded squares
+    """Also if it has more Gaussians, which are not visible."""
+    more = replace(SPLATS, **{k: torch.cat([t, t[:9]]) for k, t in SPLATS.tensors().items()})
+    more.opacities[-9:] = -20.0
+    for styled in (SPLATS, more):
+        found = content_ssim(SPLATS, styled, CAMERAS[:3], PICKED)
+        assert found == pytest.approx(1, abs=1e-5)  # variances: differences of rounded squares
 
 
 def test_content_falls_as_noise_grows():
@@ -146,19 +109,9 @@ def test_content_falls_as_noise_grows():
 def test_content_is_luminance():
     """A change of hue that keeps Rec. 709's luminance keeps the content."""
     shift = torch.tensor([0.0722, 0.0, -0.2126]) * PICKED[:, None, None]
-    found = content_ssim(
-        SPLATS,
-        replace(SPLATS, sh0=SPLATS.sh0 - 2 * shift),
-        CAMERAS[:3],
-        PICKED,
-    )
+    recoloured = replace(SPLATS, sh0=SPLATS.sh0 - 2 * shift)
+    found = content_ssim(SPLATS, recoloured, CAMERAS[:3], PICKED)
     assert found == pytest.approx(1, abs=1e-3)
-
-
-def test_content_beyond_white_is_white():
-    bright, brighter = (replace(SPLATS, sh0=SPLATS.sh0 + shift) for shift in (200, 300))
-    found = content_ssim(bright, brighter, CAMERAS[:1], PICKED)
-    assert found == pytest.approx(1, abs=5e-3)  # faint edges of the table differ
 
 
 def test_content_elsewhere_does_not_count():
@@ -167,13 +120,6 @@ def test_content_elsewhere_does_not_count():
     mine = content_ssim(SPLATS, repainted(far), CAMERAS[:1], far)
     assert found is not None and mine is not None
     assert found > 0.95 > mine
-
-
-def test_content_where_the_styled_scene_has_more_gaussians():
-    more = replace(SPLATS, **{k: torch.cat([t, t[:9]]) for k, t in SPLATS.tensors().items()})
-    more.opacities[-9:] = -20.0  # not seen
-    found = content_ssim(SPLATS, more, CAMERAS[:2], PICKED)
-    assert found == pytest.approx(1, abs=1e-5)
 
 
 def test_content_of_an_object_that_is_not_seen():
@@ -187,8 +133,9 @@ def colors(count: int, seed: int = 0) -> torch.Tensor:
 
 def test_a_picture_is_on_its_own_palette():
     picture = colors(3 * PIXELS)
-    assert off_palette(picture, picture) == 0
-    assert palette_distance(picture, picture) == 0
+    assert off_palette(picture, picture) == palette_distance(picture, picture) == 0
+    grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
+    assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
 
 
 @pytest.mark.parametrize(("away", "expected"), [(TOLERANCE - 0.5, 0.0), (TOLERANCE + 0.5, 0.25)])
@@ -200,11 +147,6 @@ def test_what_is_farther_than_10_is_off(away: float, expected: float):
     assert (
         off_palette(grey[[0, 0, 0, 1], None].expand(4, 3), grey[:1, None].expand(1, 3)) == expected
     )
-
-
-def test_one_color_far_from_a_picture_is_off():
-    grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
-    assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
 
 
 def test_the_distance_of_palettes_is_of_shares_too():

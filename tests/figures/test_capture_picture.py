@@ -9,9 +9,9 @@ from torch import Tensor
 from still_life.photos import dome_cameras
 from stylesplat.figures.capture_picture import (
     BLURRED,
+    COVERED,
     PANEL,
-    SEEN,
-    UNSEEN,
+    UNCOVERED,
     WEAK,
     capture_picture,
 )
@@ -77,8 +77,8 @@ def test_up_is_up():
 @pytest.mark.parametrize(("rows", "gap"), [(range(48), False), (range(8), True)])
 def test_sides_that_are_covered(rows: range, gap: bool):
     above, _ = drawn(photos_of(DOME[[*rows]]))
-    assert like(above, SEEN).sum() > 300
-    assert (like(above, UNSEEN, 30).sum() > 20) == gap
+    assert like(above, COVERED).sum() > 300
+    assert (like(above, UNCOVERED, 30).sum() > 20) == gap
 
 
 def test_photos_at_fault_stand_out():

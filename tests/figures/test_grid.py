@@ -37,14 +37,10 @@ def test_rows_are_as_high_and_columns_as_wide_as_their_largest_picture():
 def test_the_second_line_of_a_caption_is_below_the_first():
     black = plain(0, 0, 0)
     one, two = (draw_grid([Row([(black, text)])]) for text in ("title", "title\nnote"))
+    assert one.shape == (2 * MARGIN + CELL + CAPTION, 2 * MARGIN + CELL, 3), "no room for labels"
     assert two.shape[0] > one.shape[0]
     assert torch.equal(one[:-MARGIN], two[: one.shape[0] - MARGIN])
     assert drawn(two[one.shape[0] - MARGIN :]).any()
-
-
-def test_without_labels_there_is_no_edge():
-    sheet = draw_grid([Row([(plain(0, 0, 0), "a")])])
-    assert sheet.shape == (2 * MARGIN + CELL + CAPTION, 2 * MARGIN + CELL, 3)
 
 
 def test_captions_lie_below_their_pictures_and_labels_at_the_left():

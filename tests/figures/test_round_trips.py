@@ -34,11 +34,6 @@ def azimuths(cameras: Cameras) -> torch.Tensor:
     return torch.atan2(x, -y)
 
 
-def test_focus_and_up_of_a_circle():
-    assert focus_point(CAMERAS).norm() < 1e-5
-    assert torch.allclose(up_vector(CAMERAS), UP, atol=1e-5)
-
-
 def test_up_of_cameras_that_look_down_to_one_side():
     up = up_vector(arc([-0.5, 0.0, 0.5]))
     assert torch.rad2deg(torch.acos(up @ UP)) < 8  # their tops alone say 18 degrees
@@ -92,14 +87,11 @@ def test_even_size_and_centred():
     assert len(set(orbit.names)) == 5
 
 
-def test_parallel_cameras():
+def test_cameras_that_look_at_nothing_in_common():
     rows = CAMERAS[0].viewmats.repeat(3, 1, 1)
     rows[:, 0, 3] += torch.arange(3)
     with pytest.raises(StyleSplatError, match=r"same way.*--views all"):
         orbit_cameras(replace(CAMERAS[:3], viewmats=rows), 10)
-
-
-def test_outward_cameras():
     flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
     with pytest.raises(StyleSplatError, match=r"outwards.*--views all"):
         orbit_cameras(replace(CAMERAS, viewmats=flip @ CAMERAS.viewmats), 10)

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.metrics.masked_change import CHANGED, farther_than
 from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import (
@@ -29,14 +28,15 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import whole_ids
 
+CHANGED = 0.05  # of a channel's range: a larger change of a pixel is visible
 RIM = 5  # pixels
 MEASURED_VIEWS = 4
-STAIN_VIEWS = 16  # that show a painted object in their label maps
-ERROR = 0.01  # of a view's longer side: how far the border of an object in a label map may err
+STAIN_VIEWS = 16  # with label maps that contain a painted object
+ERROR = 0.01  # of a view's longer side: error of an object's border in a label map
 LEAST_ERROR = 3  # pixels
-SOFT = 2  # pixels that a stain is thicker than that error at least: what splats cover ends softly
-LEAST_AREA = 48  # pixels: less is a speck
-MOST = 0.5  # of the label maps that show a place
+SOFT = 2  # pixels by which a stain is thicker than that error, as the edges of splats are soft
+LEAST_AREA = 48  # pixels: smaller areas are specks
+MOST = 0.5  # share of the label maps in which a place has to lie beside the objects
 
 
 @torch.no_grad()
@@ -46,13 +46,9 @@ def measure_changes(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
 ) -> dict[str, int | float]:
-    """Compare renders before and after where the painted Gaussians are not visible.
+    """Compare at most 4 renders before and after where the painted Gaussians are not visible.
 
-    Args:
-        base: The scene before.
-        styled: The scene after, which may have more Gaussians at its end.
-        cameras: Views, of which at most 4 are compared.
-        picked: The Gaussians that were repainted.
+    The scene after may have more Gaussians at its end.
 
     Returns:
         `changed_gaussians`, new ones included; `painted_gaussians` and `changed_outside`, those of
@@ -69,8 +65,13 @@ def measure_changes(
         covered = covered[..., 0]
         outside.append(difference[covered == 0].flatten())
         edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
-        rim.append(difference[_rim(covered >= COVERED)].flatten())
-    changed = _changed(base, styled)
+        inside = covered >= COVERED
+        grown = F.max_pool2d(inside[None].float(), 2 * RIM + 1, stride=1, padding=RIM)[0] > 0
+        rim.append(difference[grown & ~inside].flatten())
+    changed = torch.zeros_like(picked)
+    for name, old in base.tensors().items():
+        new = styled.tensors()[name][: len(base)]
+        changed |= (old != new)[:, None].flatten(1).any(dim=1)
     largest = max((float(d.abs().max()) for d in outside if len(d)), default=0.0)
     errors = torch.cat(rim).abs()
     return {
@@ -82,23 +83,6 @@ def measure_changes(
         "edge_psnr": _psnr(torch.cat(edge)),
         "rim_error": float(errors.sum()) / max(1, len(errors)),
     }
-
-
-def _changed(base: Splats, styled: Splats) -> Bool[Tensor, " N"]:
-    """Which Gaussians differ in any value."""
-    pairs = [
-        (old.view(len(old), -1), styled.tensors()[name][: len(old)].reshape(len(old), -1))
-        for name, old in base.tensors().items()
-        if old.numel()
-    ]
-    differs = [(old != new).any(dim=1) for old, new in pairs]
-    return torch.stack(differs).any(dim=0)
-
-
-def _rim(covered: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
-    """The pixels at most `RIM` pixels outside a mask."""
-    grown = F.max_pool2d(covered[None].float(), 2 * RIM + 1, stride=1, padding=RIM)[0] > 0
-    return grown & ~covered
 
 
 def _psnr(difference: Float[Tensor, " P"]) -> float:
@@ -129,7 +113,9 @@ def largest_stain(
     if not beside:
         return {}
     _, votes = label_votes(base, cameras, ((row, mask.long()) for row, mask in beside.items()))
-    left_out = torch.from_numpy(_share_left_out(votes.toarray())).to(device)
+    table = votes.toarray()  # of each Gaussian: its pixels on the objects, and beside them
+    totals = np.maximum(table.sum(axis=1, keepdims=True), np.finfo(table.dtype).tiny)
+    left_out = torch.from_numpy(table[:, 1:].sum(axis=1, keepdims=True) / totals).to(device)
     stains = {}
     for row, mask in beside.items():
         camera = cameras[row]
@@ -169,12 +155,6 @@ def _beside(
             yield row, farther_than(mask, float(_error(mask)))
 
 
-def _share_left_out(votes: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N 1"]:
-    """The share of the pixels of a Gaussian that lie beside the objects; 0 if it is not visible."""
-    beside = votes[:, 1:].sum(axis=1, keepdims=True)
-    return beside / np.maximum(votes.sum(axis=1, keepdims=True), np.finfo(votes.dtype).tiny)
-
-
 def _largest_area(stained: Mask) -> int:
     """Pixels of the largest connected area that is neither a thin rim nor a speck, or 0."""
     side = _error(stained) + SOFT
@@ -188,3 +168,12 @@ def _largest_area(stained: Mask) -> int:
 def _error(mask: Mask) -> int:
     """The error in pixels that borders of a label map of this size may have."""
     return max(LEAST_ERROR, round(ERROR * max(mask.shape)))
+
+
+def farther_than(mask: Mask, reach: float) -> Mask:
+    """The pixels of the picture that lie farther than `reach` pixels from all pixels of a mask."""
+    if not mask.any():
+        return torch.ones_like(mask)
+    outside = (~mask).cpu().numpy().astype(np.uint8)
+    distances = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return torch.from_numpy(distances > reach).to(mask.device)

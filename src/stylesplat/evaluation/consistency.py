@@ -19,7 +19,7 @@ from stylesplat.stylization.views import Box, find_boxes
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it
 MAX_PAIRS = 4  # per range
 LONGER_SIDE = 320  # pixels; of the renders that are compared
-OCCLUDED = 0.02  # relative difference of depth from which another surface is seen
+OCCLUDED = 0.02  # relative difference of depth: a larger one means another surface
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,14 @@ def view_consistency(
     """
     boxes = boxes or find_boxes(base, cameras, picked)
     pairs = {name: view_pairs(len(boxes), gap) for name, gap in RANGES.items()}
-    rows = {row for chosen in pairs.values() for pair in chosen for row in pair}
-    looks = {row: _render_object(base, styled, boxes[row].camera, picked) for row in rows}
+    rows = {row for some in pairs.values() for pair in some for row in pair}
+    renders = {row: _render_object(base, styled, boxes[row].camera, picked) for row in rows}
     found = {}
-    for name, chosen in pairs.items():
-        differences = [warped_difference(looks[a], looks[b]) for a, b in chosen]
+    for name, some in pairs.items():
+        differences = [warped_difference(renders[a], renders[b]) for a, b in some]
         if any(len(d) for d in differences):
-            before, after = _rmse(differences)
+            squares = torch.cat(differences).square().mean(dim=0)  # of the pixels of all pairs
+            before, after = squares.view(2, 3).mean(dim=1).sqrt().tolist()
             found |= {f"{name}_range_rmse": after, f"{name}_range_rmse_base": before}
     return found
 
@@ -85,7 +86,8 @@ def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
     places, depths = project(unproject(pixels, summed / coverage, b.camera), a.camera)
     size = torch.tensor(a.camera.size).to(places)
     inside = (places >= 0).all(dim=1) & (places <= size).all(dim=1)
-    found, (coverage, summed) = _sample(a.colors, places), _sample(a.surface, places).unbind(-1)
+    found, surface = _sample(a.colors, places), _sample(a.surface, places)
+    coverage, summed = surface.unbind(-1)
     # What lies behind the camera has a negative depth, which no rendered one is near.
     same_surface = (summed - depths * coverage).abs() <= OCCLUDED * depths * coverage
     return (found - b.colors[mask])[inside & (coverage > COVERED) & same_surface]
@@ -95,8 +97,8 @@ def _render_object(
     base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"]
 ) -> ObjectRender:
     small = camera.at_most(LONGER_SIDE).to(base.device)
-    mine = picked.to(base.means)
-    features = torch.stack([mine, mine * depths_of(base.means, small)], dim=1)
+    share = picked.to(base.means)
+    features = torch.stack([share, share * depths_of(base.means, small)], dim=1)
     before, _ = render(base, small, features=features)
     after, _ = render(styled, small)
     colors = torch.cat([before[..., :3], after], dim=-1).clamp(0, 1)
@@ -110,10 +112,3 @@ def _sample(image: Float[Tensor, "H W D"], places: Float[Tensor, "P 2"]) -> Floa
     planes = image.permute(2, 0, 1)[None]
     sampled = F.grid_sample(planes, grid[None, None], padding_mode="border", align_corners=False)
     return sampled[0, :, 0].T
-
-
-def _rmse(differences: Sequence[Float[Tensor, "_ 6"]]) -> tuple[float, float]:
-    """RMSE of the base and of the painted scene over the pixels of all pairs."""
-    squares = torch.cat(list(differences)).square().mean(dim=0)
-    before, after = squares.view(2, 3).mean(dim=1).sqrt().tolist()
-    return before, after

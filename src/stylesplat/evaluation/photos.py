@@ -1,4 +1,4 @@
-"""How close renders are to photos, also of photos with an exposure or a pose of their own."""
+"""Renders against photos, and rendered label maps against given ones."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -9,16 +9,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.segmentation import label_metrics
+from stylesplat.metrics.iou import object_iou
 from stylesplat.metrics.psnr import psnr
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.labels import BACKGROUND, Labels
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.identities import render_labels
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.losses import photometric_loss
@@ -29,7 +31,7 @@ from stylesplat.training.per_photo import (
     shift_cameras,
 )
 
-MEASURED = 8  # views of an import
+IMPORT_VIEWS = 8  # views of an imported scene that are compared
 STEPS = 40  # of fitting a camera
 FIRST_RATE, LAST_RATE = 2e-3, 1e-4  # radians, and shares of the cameras' distance, a step
 
@@ -54,9 +56,14 @@ class Fits:
 NO_FITS = Fits()
 
 
+def fits_of(names: Collection[str], cameras: Cameras) -> Fits:
+    """The fits with these names, for the photos of these cameras."""
+    return Fits("colors" in names, "pose" in names, scene_extent(cameras))
+
+
 def measured_rows(capture: Capture) -> list[int]:
     """Rows of the views of an imported scene that are compared; none of them is held out."""
-    return evenly(range(len(capture)), MEASURED)
+    return evenly(range(len(capture)), IMPORT_VIEWS)
 
 
 @torch.no_grad()
@@ -65,7 +72,7 @@ def evaluate_views(
 ) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 
-    Where photos are transparent, black is compared with what is rendered.
+    Transparent photos are compared over black.
 
     Args:
         splats: The Gaussians.
@@ -75,11 +82,11 @@ def evaluate_views(
             way round.
 
     Returns:
-        `psnr` and `ssim`, averaged over the views; where something is fitted, also
-        `psnr_unfitted` and `ssim_unfitted`, without that. If the splats have identities and these
-        views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
-        objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know, as no
-        photo that was trained on shows them, are left out, and the ids listed in `unknown_ids`.
+        `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and
+        `ssim_unfitted`. If the splats have identities and these views have label maps, also `iou`
+        and `boundary_iou` by label id, and their means over the objects, `miou` and
+        `boundary_miou`. Pixels of ids that the splats do not know are left out, and these ids are
+        listed in `unknown_ids`.
 
     Raises:
         StyleSplatError: If `rows` is empty.
@@ -91,26 +98,41 @@ def evaluate_views(
     scores = []
     for row in track(rows, "comparing with photos"):
         photo = capture.photos[row].to(splats.means) / 255
-        image = render(splats, capture.cameras[row])[0]
-        images = [image]
+        images = [render(splats, capture.cameras[row])[0]]
         if fits.names:
             images.append(fitted_render(splats, capture.cameras[row], photo, fits))
-        scores.append(torch.stack([_closeness(each.clamp(0, 1), photo) for each in images]))
-    means = torch.stack(scores).mean(dim=0)
-    metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1].tolist(), strict=True))
+        images = [image.clamp(0, 1) for image in images]
+        scores.append([[float(measure(i, photo)) for measure in (psnr, ssim)] for i in images])
+    means = torch.tensor(scores, dtype=torch.float64).mean(dim=0).tolist()
+    metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1], strict=True))
     if fits.names:
-        names = ("psnr_unfitted", "ssim_unfitted")
-        metrics |= dict(zip(names, means[0].tolist(), strict=True))
-    return metrics | label_metrics(splats, capture, rows)
+        metrics |= zip(("psnr_unfitted", "ssim_unfitted"), means[0], strict=True)
+    return metrics | _label_metrics(splats, capture, rows)
 
 
-def _closeness(image: Float[Tensor, "H W 3"], photo: Float[Tensor, "H W 3"]) -> Float[Tensor, "2"]:
-    return torch.stack([psnr(image, photo), ssim(image, photo)])
-
-
-def fits_of(names: Collection[str], cameras: Cameras) -> Fits:
-    """The fits with these names, for the photos of these cameras."""
-    return Fits("colors" in names, "pose" in names, scene_extent(cameras))
+def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dict[str, Any]:
+    """IoU of the rendered labels of some views; empty without identities or label maps."""
+    if splats.classifier is None:
+        return {}
+    known = torch.tensor(splats.classifier.ids)
+    pairs: list[tuple[Labels, Labels]] = []
+    unknown: set[int] = set()
+    for row in rows:
+        given = capture.labels(row)
+        if given is not None:
+            rendered = render_labels(splats, capture.cameras[row]).cpu()
+            is_known = torch.isin(given, known.to(given))
+            unknown.update(given[~is_known].unique().tolist())
+            # What is background on either side counts for no object
+            pairs.append((rendered.where(is_known, BACKGROUND), given.where(is_known, BACKGROUND)))
+    if not pairs:
+        return {}
+    metrics: dict[str, Any] = {"unknown_ids": sorted(unknown)} if unknown else {}
+    for prefix, boundary in (("", False), ("boundary_", True)):
+        by_id = object_iou(pairs, boundary=boundary)
+        metrics[f"{prefix}iou"] = by_id
+        metrics[f"{prefix}miou"] = sum(by_id.values()) / max(len(by_id), 1)
+    return metrics
 
 
 @torch.no_grad()
@@ -120,40 +142,35 @@ def fitted_render(
     """Render the view of a photo over black, each half fitted on the other half of the photo."""
     middle = camera.size[0] // 2
     left, right = slice(None, middle), slice(middle, None)
-    halves = [_fitted_on(splats, camera, photo, seen, fits) for seen in (right, left)]
-    return torch.cat([halves[0][:, left], halves[1][:, right]], dim=1)
+    halves = []
+    for drawn, fitted in ((left, right), (right, left)):
+        view = _fit_camera(splats, camera, photo, fitted, fits) if fits.pose else camera
+        image, alpha = render(splats, view)
+        if fits.colors:
+            change = fit_color_map(image[:, fitted], alpha[:, fitted], photo[:, fitted])
+            image = apply_color_map(image, alpha, change)
+        halves.append(image[:, drawn])
+    return torch.cat(halves, dim=1)
 
 
-def _fitted_on(
-    splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fits
-) -> Float[Tensor, "H W 3"]:
-    """Render the whole view, fitted on some columns of the photo."""
-    if fits.pose:
-        camera = _found(splats, camera, photo, seen, fits)
-    image, alpha = render(splats, camera)
-    if not fits.colors:
-        return image
-    change = fit_color_map(image[:, seen], alpha[:, seen], photo[:, seen])
-    return apply_color_map(image, alpha, change)
-
-
-def _found(splats: Splats, camera: Cameras, photo: Tensor, seen: slice, fits: Fits) -> Cameras:
+def _fit_camera(
+    splats: Splats, camera: Cameras, photo: Tensor, columns: slice, fits: Fits
+) -> Cameras:
     """Shift a camera so that the render of some columns matches its photo."""
-    target = photo[:, seen]
-    near = crop(camera, (seen.start or 0, 0), (target.shape[1], target.shape[0]))
-    params = {"pose_shifts": photo.new_zeros(1, 6).requires_grad_()}
+    target = photo[:, columns]
+    part = crop(camera, (columns.start or 0, 0), (target.shape[1], target.shape[0]))
+    shift = photo.new_zeros(1, 6).requires_grad_()
+    params = {"pose_shifts": shift}
     moments = Moments.zeros(params)
     for step in range(STEPS):
-        params["pose_shifts"].grad = None
+        shift.grad = None
         with torch.enable_grad():
-            image, alpha, _ = rasterize(
-                splats, shift_cameras(near, params["pose_shifts"], fits.unit)
-            )
-            image = image[0]
+            images, alphas, _ = rasterize(splats, shift_cameras(part, shift, fits.unit))
+            image, alpha = images[0], alphas[0]
             if fits.colors:
-                change = fit_color_map(image.detach(), alpha[0].detach(), target)
-                image = apply_color_map(image, alpha[0], change)
+                change = fit_color_map(image.detach(), alpha.detach(), target)
+                image = apply_color_map(image, alpha, change)
             photometric_loss(image, blown_out_target(image, target))[0].backward()
         rate = FIRST_RATE * (LAST_RATE / FIRST_RATE) ** (step / (STEPS - 1))
         adam_step(params, moments, {"pose_shifts": rate}, step + 1)
-    return shift_cameras(camera, params["pose_shifts"].detach(), fits.unit)
+    return shift_cameras(camera, shift.detach(), fits.unit)

@@ -1,8 +1,6 @@
 """What NNFM does not measure: statistics of features, colours, and the object's own content."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import reduce
 
 import torch
 from jaxtyping import Bool, Float
@@ -26,18 +24,6 @@ DIRECTIONS = 64  # that palettes are projected on
 QUANTILES = 256  # by which two projections are compared
 
 
-@dataclass(frozen=True)
-class FeatureMoments:
-    """Mean and covariance of a set of features."""
-
-    count: int
-    """How many there are."""
-    mean: Float[Tensor, " D"]
-    """One number per channel."""
-    covariance: Float[Tensor, "D D"]
-    """Of the set as it is, divided by `count`."""
-
-
 def style_statistics_distance(
     feats: Float[Tensor, "P D"], style_feats: Float[Tensor, "Q D"]
 ) -> Float[Tensor, ""]:
@@ -50,7 +36,11 @@ def style_statistics_distance(
     Returns:
         0 if they agree; the same if both sets are scaled or copied.
     """
-    return _distance(moments(feats), moments(style_feats))
+    found, style = ((rows.mean(dim=0), rows.T.cov(correction=0)) for rows in (feats, style_feats))
+    relative = [
+        (x - y).norm() / y.norm().clamp(min=TINY) for x, y in zip(found, style, strict=True)
+    ]
+    return torch.stack(relative).mean()
 
 
 @torch.no_grad()
@@ -62,33 +52,15 @@ def object_statistics_distance(
     blocks: Sequence[int],
 ) -> float:
     """`style_statistics_distance` of an object's features in all views, averaged over blocks."""
-
-    def one_view(view: ObjectView) -> list[FeatureMoments]:
+    by_view = []
+    for view in views:
         feats = network(render(splats, view.camera)[0].clamp(0, 1), blocks)
-        return [moments(f[cells]) for f, cells in zip(feats, view.cells, strict=True)]
-
-    def merge(one: list[FeatureMoments], other: list[FeatureMoments]) -> list[FeatureMoments]:
-        return [pool(a, b) for a, b in zip(one, other, strict=True)]
-
-    pooled = reduce(merge, map(one_view, views))
-    distances = [_distance(p, moments(t)) for p, t in zip(pooled, targets, strict=True)]
+        by_view.append([f[mask] for f, mask in zip(feats, view.cells, strict=True)])
+    distances = [
+        style_statistics_distance(torch.cat(feats), target)
+        for feats, target in zip(zip(*by_view, strict=True), targets, strict=True)
+    ]
     return float(torch.stack(distances).mean())
-
-
-def moments(feats: Float[Tensor, "P D"]) -> FeatureMoments:
-    """Mean and covariance of features, one per row."""
-    covariance = feats.T.cov(correction=0).view(2 * feats.shape[1:])  # [D, D] for D = 1 too
-    return FeatureMoments(len(feats), feats.mean(dim=0), covariance)
-
-
-def pool(one: FeatureMoments, other: FeatureMoments) -> FeatureMoments:
-    """The moments of two sets taken together (Chan et al. 1979), exact to rounding."""
-    count = one.count + other.count
-    share = other.count / count
-    gap = other.mean - one.mean
-    between = share * (1 - share) * torch.outer(gap, gap)
-    within = torch.lerp(one.covariance, other.covariance, share)
-    return FeatureMoments(count, one.mean + share * gap, within + between)
 
 
 @torch.no_grad()
@@ -110,27 +82,18 @@ def content_ssim(
         covered = coverage[..., 0] > COVERED
         if covered.any():
             after = render(styled, cameras[index])[0]
-            similarity = ssim_map(_luminance(before), _luminance(after))[0]
-            scores.append(similarity[covered].mean())
+            luminances = [(i.clamp(0, 1) @ i.new_tensor(LUMA))[None] for i in (before, after)]
+            scores.append(ssim_map(*luminances)[0][covered].mean())
     return float(torch.stack(scores).mean()) if scores else None
-
-
-def _luminance(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "1 H W"]:
-    return (image.clamp(0, 1) @ image.new_tensor(LUMA))[None]
-
-
-def _distance(found: FeatureMoments, style: FeatureMoments) -> Float[Tensor, ""]:
-    pairs = ((found.mean, style.mean), (found.covariance, style.covariance))
-    relative = [(x - y).norm() / y.norm().clamp(min=TINY) for x, y in pairs]
-    return torch.stack(relative).mean()
 
 
 def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> float:
     """The share of colours that are farther than 10 in Lab (CIE 1976) from all of the style.
 
     Args:
-        colors: In 0..1; of very many some, evenly chosen, stand for all.
-        style: Those of the pictures, in 0..1. Such as differ by less than about 1 count as one.
+        colors: In 0..1; a large set is sampled evenly.
+        style: Colours of the pictures, in 0..1. Those that differ by less than about 1 count as
+            one.
     """
     lab = lab_from_rgb(thinned(colors))
     palette = lab_from_rgb(distinct(style, SAME))
@@ -148,8 +111,8 @@ def palette_distance(
     """The sliced Wasserstein distance of two sets of colours, in Lab.
 
     Returns:
-        The root mean square over directions and quantiles; 0 if all colours have their shares.
-        It is 1 / sqrt(3) of the distance if all colours are moved by the same.
+        The root mean square over directions and quantiles; 0 if both sets have the same
+        distribution, 1 / sqrt(3) of the distance if all colours are moved by the same.
     """
     generator = torch.Generator().manual_seed(seed)
     directions = F.normalize(torch.randn(3, DIRECTIONS, generator=generator), dim=0).to(colors)

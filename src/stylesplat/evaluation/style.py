@@ -41,12 +41,12 @@ from stylesplat.stylization.views import (
 )
 
 MAX_FEATURES = 8192  # of an object in a view that are measured: block 1 has one per pixel
-PLACES = 2048  # of all pictures that are looked up
+PLACES = 2048  # features of all pictures that are compared with the others
 AT_ONCE = 256  # of them, as block 1 has a feature per pixel
 NOWHERE = -2.0  # below any cosine
-LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever the pattern
+LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever `scale` is
 VIEWS = 4  # of the object, and of the scene
-STATISTICS = (1, 2, 3)  # layer groups whose mean and covariance are compared
+STATISTICS = (1, 2, 3)  # blocks of the network whose mean and covariance are compared
 
 
 def measure_painted(
@@ -59,34 +59,32 @@ def measure_painted(
     cuts: Mapping[str, SceneCrop] | None = None,
     families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
-    """Measure what painting some objects did to them and to the scene, in little time.
+    """Measure how painting some objects changed them and the rest of the scene.
 
     Args:
         studio: The scene before, and the views that were optimised on.
         jobs: The objects and their styles.
         styled: The scene after, which may have more Gaussians.
-        held_out: Views to measure on; those of the studio by default.
+        held_out: Views to measure on instead of those of the studio.
         surveys: By name, the boxes of objects in the views, if they are known.
         cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
-        families: The rows of the base that the Gaussians before and after belong to; needed with
-            `cuts`.
+        families: The rows of the base that the Gaussians before and after belong to, for `cuts`.
 
     Returns:
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
         which are empty where the style is too small to be compared.
     """
-    base, training = studio.splats, studio.cameras
-    measured = replace(studio, cameras=held_out or training)
+    base = studio.splats
+    measured = replace(studio, cameras=held_out or studio.cameras)
     jobs = [job.to(base) for job in jobs]
     objects = {}
     for job in jobs:
+        part, own, after = measured, job, styled
         if cuts and job.name in cuts:
             assert families is not None
-            rows, after = (cuts[job.name].rows_in(each.to(base.device)) for each in families)
+            rows, rows_after = (cuts[job.name].rows_in(each.to(base.device)) for each in families)
             cut = replace(cuts[job.name], rows=rows)
-            part, own, after = cut.context(measured), cut.target(job), styled[after]
-        else:
-            part, own, after = measured, job, styled
+            part, own, after = cut.context(measured), cut.target(job), styled[rows_after]
         if surveys is None:
             survey = find_boxes(part.splats, part.all_cameras, own.mask)
         else:
@@ -105,37 +103,34 @@ def measure_painted(
 def measure_style(
     studio: PaintContext, job: PaintTarget, styled: Splats, *, boxes: Sequence[Box] | None = None
 ) -> dict[str, float]:
-    """Measure how close an object is to its style by NNFM, in float32.
-
-    Args:
-        studio: The scene before, and the views to measure on.
-        job: The object and its style.
-        styled: The scene after; it may have more Gaussians.
-        boxes: The boxes of the object in these views, if they are known.
+    """Measure how close an object is to its style by NNFM, in float32, in the views of `studio`.
 
     Returns:
         `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see
-        `own_nnfm`), and `share_of_way` between these; if the object is to have the colours of the
-        style, the share of it that does not (`off_palette`).
+        `own_nnfm`); if the object was farther from the style than that, `share_of_way`, the part
+        of the way that it has gone, in 0..1; if the object is to have the colours of the style,
+        the share of it that does not (`off_palette`).
 
     Raises:
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
-    blocks = job.config.layers
+    blocks, network = job.config.layers, studio.network
     boxes = boxes or require_boxes(studio, job, studio.cameras)
-    views, targets = _object_in_styles(studio, job, boxes, blocks)
-    rest = (views, targets, studio.network, blocks)
+    views, targets = _views_and_targets(studio, job, boxes, blocks)
     images = renders(styled, views)
-    before, after = (object_nnfm(r, *rest) for r in (renders(studio.splats, views), images))
+    before, after = (
+        object_nnfm(each, views, targets, network, blocks)
+        for each in (renders(studio.splats, views), images)
+    )
     numbers = {"nnfm_before": before, "nnfm_after": after}
-    own = own_nnfm(job.styles, studio.network, blocks, length=job.config.scale * LENGTH)
+    own = own_nnfm(job.styles, network, blocks, length=job.config.scale * LENGTH)
     if own is not None:
         numbers["nnfm_of_style"] = own
-        share = share_of_way(before, after, own)
-        numbers |= {} if share is None else {"share_of_way": share}
+        if before > own:
+            numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
     if job.config.color == "style":
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), _colors(job))
+        numbers["off_palette"] = off_palette(torch.cat(colors), _style_colors(job))
     return numbers
 
 
@@ -153,20 +148,16 @@ def measure_statistics(
         StyleSplatError: As `measure_style` does.
     """
     blocks = STATISTICS[: studio.network.depth]
-    views, targets = _object_in_styles(studio, job, boxes, blocks)
-    rest = (views, targets, studio.network, blocks)
-    numbers = {
-        "statistics_before": object_statistics_distance(studio.splats, *rest),
-        "statistics_after": object_statistics_distance(styled, *rest),
-    }
+    views, targets = _views_and_targets(studio, job, boxes, blocks)
+    before, after = (
+        object_statistics_distance(splats, views, targets, studio.network, blocks)
+        for splats in (studio.splats, styled)
+    )
+    numbers = {"statistics_before": before, "statistics_after": after}
     if job.config.color == "style":
         colors = object_colors(styled, views)
-        numbers["palette_distance"] = palette_distance(colors, _colors(job))
+        numbers["palette_distance"] = palette_distance(colors, _style_colors(job))
     return numbers
-
-
-def _colors(job: PaintTarget) -> Float[Tensor, "P 3"]:
-    return torch.cat([picture.reshape(-1, 3) for picture in job.styles])
 
 
 @torch.no_grad()
@@ -178,14 +169,7 @@ def measure_look(
     *,
     boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
-    """Measure what is left of an object and whether views agree, which needs no style.
-
-    Args:
-        base: The scene before.
-        styled: The scene after; it may have more Gaussians.
-        cameras: The views to measure on.
-        picked: The object's Gaussians in `base`.
-        boxes: Its boxes in these views, if they are known.
+    """Measure how much of an object's content is left, and how consistent its views are.
 
     Returns:
         `content_ssim`, if a view shows the object, and the result of `view_consistency`.
@@ -196,14 +180,18 @@ def measure_look(
     return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
 
 
-def _object_in_styles(
-    studio: PaintContext, job: PaintTarget, boxes: Sequence[Box], layers: Sequence[int]
+def _views_and_targets(
+    studio: PaintContext, job: PaintTarget, boxes: Sequence[Box], blocks: Sequence[int]
 ) -> tuple[list[ObjectView], list[Tensor]]:
-    """Views of the object, and the features of the style image, for some layer groups."""
-    config = replace(job.config, layers=tuple(layers))
+    """Views of the object, and the features of its style."""
+    config = replace(job.config, layers=tuple(blocks))
     zoom = LENGTH / typical_length(boxes)
     views = object_views(studio, replace(job, config=config), boxes, zoom)
     return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)
+
+
+def _style_colors(job: PaintTarget) -> Float[Tensor, "P 3"]:
+    return torch.cat([picture.reshape(-1, 3) for picture in job.styles])
 
 
 def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:
@@ -246,34 +234,26 @@ def own_nnfm(
     Raises:
         StyleSplatError: If a picture has no whole feature.
     """
-    distances = [_of_block(pictures, network, block, length) for block in blocks]
-    if any(len(each) == 0 for each in distances):
+    by_block = [_distances_within(pictures, network, block, length) for block in blocks]
+    if any(len(distances) == 0 for distances in by_block):
         return None
-    return float(torch.stack([each.mean() for each in distances]).mean())
+    return float(torch.stack([distances.mean() for distances in by_block]).mean())
 
 
-def share_of_way(before: float, after: float, own: float) -> float | None:
-    """The part of the way to the style that NNFM has gone, from 0 to 1.
-
-    Returns:
-        None if the object was that close before.
-    """
-    if before <= own:
-        return None
-    return min(1.0, max(0.0, (before - after) / (before - own)))
-
-
-def _of_block(
+def _distances_within(
     pictures: Sequence[Tensor], network: FeatureNetwork, block: int, length: float
 ) -> Float[Tensor, " P"]:
     """The distances of some features to their nearest ones that do not overlap them."""
+    cells = network.cells(block)
     features, places = [], []
     for number, picture in enumerate(pictures):
         (rows,) = style_features(picture, network, [block], length=length)
         features.append(F.normalize(rows.float(), dim=1))
-        places.append(_places(resize(picture, length), network, block, number))
+        inside = (cells.inside(side) for side in resize(picture, length).shape[:2])
+        y, x = (torch.arange(each.stop - each.start) for each in inside)
+        grid = torch.cartesian_prod(y, x).float().to(picture.device)
+        places.append(F.pad(grid, (1, 0), value=number * 1e6))  # pictures are far apart
     found, at = torch.cat(features), torch.cat(places)
-    cells = network.cells(block)
     closest = []
     for some in torch.arange(0, len(found), 1 + len(found) // PLACES).split(AT_ONCE):
         gaps = (at[some, None] - at[None]).abs().amax(dim=-1)
@@ -281,14 +261,3 @@ def _of_block(
         closest.append((found[some] @ found.T).where(apart, NOWHERE).amax(dim=1))
     cosines = torch.cat(closest)
     return 1 - cosines[cosines > NOWHERE]
-
-
-def _places(
-    picture: Tensor, network: FeatureNetwork, block: int, number: int
-) -> Float[Tensor, "P 3"]:
-    """Picture, row and column of every feature, in cells; pictures are infinitely far apart."""
-    cells = network.cells(block)
-    inside = (cells.inside(side) for side in picture.shape[:2])
-    rows, columns = (torch.arange(each.stop - each.start) for each in inside)
-    grid = torch.cartesian_prod(rows, columns).float().to(picture.device)
-    return F.pad(grid, (1, 0), value=number * 1e6)

@@ -10,8 +10,21 @@ WHOLE = "as close to the painting as the painting's parts are to each other"
 
 def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
     """Say how close each painted object is to its style, and what else changed."""
-    lines = [f"{each}: {_way(metrics, each)}{_colors(metrics, each)}" for each in names]
-    rest = around(metrics, count=len(lines))
+    lines = []
+    for name in names:
+        share, own, foreign = (
+            metrics.get(number, {}).get(name)
+            for number in ("share_of_way", "nnfm_of_style", "off_palette")
+        )
+        way = "painted"  # it was as close before, or the style is too small to tell
+        if own is not None and metrics["nnfm_after"][name] <= own:
+            way = WHOLE
+        elif share is not None:
+            way = f"{min(99, round(100 * share))} % of the way to the painting"
+        if foreign is not None and foreign > MUCH:
+            way += f", {round(100 * foreign)} % of it in colours that the painting does not have"
+        lines.append(f"{name}: {way}")
+    rest = describe_changes(metrics, count=len(lines))
     if len(lines) == 1:
         return [f"{lines[0]}, {rest}."]
     return [*(f"{line}." for line in lines), f"{rest[:1].upper()}{rest[1:]}."]
@@ -33,8 +46,8 @@ def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def around(metrics: Mapping[str, Any], *, count: int = 1) -> str:
-    """Say what changed besides the `count` painted objects."""
+def describe_changes(metrics: Mapping[str, Any], *, count: int = 1) -> str:
+    """Say what changed besides so many painted objects."""
     changed, largest = metrics["changed_outside"], metrics["outside_max_difference"]
     if changed:
         return f"{changed:,} Gaussians outside changed as well"
@@ -54,24 +67,6 @@ def painted_gaussians(metrics: Mapping[str, Any], total: int) -> str:
     after = metrics["changed_gaussians"] - metrics["changed_outside"]
     canvas = f", and a canvas of {after - painted:,}" if after > painted else ""
     return f"{painted:,} of {total:,}{canvas}"
-
-
-def _way(metrics: Mapping[str, Any], name: str) -> str:
-    share = metrics.get("share_of_way", {}).get(name)
-    own = metrics.get("nnfm_of_style", {}).get(name)
-    if own is not None and metrics["nnfm_after"][name] <= own:
-        return WHOLE
-    if share is None:  # it was as close before, or the style is too small to tell
-        return "painted"
-    return f"{min(99, round(100 * share))} % of the way to the painting"
-
-
-def _colors(metrics: Mapping[str, Any], name: str) -> str:
-    """Say how much of an object has colours that the painting does not have, if it is much."""
-    share = metrics.get("off_palette", {}).get(name, 0.0)
-    if share <= MUCH:
-        return ""
-    return f", {round(100 * share)} % of it in colours that the painting does not have"
 
 
 def metric_differences(metrics: Mapping[Any, Any], first: Mapping[Any, Any]) -> dict[Any, Any]:

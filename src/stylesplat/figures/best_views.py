@@ -29,11 +29,11 @@ from stylesplat.stylization.views import SURVEY_SIZE, Box
 
 VIEWS = 3  # of an object
 OVERSCAN = 0.5  # of the view on each side, to show what the border of the photo cuts off
-PART_SHARE = 0.2  # of the pixels of the largest part, below which a part is taken for a stray
-PADDING = 0.06  # of a cut-out on each side
+PART_SHARE = 0.2  # of the pixels of the largest part: smaller parts are strays
+PADDING = 0.06  # of an object's length, on each side of a picture of it alone
 SURROUNDINGS = 0.15  # of an object, on each side of a close-up
-SEARCHED_VIEWS = 12  # rendered to find them, of those that have the object in their image
-MOST = 0.5  # of what the fullest image has of an object, from which others are searched too
+SEARCHED_VIEWS = 12  # that are rendered to find them
+MOST = 0.5  # of the largest share of an object in an image: views with less are not rendered
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ObjectMask:
     row: int
     """The camera's."""
     mask: Bool[Tensor, "h w"]
-    """The pixels that show it, in the camera that `small` returns."""
+    """The pixels that show it, in the camera that `survey_view` returns."""
 
 
 @torch.no_grad()
@@ -57,18 +57,16 @@ def find_views(
 ) -> list[ObjectMask]:
     """The views that show most of an object from sides that differ, the best one first.
 
-    Args:
-        splats: The scene.
-        cameras: Views to choose from.
-        picked: The Gaussians of the object.
-        count: How many to find; fewer if it is visible in fewer.
-        masks: The mask in every view that shows it, if they are known (`masks_of`).
+    There are fewer than `count` if it is visible in fewer. `masks` are those of `masks_of`, which
+    save the search.
     """
     surface = splats.means[solid(splats, picked)]
-    rows = _likely_rows(cameras, surface)
+    shares = share_in_images(surface, cameras)
+    likely = (shares > 0) & (shares >= MOST * shares.max())  # though something may hide it there
+    rows = evenly(likely.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
 
     def mask(row: int) -> Tensor:
-        return coverage(splats, small(cameras[row]), picked) > MIN_COVERAGE
+        return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
 
     if masks is None:
         found = at_once(mask, rows, splats.device)
@@ -84,7 +82,7 @@ def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bo
     for box in chain.from_iterable(surveys):
         (name,) = box.camera.names
         row = cameras.index(name)
-        width, height = small(cameras[row]).size
+        width, height = survey_view(cameras[row]).size
         mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
         scale = box.points.new_tensor([width, height]) / box.camera.sizes[0]
         x, y = (box.points * scale).long().unbind(1)
@@ -95,11 +93,11 @@ def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bo
 @torch.no_grad()
 def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask]) -> ObjectMask:
     """The view that shows most of an object and of its own detail: a face rather than a back."""
-    return max(found, key=lambda each: _detail(splats, small(cameras[each.row]), each.mask))
+    return max(found, key=lambda each: _detail(splats, survey_view(cameras[each.row]), each.mask))
 
 
 def _detail(splats: Splats, camera: Cameras, mask: Bool[Tensor, "h w"]) -> float:
-    """How much of an object shows, times its mean difference of luminance between neighbours."""
+    """The visibility of an object, times its mean difference of luminance between neighbours."""
     luminance = lab_from_rgb(render(splats, camera)[0])[..., 0]
     down = (luminance[1:] - luminance[:-1]).abs()[mask[1:] & mask[:-1]]
     right = (luminance[:, 1:] - luminance[:, :-1]).abs()[mask[:, 1:] & mask[:, :-1]]
@@ -124,14 +122,14 @@ def best_rows(
 
 
 def visibility(shown: Bool[Tensor, "h w"]) -> float:
-    """Pixels that show an object, fewer if the border cuts it: of a square cut along a side 1/4."""
+    """Pixels that show an object, fewer if the border cuts it: a quarter for a square."""
     area = float(shown.sum())
     border = sum(float(edge.sum()) for edge in (shown[0], shown[-1], shown[:, 0], shown[:, -1]))
     return area / (1 + border / math.sqrt(area)) ** 2 if area else 0.0
 
 
-def small(camera: Cameras) -> Cameras:
-    """The same camera, for a render in which objects are only looked for."""
+def survey_view(camera: Cameras) -> Cameras:
+    """The same camera at the size at which objects are searched."""
     return camera.at_most(SURVEY_SIZE)
 
 
@@ -139,10 +137,7 @@ def small(camera: Cameras) -> Cameras:
 def close_up(
     splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
 ) -> Cameras:
-    """A square view of an object and a margin, from the camera that shows most of it.
-
-    Returns:
-        One camera, named as the one it was made from.
+    """A square view of an object and a margin, made from the camera that shows most of it.
 
     Raises:
         StyleSplatError: If the object shows in none of the views.
@@ -170,55 +165,13 @@ def aim_at(
     wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
     survey = crop(camera, (left, top), tuple(wide), zoom=1 / step)
     _, share = colors_and_coverage(splats, survey, picked)
-    box = _main_box(share[..., 0].cpu().numpy() > MIN_COVERAGE)
-    if box is None:
+    shown = (share[..., 0] > MIN_COVERAGE).cpu().numpy().astype(np.uint8)
+    parts = cv2.connectedComponentsWithStats(shown)[2][1:]  # the first is what does not show
+    if not len(parts):
         return crop(camera, (0.0, 0.0), (side, side), zoom=side / max(width, height))
-    x0, y0, x1, y1 = box
+    areas = parts[:, cv2.CC_STAT_AREA]
+    large = parts[areas >= PART_SHARE * areas.max()].astype(float)
+    (x0, y0), (x1, y1) = large[:, :2].min(axis=0), (large[:, :2] + large[:, 2:4]).max(axis=0)
     length = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
     corner = (left + (x0 + x1) / 2 * step - length / 2, top + (y0 + y1) / 2 * step - length / 2)
     return crop(camera, corner, (side, side), zoom=side / length)
-
-
-def _main_box(shown: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
-    """Left, top, right and bottom of the large connected parts; None if nothing shows."""
-    _, _, stats, _ = cv2.connectedComponentsWithStats(shown.astype(np.uint8))
-    parts = stats[1:]  # the first is what does not show
-    if not len(parts):
-        return None
-    areas = parts[:, cv2.CC_STAT_AREA]
-    left, top, width, height, _ = parts[areas >= PART_SHARE * areas.max()].T
-    right, bottom = left + width, top + height
-    return int(left.min()), int(top.min()), int(right.max()), int(bottom.max())
-
-
-@torch.no_grad()
-def quiet_cut(splats: Splats, camera: Cameras, objects: Sequence[Bool[Tensor, " N"]]) -> float:
-    """The upright line that cuts least of some objects, with at least one on each side.
-
-    Args:
-        splats: The scene.
-        camera: One camera.
-        objects: The Gaussians of each; those that the camera does not see count for nothing.
-
-    Returns:
-        Its place, 0 to 1 from the left; that of a single object is beside it.
-    """
-    shown = [coverage(splats, camera, picked) > MIN_COVERAGE for picked in objects]
-    columns = torch.stack([mask.sum(dim=0).float().cpu() for mask in shown])  # [objects, W]
-    columns = columns[columns.sum(dim=1) > 0]
-    if not len(columns):
-        return 0.5
-    places = torch.arange(columns.shape[1])
-    middles = (columns * places).sum(dim=1) / columns.sum(dim=1)
-    crossed = columns.sum(dim=0)
-    if len(columns) > 1:
-        between = (places >= middles.min()) & (places <= middles.max())
-        crossed = crossed.where(between, math.inf)
-    return (int(crossed.argmin()) + 0.5) / len(places)
-
-
-def _likely_rows(cameras: Cameras, surface: Float[Tensor, "M 3"]) -> list[int]:
-    """Some of the cameras that have an object in their image, though something may hide it."""
-    shares = share_in_images(surface, cameras)
-    good = (shares > 0) & (shares >= MOST * shares.max())
-    return evenly(good.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)

@@ -38,18 +38,18 @@ class Section:
     title: str
     """The heading."""
     text: str
-    """What happens here."""
+    """The paragraph."""
     figures: tuple[Figure, ...] = ()
-    """Pictures, left to right."""
+    """The figures, left to right."""
 
 
 def page_style() -> str:
-    """What all pages look like, as CSS."""
+    """The CSS of all pages."""
     return STYLE.read_text(encoding="utf-8")
 
 
 def section_html(section: Section) -> str:
-    """A section; its figures' files are within."""
+    """A section that contains the files of its figures."""
     figures = "\n".join(map(_figure, section.figures))
     return (
         f"<section><h2>{escape(section.title)}</h2><p>{escape(section.text)}</p>"
@@ -64,7 +64,7 @@ def figure_html(url: str, caption: str) -> str:
 
 
 def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table whose first column says what the others are."""
+    """A table whose first column has the names of the rows."""
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     lines = [
         f"<tr><th>{escape(first)}</th>" + "".join(f"<td>{escape(c)}</td>" for c in rest) + "</tr>"
@@ -74,12 +74,12 @@ def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def file_url(path: Path) -> str:
-    """A picture's or video's file as a URL that holds it."""
+    """The data URL of a picture's or video's file."""
     return _url(path.read_bytes(), path.suffix)
 
 
 def picture_url(picture: UInt8[Tensor, "H W 3"]) -> str:
-    """A picture as a URL that holds it, as JPEG."""
+    """The data URL of a picture, as JPEG."""
     content = BytesIO()
     Image.fromarray(picture.cpu().numpy()).save(content, "JPEG", quality=QUALITY)
     return _url(content.getvalue(), ".jpg")
@@ -121,59 +121,47 @@ class SceneColumn:
 def comparison_page(
     columns: Sequence[SceneColumn], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
 ) -> str:
-    """The page as HTML that needs no other file.
+    """An HTML page that needs no other file.
 
     Args:
-        columns: The scenes; the first is what others are compared with.
-        views: What the pictures are of.
-        title: Of the page.
-        notes: Sentences to read before the numbers.
+        columns: The scenes; the others are compared with the first.
+        views: The names of the views, in the order of the scenes' pictures.
+        title: The heading.
+        notes: Sentences above the pictures.
     """
-    first = escape(columns[0].name)
-    rows = [
-        '<div class="wide"><div class="row">'
-        + "".join(
+    heads = ["", *(column.name for column in columns)]
+    rows = []
+    for row, view in enumerate(views):
+        pictures = (
             figure_html(picture_url(column.pictures[row]), f"{column.name}, {view}")
             for column in columns
         )
-        + "</div></div>"
-        for row, view in enumerate(views)
-    ]
+        rows.append(f'<div class="wide"><div class="row">{"".join(pictures)}</div></div>')
+    gaps = dict.fromkeys(name for column in columns for name in column.from_first)
+    gap_rows = [[gap, *(_cell(c.from_first.get(gap), None) for c in columns)] for gap in gaps]
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         style=page_style(),
         title=escape(title),
-        first=first,
-        about=escape(", ".join(column.name for column in columns)) + " in the same views.",
+        first=escape(columns[0].name),
+        about=escape(", ".join(heads[1:])) + " in the same views.",
         notes="\n".join(f"<p>{escape(note)}</p>" for note in notes),
         pictures="\n".join(rows),
-        numbers=table_html(["", *(column.name for column in columns)], number_rows(columns)),
-        gaps=table_html(["", *(column.name for column in columns)], _gap_rows(columns)),
+        numbers=table_html(heads, _number_rows(columns)),
+        gaps=table_html(heads, gap_rows),
     )
 
 
-def number_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
+def _number_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
     """A row per number that any scene has: its name, and for each scene value and difference.
 
     The first scene's differences are 0 and not shown.
     """
     values = [dict(flat(column.metrics)) for column in columns]
-    gaps = [dict(flat(column.differences)) for column in columns]
-    names = dict.fromkeys(name for each in values for name in each)
+    gaps = [{}, *(dict(flat(column.differences)) for column in columns[1:])]
     return [
-        [
-            name,
-            *(
-                _cell(value.get(name), None if row == 0 else gap.get(name))
-                for row, (value, gap) in enumerate(zip(values, gaps, strict=True))
-            ),
-        ]
-        for name in names
+        [name, *(_cell(v.get(name), g.get(name)) for v, g in zip(values, gaps, strict=True))]
+        for name in dict.fromkeys(name for each in values for name in each)
     ]
-
-
-def _gap_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
-    names = dict.fromkeys(name for column in columns for name in column.from_first)
-    return [[name, *(_cell(c.from_first.get(name), None) for c in columns)] for name in names]
 
 
 def _cell(value: float | None, gap: float | None) -> str:

@@ -24,32 +24,17 @@ FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """Where a path goes around: cylinder coordinates about the focus."""
-
-    focus: Float[Tensor, "3"]
-    axes: Float[Tensor, "3 3"]
-    """Rows: two horizontal directions, then up."""
-
-    def to_world(self, local: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
-        return self.focus + local @ self.axes
-
-    def to_local(self, world: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
-        return (world - self.focus) @ self.axes.T
-
-
 def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None = None) -> Cameras:
     """A smooth closed path around what the cameras look at, looking at it.
 
-    The path stays where photos were taken: a full circle if they surround the scene, else a swing
-    to and fro over the arc that they cover. Height is the photos' mean, with some of their spread;
+    The path stays where photos were taken: a full circle if they surround the scene, else to and
+    fro over the arc that they cover. The height is the photos' mean, with some of their spread, and
     the distance is that of the farther ones.
 
     Args:
         cameras: The capture's cameras.
         count: Number of frames; the one after the last would be the first again.
-        focus: What to look at instead.
+        focus: What to look at; by default the point that the cameras look at.
 
     Returns:
         Cameras of one even size, with the intrinsics of the photo whose view is median in width
@@ -59,16 +44,16 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
         StyleSplatError: If the view axes do not meet in front of the cameras.
     """
     focus = focus_point(cameras) if focus is None else focus.double()
-    frame = _Frame(focus, _axes(cameras, focus))
-    local = frame.to_local(cameras.positions.double())
+    axes = _axes(cameras, focus)
+    local = (cameras.positions.double() - focus) @ axes.T  # two horizontal numbers, then up
     radius = local[:, :2].norm(dim=-1).quantile(RADIUS_RANK)
-    phase = 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
+    phase = _phases(count)
     azimuth = _azimuths(torch.atan2(local[:, 1], local[:, 0]), phase)
     height = local[:, 2].mean() + SWAY * local[:, 2].std(correction=0) * phase.sin()
     path = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), height], dim=-1)
     K, size = median_lens(cameras)
     return Cameras(
-        viewmats=look_at(frame.to_world(path), focus, frame.axes[2]).to(cameras.viewmats),
+        viewmats=look_at(focus + path @ axes, focus, axes[2]).to(cameras.viewmats),
         Ks=K.expand(count, 3, 3).to(cameras.Ks),
         sizes=torch.tensor(size).expand(count, 2).clone(),
         names=_frame_names(count),
@@ -89,17 +74,14 @@ def filled(path: Cameras, content: Content) -> Cameras:
 
 
 def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
-    """A smooth closed path around what a splat without photos is of, all of it in every frame.
+    """A smooth closed path around the content of a splat without photos, all of it in every frame.
 
-    Args:
-        content: What to show.
-        views: Those that the splat was given, for what is up and for the pictures' size.
-        count: Number of frames; the one after the last would be the first again.
+    The views tell the upward direction and the pictures' size.
     """
     up, size = up_vector(views), views.size
     focal = LENS * max(size)
     side, ahead = level_axes(up)
-    phase = 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
+    phase = _phases(count)
     tilt = (TILT + NOD * phase.sin())[:, None]
     level = phase.cos()[:, None] * side + phase.sin()[:, None] * ahead
     outward = tilt.cos() * level + tilt.sin() * up
@@ -114,12 +96,16 @@ def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     )
 
 
+def _phases(count: int) -> Float[Tensor, " M"]:
+    return 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
+
+
 def _frame_names(count: int) -> tuple[str, ...]:
     return tuple(f"orbit_{i:04d}.png" for i in range(count))
 
 
 def _axes(cameras: Cameras, focus: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """Right-handed rows: away from the focus towards the cameras, sideways, up."""
+    """Rows, right-handed: from the focus towards the cameras, sideways, up."""
     up = up_vector(cameras)
     outward = cameras.positions.double().mean(dim=0) - focus
     side = torch.linalg.cross(up, outward)
@@ -147,7 +133,6 @@ class FirstView:
     """The upright camera that a viewer starts with."""
 
     position: Float[Tensor, "3"]
-    """Its position."""
     target: Float[Tensor, "3"]
     """The point that it looks at and turns around."""
     up: Float[Tensor, "3"]
@@ -157,12 +142,7 @@ class FirstView:
 
 
 def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
-    """Returns the camera of the first photo, or one from which all content is visible.
-
-    Args:
-        splats: At least one Gaussian.
-        cameras: Cameras of the photos; without them the upward direction is `UP`.
-    """
+    """Returns the camera of the first photo, or without photos one that sees all content."""
     content = content_of(splats)
     middle = content.extent.centre
     if cameras is not None:

@@ -24,18 +24,17 @@ BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 TRANSPARENT = "transparent"
 NAMED: dict[str, Background] = {TRANSPARENT: None, "black": BLACK, "white": WHITE}
 HEX = re.compile("#?([0-9a-f]{6})")
-Painter = Callable[[Cameras], ViewPicture]
-# What is behind pictures unless somebody chooses; ids and distances have nothing behind them
+# By default black is behind colours and white behind these; ids and distances have no background
 BEHIND: dict[str, Background] = {
     "color": BLACK,
     "identities": WHITE,
     "depth": WHITE,
     "object": WHITE,
 }
-PERCENTILES = (0.02, 0.98)  # what is spread over the whole range of colours; the rest clips
+PERCENTILES = (0.02, 0.98)  # are the ends of the range of colours; values beyond are clamped
 MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
 TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
-FARTHEST = 0.999  # of the Gaussians' depths that 16 bits reach to: floaters may be beyond
+FARTHEST = 0.999  # quantile of the Gaussians' depths that 16 bits reach to: the rest are floaters
 STEPS = 2**16 - 1
 HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
 
@@ -62,7 +61,7 @@ def parse_background(text: str) -> Background:
     return red, green, blue
 
 
-def over(
+def _on_background(
     image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], background: Background
 ) -> ColorPicture:
     """A picture on a background; without one, its own colours and how opaque it is."""
@@ -107,8 +106,13 @@ def render_pictures(
         StyleSplatError: If `what` or the background is unknown, or needs identities that are not
             there.
     """
-    paint = _painter(splats.detach(), cameras, what, picked, _behind(what, background))
-    return at_once(lambda row: paint(cameras[row]).cpu(), range(len(cameras)), splats.device)
+    behind = BEHIND.get(what)
+    if background is not None:
+        if what not in BEHIND:
+            raise StyleSplatError(f"{what} has no background. Leave --background out.")
+        behind = parse_background(background)
+    draw = _renderer(splats.detach(), cameras, what, picked, behind)
+    return at_once(lambda row: draw(cameras[row]).cpu(), range(len(cameras)), splats.device)
 
 
 def depth_step(splats: Splats, cameras: Cameras) -> float:
@@ -129,23 +133,19 @@ def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
     return to_uint8(torch.where(labels[..., None] == 0, 0, rgb))
 
 
-def _behind(what: str, background: str | None) -> Background:
-    if background is None:
-        return BEHIND.get(what)
-    if what not in BEHIND:
-        raise StyleSplatError(f"{what} has no background. Leave --background out.")
-    return parse_background(background)
-
-
-def _painter(
+def _renderer(
     splats: Splats,
     cameras: Cameras,
     what: str,
     picked: Bool[Tensor, " N"] | None,
     behind: Background,
-) -> Painter:
+) -> Callable[[Cameras], ViewPicture]:
+    """The function that renders a picture of one camera."""
     if what == "color":
-        return lambda camera: _paint_color(splats, camera, behind)
+        return lambda camera: _on_background(*render(splats, camera), behind)
+    if what == "object" and picked is not None:
+        alone = splats[picked.to(splats.device)]
+        return lambda camera: _on_background(*render(alone, camera), behind)
     if what == "labels":
         require_identities(splats)
         return lambda camera: render_labels(splats, camera)
@@ -154,18 +154,26 @@ def _painter(
         return lambda camera: label_colors(render_labels(splats, camera))
     if what == "identities":
         colors = identity_colors(splats)
-        return lambda camera: over(*_composite(splats, camera, colors), behind)
+
+        def identities(camera: Cameras) -> ColorPicture:
+            image, alphas = render(splats, camera, features=colors, sh_degree=0)
+            return _on_background(image[..., 3:], alphas, behind)
+
+        return identities
     if what == "depth":
-        near_far = depth_range(splats, cameras)
-        return lambda camera: _paint_depth(splats, camera, near_far, behind)
+        low, high = _robust_range(_depths_in_front(splats, cameras)[:, None])
+        return lambda camera: _depth_picture(splats, camera, low.item(), high.item(), behind)
     if what == "depth-float":
-        return lambda camera: depth_map(splats, camera)
+        return lambda camera: _depth_map(splats, camera)
     if what == "depth-16bit":
         step = depth_step(splats, cameras)
-        return lambda camera: _in_steps(depth_map(splats, camera), step)
-    if what == "object" and picked is not None:
-        alone = splats[picked.to(splats.device)]
-        return lambda camera: _paint_color(alone, camera, behind)
+
+        def whole_steps(camera: Cameras) -> UInt16[Tensor, "H W"]:
+            depths = _depth_map(splats, camera)
+            steps = (depths / step).round().clamp(1, STEPS)  # 0 stays nothing
+            return torch.where(depths > 0, steps, 0).cpu().to(torch.uint16)
+
+        return whole_steps
     raise StyleSplatError(
         f"Cannot render {what!r}. Choose color, labels, label-colors, identities, depth, "
         "depth-float, depth-16bit or object:NAME."
@@ -186,17 +194,7 @@ def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
     return ((components - low) / (high - low).clamp(min=TINY)).clamp(0, 1)
 
 
-def depth_range(splats: Splats, cameras: Cameras) -> tuple[float, float]:
-    """Depths between which nearly all Gaussians lie, seen from these cameras.
-
-    Raises:
-        StyleSplatError: If no Gaussian is in front of the cameras.
-    """
-    low, high = _robust_range(_depths_in_front(splats, cameras)[:, None])
-    return low.item(), high.item()
-
-
-def depth_map(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+def _depth_map(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
     """Depths along the view, in world units; 0 where less than half of a pixel is covered."""
     depths, alphas = expected_depth(splats, camera)
     return torch.where(alphas < MIN_COVERAGE, 0, depths)
@@ -212,34 +210,16 @@ def _depths_in_front(splats: Splats, cameras: Cameras) -> Float[Tensor, " M"]:
     return _sample(depths[:, None])[:, 0]
 
 
-def _in_steps(depths: Float[Tensor, "H W"], step: float) -> UInt16[Tensor, "H W"]:
-    """Whole steps; 0 stays nothing, and what is nearer than a step is one away."""
-    steps = (depths / step).round().clamp(1, STEPS)
-    return torch.where(depths > 0, steps, 0).cpu().to(torch.uint16)
-
-
-def _paint_color(splats: Splats, camera: Cameras, behind: Background) -> ColorPicture:
-    return over(*render(splats, camera), behind)
-
-
-def _composite(
-    splats: Splats, camera: Cameras, colors: Float[Tensor, "N 3"]
-) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
-    """Composite other colours than the splats' own, on black; and how much is covered."""
-    image, alphas = render(splats, camera, features=colors, sh_degree=0)
-    return image[..., 3:], alphas
-
-
-def _paint_depth(
-    splats: Splats, camera: Cameras, near_far: tuple[float, float], behind: Background
+def _depth_picture(
+    splats: Splats, camera: Cameras, near: float, far: float, behind: Background
 ) -> ColorPicture:
+    """Depths in colours, near ones bright."""
     depths, alphas = expected_depth(splats, camera)
-    depth, alpha = depths[..., None], alphas[..., None]
-    near, far = near_far
-    nearness = (1 / depth.clamp(min=near) - 1 / far) / (1 / near - 1 / far)
-    values = to_uint8(nearness)[..., 0].cpu().numpy()
-    bgr = torch.from_numpy(cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS)).to(alpha.device)
-    return over(bgr.flip(-1) / 255 * alpha, alpha, behind)
+    nearness = (1 / depths.clamp(min=near) - 1 / far) / (1 / near - 1 / far)
+    levels = to_uint8(nearness[..., None]).cpu().numpy()
+    bgr = torch.from_numpy(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)).to(depths.device)
+    alpha = alphas[..., None]
+    return _on_background(bgr.flip(-1) / 255 * alpha, alpha, behind)
 
 
 def _robust_range(

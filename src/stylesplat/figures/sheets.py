@@ -9,32 +9,27 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import (
     SEARCHED_VIEWS,
-    VIEWS,
-    ObjectMask,
     aim_at,
     best_rows,
     find_views,
     masks_of,
     most_detailed,
-    small,
+    survey_view,
     visibility,
 )
 from stylesplat.figures.grid import (
     CARD,
     CELL,
-    MARGIN,
     PAPER,
     GridPicture,
     Row,
+    add_legend,
     draw_grid,
-    in_lines,
-    legend,
-    stacked,
+    wrap_cells,
 )
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.io.captures.capture_folder import open_capture
@@ -58,25 +53,25 @@ from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import own_shares, survey
 from stylesplat.stylization.views import Box
 
-GAP = 8  # pixels between the cut-outs of one object
-SMALL = (CELL - GAP) // 2  # pixels along those from other sides
-MAX_COLUMNS = 4  # of a sheet with few objects; of many there are as many lines as columns
+GAP = 8  # pixels between the pictures of one object
+SMALL = (CELL - GAP) // 2  # pixels along the pictures from other sides
+MAX_COLUMNS = 4  # of a sheet with few objects; a sheet of many is about square
 SURVEY_VIEWS = 24  # views searched for the best ones of each object
 
 PANEL = 480  # pixels along the longer side of a view of a selection
 DIM = 0.55  # of the brightness of what is not selected
 LEFT_OUT = (0.1, 0.35, 1.0)  # the colour of what is selected but takes no paint
 OUTLINE, THICKNESS = (255, 200, 0), 2
-SPECK = 5  # pixels: what is narrower shows in colour, but an outline would cover it
-ROOM = 3.0  # how many times as long as the object a view may be, beyond which it is cut to that
-MIN_ROOM = 1 / 6  # of a view, which is never cut to less: one would not know the place
+SPECK = 5  # pixels: narrower parts have no outline, which would cover them
+ROOM = 3.0  # length of a panel in lengths of the object, unless the view is shorter
+MIN_ROOM = 1 / 6  # of the view, which a panel shows at least, so that the place is recognised
 
 PHOTOS, PHOTO_COLUMNS = 8, 4  # of a preview of label maps
 PHOTO_WIDTH, PHOTO_HEIGHT = 400, 300  # pixels of such a photo at most
 TINT = 0.55  # how much of an object's colour covers the photo
 
 LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
-NARROWEST = 450  # pixels of the width of a picture that is to be looked at
+NARROWEST = 450  # pixels of the width of a picture, so that its caption can be read
 
 
 @torch.no_grad()
@@ -104,20 +99,28 @@ def object_sheet(
             "Train with label maps that name some."
         )
     searched = evenly(range(len(cameras)), SURVEY_VIEWS)
-    scores = _scores(splats, cameras, searched, ids)
-    seen = survey(splats, [small(cameras[row]) for row in searched])
+    views = [survey_view(cameras[row]) for row in searched]
+    scores: dict[int, dict[int, float]] = {id: {} for id in ids}  # by object and row
+    labelled = at_once(lambda view: render_labels(splats, view), views, splats.device)
+    for row, labels in zip(
+        searched, track(labelled, "looking for objects", total=len(views)), strict=True
+    ):
+        for id in {*labels.unique().tolist()} & scores.keys():
+            scores[id][row] = visibility(labels == id)
+    seen = survey(splats, views)
     cells = []
     for id, picked in track(each_object(splats, ids), "objects", unit="object", total=len(ids)):
         rows = best_rows(cameras, splats.means[solid(splats, picked)], scores[id])
-        there, own = splats, picked
+        nearby, own = splats, picked
         if seen is not None and picked.any():
             around = seen.around(picked)
-            there, own = splats[around], picked[around]
-        title = " · ".join([str(id), *filter(None, [(names or {}).get(id)])])
+            nearby, own = splats[around], picked[around]
+        name = (names or {}).get(id)
+        title = f"{id} · {name}" if name else str(id)
         caption = f"{title}\n{int(picked.sum()):,} Gaussians"
-        cells.append((_portraits(there, own, cameras[rows]), caption))
+        cells.append((_portraits(nearby, own, cameras[rows]), caption))
     lines = math.ceil(len(cells) / max(MAX_COLUMNS, math.sqrt(len(cells))))
-    return draw_grid(in_lines(cells, math.ceil(len(cells) / lines)))
+    return draw_grid(wrap_cells(cells, math.ceil(len(cells) / lines)))
 
 
 @torch.no_grad()
@@ -132,12 +135,12 @@ def selection_picture(
     Returns:
         The views side by side; None if the selection shows in none.
     """
-    views = find_views(splats, cameras, picked)
-    if not views:
+    found = find_views(splats, cameras, picked)
+    if not found:
         return None
     features = torch.stack([picked.to(splats.means), own_shares(splats, picked, cameras)], dim=1)
-    cuts = [_cut(cameras[view.row], view) for view in views]
-    return draw_grid([Row([(_panel(splats, cut, features), cut.names[0]) for cut in cuts])])
+    views = [_crop_around(cameras[each.row], each.mask) for each in found]
+    return draw_grid([Row([(_panel(splats, view, features), view.names[0]) for view in views])])
 
 
 def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
@@ -150,11 +153,11 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
         assert labels is not None
         ids |= ids_of(labels) - {BACKGROUND}
         cells.append((_tinted(capture.photos[row], labels), ""))
-    page = draw_grid(in_lines(cells, PHOTO_COLUMNS))
-    colors = [label_colors(torch.tensor([[id]]))[0, 0].tolist() for id in sorted(ids)]
-    called = [names.get(id, str(id)) for id in sorted(ids)]
-    key = legend([*zip(called, colors, strict=True)], page.shape[1] - 2 * MARGIN)
-    return stacked(page, key)
+    key = [
+        (names.get(id, str(id)), label_colors(torch.tensor([[id]]))[0, 0].tolist())
+        for id in sorted(ids)
+    ]
+    return add_legend(draw_grid(wrap_cells(cells, PHOTO_COLUMNS)), key)
 
 
 @torch.no_grad()
@@ -166,12 +169,8 @@ def before_after(
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """Draw the view that shows most of the painted objects and of their detail, before and after.
 
-    It is as large as its photo, up to 2048 pixels a side.
-
-    Args:
-        scene: A painted scene.
-        surveys: The boxes of the painted objects, if they are known.
-        device: Where to render.
+    It is as large as its photo, up to 2048 pixels a side. `surveys` are the boxes of the painted
+    objects, if they are known.
 
     Returns:
         The view's name and the pictures side by side; None if no view shows painted objects.
@@ -200,8 +199,8 @@ def beside_photo(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw a photo and the render of its view, with their PSNR.
 
-    They are drawn at the photo's own size, though the capture may be loaded at a smaller one, up
-    to 2048 pixels a side and no narrower than 450. The PSNR is measured at the size of the capture.
+    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side and no
+    narrower than 450. The PSNR is measured at the size of the capture.
 
     Raises:
         StyleSplatError: If the photos cannot be read again at their own size.
@@ -210,35 +209,19 @@ def beside_photo(
     if capture.downscale != 1 and capture.path is not None:
         whole = open_capture(capture.path, masks=False).at(1.0)
     splats = scene.splats.to(pick_device(device))
+    photo, image = _photo_and_render(scene, splats, capture, name)
+    decibels = float(psnr(image / 255, photo / 255))
     pair = _photo_and_render(scene, splats, at_most(whole, LONGEST), name)
-    close = psnr(*(each / 255 for each in _photo_and_render(scene, splats, capture, name)))
-    held_out = "held-out " * (name in scene.held_out)
-    captions = f"{held_out}photo {name}", f"render, PSNR {float(close):.1f} dB"
+    held_out = "held-out " if name in scene.held_out else ""
+    captions = f"{held_out}photo {name}", f"render, PSNR {decibels:.1f} dB"
     return draw_grid([Row([*zip(map(_wide_enough, pair), captions, strict=True)])])
 
 
 @torch.no_grad()
-def one_view(
-    scene: Scene, name: str, *, longest: int = LONGEST, device: str = "auto"
-) -> UInt8[Tensor, "H W 3"]:
-    """Render one of the views of a scene, at most so many pixels along its longer side."""
-    camera = scene.cameras[scene.cameras.index(name)].at_most(longest)
+def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, "H W 3"]:
+    """Render one of the views of a scene, up to 2048 pixels a side."""
+    camera = scene.cameras[scene.cameras.index(name)].at_most(LONGEST)
     return _render(scene.splats.to(pick_device(device)), camera)
-
-
-def _scores(
-    splats: Splats, cameras: Cameras, rows: Sequence[int], ids: Sequence[int]
-) -> dict[int, dict[int, float]]:
-    """By object and row of a camera the `visibility` there, if it is visible."""
-    scores: dict[int, dict[int, float]] = {id: {} for id in ids}
-    labelled = at_once(lambda row: render_labels(splats, small(cameras[row])), rows, splats.device)
-    for row, labels in zip(
-        rows, track(labelled, "looking for objects", total=len(rows)), strict=True
-    ):
-        for id in labels.unique().tolist():
-            if id in scores:
-                scores[id][row] = visibility(labels == id)
-    return scores
 
 
 def _portraits(
@@ -247,8 +230,10 @@ def _portraits(
     """An object alone from up to three cameras: the first large, the others small beside it."""
     card = torch.tensor(CARD, dtype=torch.uint8)
     sheet = torch.tensor(PAPER, dtype=torch.uint8).repeat(CELL, CELL + GAP + SMALL, 1)
-    places = [(0, 0, CELL), *((n * (SMALL + GAP), CELL + GAP, SMALL) for n in range(VIEWS - 1))]
-    for number, (top, left, side) in enumerate(places):
+    right = CELL + GAP
+    for number, (top, left, side) in enumerate(
+        ((0, 0, CELL), (0, right, SMALL), (SMALL + GAP, right, SMALL))
+    ):
         portrait = card.expand(side, side, 3)
         if number < len(cameras):
             camera = aim_at(splats, picked, cameras[number], side)
@@ -258,19 +243,17 @@ def _portraits(
     return sheet
 
 
-def _cut(camera: Cameras, found: ObjectMask) -> Cameras:
+def _crop_around(camera: Cameras, mask: Bool[Tensor, "h w"]) -> Cameras:
     """The view at the size of a panel; around a small object only a part of it."""
     size = camera.sizes[0]
-    scale = size / torch.tensor(found.mask.shape).flip(0)
-    places = found.mask.nonzero().flip(1).cpu()  # x, y
-    low, high = places.amin(dim=0) * scale, (places.amax(dim=0) + 1) * scale
+    scale = size / torch.tensor(mask.shape).flip(0)
+    pixels = mask.nonzero().flip(1).cpu()  # x, y
+    low, high = pixels.amin(dim=0) * scale, (pixels.amax(dim=0) + 1) * scale
     share = (ROOM * ((high - low) / size).max()).clamp(MIN_ROOM, 1)
-    zoom = PANEL / (share * size.max())
-    wide = (share * size * zoom).round()
-    scaled = camera.downscale(1 / float(zoom))
-    corner = ((low + high) / 2 * zoom - wide / 2).round().clamp(min=0)
-    corner = torch.minimum(corner, (scaled.sizes[0] - wide).clamp(min=0))
-    return crop(scaled, corner.tolist(), wide.int().tolist())
+    part = share * size
+    corner = torch.minimum(((low + high - part) / 2).clamp(min=0), size - part)
+    zoom = PANEL / float(part.max())
+    return crop(camera, corner.tolist(), (part * zoom).round().int().tolist(), zoom=zoom)
 
 
 def _panel(
@@ -317,7 +300,5 @@ def _wide_enough(picture: UInt8[Tensor, "h w 3"]) -> UInt8[Tensor, "H W 3"]:
     height, width, _ = picture.shape
     if width >= NARROWEST:
         return picture
-    planes = picture.permute(2, 0, 1)[None].float()
-    size = round(height * NARROWEST / width), NARROWEST
-    resized = interpolate(planes, size, mode="bicubic", align_corners=False)
-    return resized[0].permute(1, 2, 0).round().clamp(0, 255).byte()
+    size = NARROWEST, round(height * NARROWEST / width)
+    return torch.from_numpy(cv2.resize(picture.numpy(), size, interpolation=cv2.INTER_CUBIC))

@@ -3,19 +3,17 @@
 from collections.abc import Mapping
 
 import torch
-from torch import Tensor
 
 from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.render import render
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame, seen_from
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 
 VIEWS = 5  # that are compared
-CHECK_SIZE = 240  # pixels of the longer side of photos that are enough for it
-CLOSER = 2.0  # dB above a picture of one colour at which a splat shows what the photos do
+CHECK_SIZE = 240  # pixels of the longer side: smaller photos are enough for the comparison
+CLOSER = 2.0  # dB above the photo's mean colour, from which a splat belongs to the photos
 
 
 @torch.no_grad()
@@ -32,16 +30,13 @@ def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) ->
     """
     rows = evenly(range(len(capture.cameras)), VIEWS)
     photos = [capture.photos[row].to(splats.means) / 255 for row in rows]
-    return {
-        name: _gain(splats, seen_from(capture.cameras[rows], frame), photos)
-        for name, frame in frames.items()
-    }
-
-
-def _gain(splats: Splats, cameras: Cameras, photos: list[Tensor]) -> float:
-    gains = []
-    for row, photo in enumerate(photos):
-        image = render(splats, cameras[row])[0].clamp(0, 1)
-        flat = photo.mean(dim=(0, 1)).expand_as(photo)
-        gains.append(psnr(image, photo) - psnr(flat, photo))
-    return float(torch.stack(gains).median())
+    found = {}
+    for name, frame in frames.items():
+        cameras = seen_from(capture.cameras[rows], frame)
+        gains = []
+        for row, photo in enumerate(photos):
+            image = render(splats, cameras[row])[0].clamp(0, 1)
+            mean_color = photo.mean(dim=(0, 1)).expand_as(photo)
+            gains.append(psnr(image, photo) - psnr(mean_color, photo))
+        found[name] = float(torch.stack(gains).median())
+    return found

@@ -11,20 +11,20 @@ from torch import Tensor
 
 from stylesplat.scene.labels import BACKGROUND, Mask
 
-BOUNDARY = 0.02  # of the image's diagonal: what counts as near a contour
+BOUNDARY = 0.02  # of the image's diagonal: width of the band along a contour
 
 LabelPairs = Iterable[tuple[Int[Tensor, "H W"], Int[Tensor, "H W"]]]
 """Predicted and given label map of each view."""
 
 
 def mask_iou(one: Bool[Tensor, "..."], other: Bool[Tensor, "..."]) -> float:
-    """Of two masks; 1 if both are empty."""
+    """IoU of two masks; 1 if both are empty."""
     either = int((one | other).sum())
     return int((one & other).sum()) / either if either else 1.0
 
 
 def pairwise_iou(some: Sequence[Mask], others: Sequence[Mask]) -> Float[Tensor, "A B"]:
-    """Of every mask with every other, all of one size; 0 where both are empty."""
+    """IoU of each mask of `some` with each of `others`, all of one size; 0 if both are empty."""
     if not some or not others:
         return torch.zeros(len(some), len(others))
     a, b = (torch.stack([*each]).flatten(1).float() for each in (some, others))
@@ -33,7 +33,7 @@ def pairwise_iou(some: Sequence[Mask], others: Sequence[Mask]) -> Float[Tensor, 
 
 
 def object_iou(pairs: LabelPairs, *, boundary: bool = False) -> dict[int, float]:
-    """Of predicted and given label maps, by object.
+    """IoU of predicted and given label maps, by object.
 
     Args:
         pairs: Label maps; pixels are pooled over the views.

@@ -13,7 +13,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import draw_grid
 from stylesplat.figures.pictures import to_uint8
-from stylesplat.figures.style_sheet import captioned, plan_sheet
+from stylesplat.figures.style_sheet import caption_rows, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.device import pick_device
 from stylesplat.rendering.render import render
@@ -104,7 +104,7 @@ def sheet(
         for place in places:
             shown = with_strengths(painted, {name: place.intensity}).splats.to(splats.device)
             pictures[place.row, place.column] = _picture(shown, camera)
-    grid = draw_grid(captioned(plan, pictures, _picture(splats, camera)))
+    grid = draw_grid(caption_rows(plan, pictures, _picture(splats, camera)))
     return StyleSheet(grid, camera.names[0], len(pictures), len(runs))
 
 

@@ -34,7 +34,7 @@ Outlines = tuple[list[tuple[Cameras, Tensor]], float]
 
 
 @dataclass(frozen=True)
-class TestObject:
+class PaintedObject:
     """A thing to paint."""
 
     scene: str
@@ -44,16 +44,16 @@ class TestObject:
 
 
 Name = Literal["fox", "plaque", "bottle", "keyboard", "doll", "vase", "teapot", "face", "sign"]
-OBJECTS: Mapping[Name, TestObject] = {
-    "fox": TestObject("fox", "1"),
-    "plaque": TestObject("fox", "2"),
-    "bottle": TestObject("desk", "1"),
-    "keyboard": TestObject("desk", "4"),
-    "doll": TestObject("doll", "doll"),
-    "vase": TestObject("demo/scene", "vase"),
-    "teapot": TestObject("demo/scene", "teapot"),
-    "face": TestObject("face", "1"),
-    "sign": TestObject("sign", "1"),
+OBJECTS: Mapping[Name, PaintedObject] = {
+    "fox": PaintedObject("fox", "1"),
+    "plaque": PaintedObject("fox", "2"),
+    "bottle": PaintedObject("desk", "1"),
+    "keyboard": PaintedObject("desk", "4"),
+    "doll": PaintedObject("doll", "doll"),
+    "vase": PaintedObject("demo/scene", "vase"),
+    "teapot": PaintedObject("demo/scene", "teapot"),
+    "face": PaintedObject("face", "1"),
+    "sign": PaintedObject("sign", "1"),
 }
 
 

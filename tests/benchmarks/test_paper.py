@@ -1,0 +1,216 @@
+"""The figures and claims of the paper on three balls, whose selection and changes are known."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from paper_figures import figure2, figure3, figure5, figure6, official, segmenting
+from paper_figures.book import Book, Cell, Outcome, Result, work_through
+from paper_figures.claims import verdicts
+from paper_figures.foreword import Run, foreword
+from paper_figures.masked_change import changed_share, masked_psnr, strength
+from paper_figures.story import Figure, Points, Row, Table, Text, html_page, markdown_page
+from paper_figures.subject import Effort, Subject, shown
+
+from balls import CAMERAS, SPLATS
+from capture_files import write_ball_capture
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.selection.pick import pick
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.verbs.load import load
+
+LARGE = CAMERAS.downscale(1 / 4)
+EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, draft=True, judged=2, training_steps=12)
+PICTURE = torch.rand(30, 40, 3, generator=torch.Generator().manual_seed(0))
+MASK = torch.zeros(30, 40, dtype=torch.bool)
+MASK[5:15, 10:20] = True
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    photos = load(write_ball_capture(tmp_path_factory.mktemp("capture") / "balls", LARGE))
+    red = SceneObject(pick(SPLATS, object_id=3), {"ids": [3]})
+    held_out, info = LARGE.names[:2], {"settings": {"max_gaussians": 300, "segment": "joint"}}
+    metrics = {"steps": 1234, "psnr": 30.0, "ssim": 0.9}
+    scene = Scene(
+        SPLATS, LARGE, held_out=held_out, objects={"red": red}, info=info, metrics=metrics
+    )
+    style = torch.rand(96, 96, 3, generator=torch.Generator().manual_seed(0))
+    styles = {"noise": style, "other": style.flip(-1)}
+    return Subject("balls", scene, photos, photos, styles, load_weights("compact", depth=3), EFFORT)
+
+
+def cells(calls: list[str], count: int = 3) -> list[Cell]:
+    def computed(key: str) -> Outcome:
+        calls.append(key)
+        return Outcome({"number": 0.5}, {"a view": PICTURE})
+
+    return [Cell("figure9", f"way {n:g}", lambda n=n: computed(f"{n:g}")) for n in range(count)]
+
+
+def test_a_run_that_was_interrupted_goes_on(tmp_path: Path):
+    calls: list[str] = []
+    book, some = Book(tmp_path, {"quick": True}), cells(calls)
+    steps = work_through(book, some)
+    assert [next(steps), next(steps)][1].startswith("figure9, way 1")
+    again = Book(tmp_path, {"quick": True})
+    assert len([*work_through(again, some)]) == 2 and calls == ["0", "1", "2"]
+    found = again.results(some)["figure9"]["way 2"]
+    assert found.numbers == {"number": 0.5} and found.pictures["a view"].is_file()
+    with pytest.raises(SystemExit, match="holds results of other settings"):
+        Book(tmp_path, {"quick": False})
+
+
+def test_pages_show_what_was_computed_and_no_photos_of_others(tmp_path: Path):
+    book, (cell, *_) = Book(tmp_path / "book", {}), cells([])
+    book.keep(cell)
+    file = book.results([cell])["figure9"]["way 0"].pictures["a view"]
+    blocks = [Text("1 < 2"), Table(("", "x"), [["y", "0.5"]]), Row({"photo": file, "object": file})]
+    figure = Figure("figure9", "A figure", "claims & such.", lambda _: [], lambda _: [])
+    chapters = [("demo", [(figure, blocks)])]
+    page = html_page("T", [], chapters)
+    assert page.count("data:image/jpeg;base64,") == 2 and "1 &lt; 2" in page
+    text = markdown_page("T", [], chapters, tmp_path / "paper")
+    assert "| y | 0.5 |" in text and "Left to right: photo; object." in text
+    assert (tmp_path / "paper" / "demo-figure9-2.jpg").is_file()
+    others = markdown_page("T", [], [("fox", [(figure, blocks)])], tmp_path / "fox")
+    assert "Left to right: object." in others
+
+
+def results(**figures: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Result]]:
+    return {
+        figure: {key: Result(numbers, {}, 1.0, 1.0) for key, numbers in found.items()}
+        for figure, found in figures.items()
+    }
+
+
+def judged(found: dict[str, dict[str, Result]]) -> tuple[list[list[str]], list[str]]:
+    _, table, _, against = verdicts({"demo": found})
+    assert isinstance(table, Table)
+    return [[*row] for row in table.rows], [*against.lines] if isinstance(against, Points) else []
+
+
+@pytest.mark.parametrize(("masked", "lifted", "holds"), [(0.5, 0.0, True), (0.5, 0.4, False)])
+def test_claims_are_judged_by_numbers(masked: float, lifted: float, holds: bool):
+    shares = {f"{figure2.MASKED} at 1": masked, f"{figure2.LIFTED} at 1": lifted}
+    found = {key: {"changed_far": share, "content_ssim": 0.5} for key, share in shares.items()}
+    rows, against = judged(results(figure2=found))
+    assert rows[0][1].startswith("holds: " if holds else "does not: ")
+    assert holds != any("changes other parts" in line for line in against)
+    formula = {official.PRINTED: {"nnfm": 0.3}, "none": {"nnfm": 0.2}}
+    ways = {segmenting.JOINT: {"miou": 0.8}, segmenting.LIFTED: {"miou": 0.9}}
+    rows, against = judged(results(official=formula, segmenting=ways))
+    assert [row[1].startswith("does not") for row in rows] == [True, True]
+    assert judged({}) == ([], []), "nothing measured"
+
+
+def test_the_foreword_names_what_was_run(subject: Subject, tmp_path: Path):
+    book = Book(tmp_path / "book", {"effort": "quick", "features": "compact"})
+    tables = [b for b in foreword([Run(subject, book, cells([]))]) if isinstance(b, Table)]
+    width, height = LARGE.size
+    joint = [*tables[0].rows[0]]
+    assert joint[:4] == ["balls", f"{width}x{height}", f"{len(SPLATS):,}", "1,234"]
+    assert joint[-1] == "learned with the colours"
+
+
+def test_an_edit_counts_on_its_side_of_the_mask_only():
+    after = PICTURE.clone()
+    after[5:15, 20:25] += 0.1  # 50 pixels, all outside
+    assert changed_share(PICTURE, after, MASK) == 0 == strength(PICTURE, after, MASK)
+    assert changed_share(PICTURE, after, ~MASK) == pytest.approx(50 / 1100)
+    expected = -10 * torch.tensor(0.1**2 * 50 / 1100).log10().item()
+    assert masked_psnr(PICTURE, after, ~MASK) == pytest.approx(expected, abs=1e-3)
+    black, none = torch.zeros_like(PICTURE), torch.zeros_like(MASK)
+    assert strength(black, 1 - black, MASK) == pytest.approx(100, abs=0.05)  # rounded matrices
+    assert masked_psnr(black, 1 - black, none) == pytest.approx(120)
+    assert changed_share(black, 1 - black, none) == 0 == strength(black, 1 - black, none)
+
+
+def test_a_scene_against_itself_leaks_nothing(subject: Subject):
+    found = figure2.leakage(subject, SPLATS, SPLATS, 3)
+    assert found.pop("outside_psnr") == pytest.approx(120)
+    assert len(found) == 4 and {*found.values()} == {0}
+
+
+def test_what_the_edge_cuts_off_is_shown_worse():
+    whole, cut = torch.zeros(20, 20, dtype=torch.long), torch.zeros(20, 20, dtype=torch.long)
+    whole[5:15, 5:15], cut[:12, :12] = 1, 1
+    assert (shown(whole, 1), shown(cut, 1), shown(cut, 2)) == (100, 144 / 25, 0)
+
+
+def test_masks_without_error_are_exact_and_more_error_is_more(subject: Subject):
+    shares = []
+    for level in (0.0, 1.0, 2.0):
+        noisy, exact = figure2.with_errors(subject, level).label_maps, subject.capture.label_maps
+        assert noisy is not None and exact is not None
+        pairs = zip(noisy, exact, strict=True)
+        shares.append(sum(float((a != b).float().mean()) for a, b in pairs if a is not None))
+    assert 0 == shares[0] < shares[1] < shares[2]
+
+
+def test_selection_in_3d_changes_its_gaussians_alone(subject: Subject, tmp_path: Path):
+    by_key = {cell.key: cell for cell in figure2.cells(subject)}
+    keys = [f"{way} at 1" for way in (figure2.MASKED, figure2.STRICT, figure2.LIFTED)]
+    some = [by_key[key] for key in ("initial", *keys)]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, some)]) == 4
+    found = book.results(some)["figure2"]
+    masked, strict, lifted = (found[key].numbers for key in keys)
+    assert lifted["changed_gaussians"] <= int(subject.picked(subject.ids[0]).sum())
+    assert masked["changed_gaussians"] > strict["changed_gaussians"] > lifted["changed_gaussians"]
+    assert lifted["outside_psnr"] > masked["outside_psnr"]
+
+
+def test_exact_identities_select_what_is_there(subject: Subject):
+    found = figure3.by_selection(subject, SPLATS, 0.5, remove=False)
+    assert found["miou"] > 0.9  # labels go to the likeliest class, a cover to half of a pixel
+
+
+def test_two_objects_together_are_the_two_alone(subject: Subject, tmp_path: Path):
+    some = [cell for cell in figure5.cells(subject) if cell.key.endswith("paper")]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, some)]) == len(some) > 0
+    for outcome in book.results(some)["figure5"].values():
+        assert outcome.numbers["changed_elsewhere"] == 0
+        assert {*outcome.numbers["differing"].values()} == {0}
+
+
+def test_an_axis_is_averaged_over_the_others_or_goes_through_their_middle(subject: Subject):
+    """A stroke of 10 times the scale and one more by group."""
+    grid = [
+        {"group": g, "scale": s, "rate": r, "stroke": 10 * s + g, "strength": r, "content_ssim": 1}
+        for g, s, r in product(figure6.GROUPS, figure6.SCALES, figure6.RATES)
+    ]
+    whole = figure6.by_axis(grid, "scale", whole=True)
+    assert [n["stroke"] for n in whole.values()] == pytest.approx([4.5, 7, 9.5])
+    line = figure6.by_axis(grid, "layers", whole=False)
+    assert [n["stroke"] for n in line.values()] == pytest.approx([6, 7, 8])
+    assert figure6.follows(line, "scale", "stroke").endswith("it grows.")
+    assert len(figure6.cells(subject)) == 1 + 7
+    assert len(figure6.cells(replace(subject, effort=replace(EFFORT, whole_grid=True)))) == 1 + 27
+
+
+def test_joint_training_is_measured(subject: Subject, tmp_path: Path):
+    some = [cell for cell in segmenting.cells(subject) if cell.key == "joint"]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, some)]) == 1
+    numbers = book.results(some)["segmenting"]["joint"].numbers
+    assert numbers["steps"] == 12 and numbers["by_hand"] is None and numbers["lifting"] >= 0
+
+
+def test_faults_of_the_official_code_are_what_they_are_called(subject: Subject, tmp_path: Path):
+    labels = torch.zeros(40, 40, dtype=torch.int64)
+    labels[:, 17:] = 200
+    small = official.bicubic_labels(labels, (30, 20))
+    assert {*small.unique().tolist()} - {0, 200}, "ids that were not there"
+    assert official.squashed(torch.rand(50, 50, 3), (32, 18)).shape == (32, 18, 3)
+    keys = ("none", official.BLACK)
+    some = [cell for cell in official.cells(subject) if cell.key in keys]
+    book = Book(tmp_path, {})
+    assert len([*work_through(book, some)]) == 2
+    plain, black = (book.results(some)["official"][key].numbers for key in keys)
+    assert plain["mask_iou"] == black["mask_iou"] and plain["strength"] != black["strength"]

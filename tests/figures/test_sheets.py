@@ -1,0 +1,306 @@
+"""The sheets that commands draw: objects, selections, label maps, before and after, photos."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from balls import BALLS, CAMERAS, CLASSIFIER, SPLATS, TRAINED, enlarged, painted, write_pictures
+from capture_files import write_ball_capture
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.best_views import close_up
+from stylesplat.figures.grid import CAPTION, CARD, CELL, MARGIN, PAPER
+from stylesplat.figures.pictures import label_colors
+from stylesplat.figures.sheets import (
+    GAP,
+    NARROWEST,
+    OUTLINE,
+    PANEL,
+    PHOTO_COLUMNS,
+    PHOTO_HEIGHT,
+    PHOTO_WIDTH,
+    SMALL,
+    THICKNESS,
+    TINT,
+    before_after,
+    beside_photo,
+    mask_preview,
+    object_sheet,
+    one_view,
+    selection_picture,
+)
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Classifier
+from stylesplat.selection.identities import render_labels
+from stylesplat.selection.pick import pick
+from stylesplat.verbs.load import load
+
+WIDTH = CELL + GAP + SMALL  # of a cell of the object sheet
+RED, GREEN, BLUE = (pick(SPLATS, object_id=id, remove_outliers=False) for id in (3, 7, 300))
+HEIGHT = PANEL * 36 // 48  # of a view of a selection
+GREY = 100
+
+
+def part(sheet: torch.Tensor, left: int, top: int, width: int, height: int) -> torch.Tensor:
+    return sheet[top : top + height, left : left + width].float()
+
+
+# Objects
+
+
+def portrait(sheet: torch.Tensor, column: int) -> torch.Tensor:
+    return part(sheet, MARGIN + column * (WIDTH + MARGIN), MARGIN, CELL, CELL)
+
+
+def small_ones(sheet: torch.Tensor, column: int) -> list[torch.Tensor]:
+    left = MARGIN + column * (WIDTH + MARGIN) + CELL + GAP
+    return [part(sheet, left, top, SMALL, SMALL) for top in (MARGIN, MARGIN + SMALL + GAP)]
+
+
+def test_each_object_fills_its_pictures_alone():
+    sheet = object_sheet(SPLATS, CAMERAS)
+    for column, channel in enumerate((0, 1, 2)):  # the red, green and blue ball
+        first, second = small_ones(sheet, column)
+        for cell in (portrait(sheet, column), first, second):
+            shown = (cell - torch.tensor(CARD)).abs().sum(dim=-1) > 60
+            assert 0.4 < shown.float().mean() < 0.9  # a disc in its square covers 0.79
+            assert cell[shown].mean(dim=0).argmax() == channel
+            assert torch.equal(cell[0, 0], torch.tensor(CARD).float())
+        assert not torch.equal(first, second)
+    one = object_sheet(SPLATS, CAMERAS[:1])
+    assert all((cell == torch.tensor(CARD)).all() for cell in small_ones(one, 0))
+
+
+def test_no_close_up_of_what_does_not_show():
+    nothing = torch.zeros(len(SPLATS), dtype=torch.bool)
+    nothing[0] = True
+    splats = replace(SPLATS, opacities=SPLATS.opacities.index_fill(0, torch.tensor([0]), -9.0))
+    with pytest.raises(StyleSplatError, match=r"does not show in any of 8 views"):
+        close_up(splats, CAMERAS, nothing)
+    with pytest.raises(StyleSplatError, match=r"does not show in 0003\.jpg"):
+        close_up(splats, CAMERAS[3], nothing)
+
+
+def test_strays_do_not_shrink_the_object():
+    means, scales = SPLATS.means.clone(), SPLATS.scales.clone()
+    noise = torch.randn(25, 3, generator=torch.Generator().manual_seed(0))
+    means[200:225] = torch.tensor([-0.7, 0.0, 1.4]) + 0.01 * noise  # part of the red ball
+    scales[200:225] -= 1
+    cell = portrait(object_sheet(replace(SPLATS, means=means, scales=scales), CAMERAS), 0)
+    red = (cell[..., 0] > 150) & (cell[..., 1] < 100)
+    assert red.float().mean() > 0.4  # framing the strays too leaves less than 0.2
+
+
+def test_a_whole_view_wins_over_a_larger_one_that_cuts_the_object():
+    whole = CAMERAS[0]
+    Ks = 2 * whole.Ks
+    Ks[:, 0, 2] = 22.0  # the red ball's middle is on the left border
+    Ks[:, 2, 2] = 1.0
+    both = replace(
+        CAMERAS[:2], viewmats=whole.viewmats.repeat(2, 1, 1), Ks=torch.cat([Ks, whole.Ks])
+    )
+    chosen, expected = (portrait(object_sheet(SPLATS, c), 0) for c in (both, whole))
+    assert torch.equal(chosen, expected)
+
+
+def test_names_are_in_the_captions():
+    plain, named = (object_sheet(SPLATS, CAMERAS, names=names) for names in ({}, {7: "apple"}))
+    changed = (plain != named).any(dim=-1).nonzero()
+    assert len(changed) and changed[:, 0].min() >= MARGIN + CELL
+    assert changed[:, 1].min() >= 2 * MARGIN + WIDTH, "of the second cell"
+    assert changed[:, 1].max() < 2 * (MARGIN + WIDTH)
+
+
+def test_objects_without_gaussians_or_no_objects():
+    weight = torch.cat([CLASSIFIER.weight, torch.zeros(1, 16)])
+    bias = torch.cat([CLASSIFIER.bias, torch.tensor([-50.0])])
+    more = Classifier(weight, bias, ids=(*CLASSIFIER.ids, 999))
+    sheet = object_sheet(replace(SPLATS, classifier=more), CAMERAS)
+    assert (portrait(sheet, 3) == torch.tensor(CARD)).all()
+    alone = Classifier(CLASSIFIER.weight[:1], CLASSIFIER.bias[:1], ids=(0,))
+    with pytest.raises(StyleSplatError, match="no objects"):
+        object_sheet(replace(SPLATS, classifier=alone), CAMERAS)
+
+
+# Selections
+
+
+def drawn(picked: torch.Tensor, cameras: Cameras = CAMERAS) -> torch.Tensor:
+    picture = selection_picture(SPLATS, cameras, picked)
+    assert picture is not None
+    return picture
+
+
+def panel(picture: torch.Tensor, number: int) -> torch.Tensor:
+    return part(picture, MARGIN + number * (PANEL + MARGIN), MARGIN, PANEL, HEIGHT)
+
+
+def colored(panel: torch.Tensor, color: tuple[int, ...]) -> torch.Tensor:
+    return (panel - torch.tensor(color)).abs().amax(dim=-1) < 40
+
+
+@pytest.mark.parametrize(("picked", "channel"), [(RED, 0), (BLUE, 2)])
+def test_a_selection_has_its_colour_and_an_outline_and_all_else_is_grey(
+    picked: torch.Tensor, channel: int
+):
+    picture = drawn(picked)
+    assert picture.shape == (2 * MARGIN + HEIGHT + CAPTION, MARGIN + 3 * (PANEL + MARGIN), 3)
+    for number in range(3):
+        view = panel(picture, number)
+        outline = colored(view, OUTLINE)
+        spread = view.amax(dim=-1) - view.amin(dim=-1)
+        vivid = (spread > 90) & ~outline
+        assert vivid.sum() > 400 and outline.sum() > 100
+        assert (view[vivid].argmax(dim=-1) == channel).float().mean() > 0.9
+        assert 0.3 < (spread < 20).float().mean() < 0.98
+        line, ball = outline.nonzero(), vivid.nonzero()
+        gaps = torch.cat([ball.amin(dim=0) - line.amin(dim=0), line.amax(dim=0) - ball.amax(dim=0)])
+        assert -THICKNESS <= gaps.min() and gaps.max() < 20, "a tenth of its width, where it fades"
+
+
+def test_blue_is_what_takes_no_paint():
+    """A few Gaussians of another ball, which they do not cover."""
+    few = RED.clone()
+    few[GREEN.nonzero()[:8, 0]] = True
+    where = (drawn(few).float() - drawn(RED).float())[..., 2] > 20
+    assert where.sum() > 20
+    red, green, blue = drawn(few)[where].float().mean(dim=0)
+    assert blue > 1.3 * max(red, green)
+
+
+def test_a_small_selection_is_shown_from_close_by():
+    small = replace(CAMERAS, Ks=CAMERAS.Ks.clone(), sizes=4 * CAMERAS.sizes)
+    small.Ks[:, :2, 2] *= 4  # the same objects in a picture four times as long
+    far, near = panel(drawn(RED, small), 0), panel(drawn(RED), 0)
+    lengths = [colored(view, (230, 26, 26)).nonzero()[:, 1].float().std() for view in (far, near)]
+    assert 0.5 < lengths[0] / lengths[1] < 2  # uncut, it would be a quarter
+    assert colored(far, OUTLINE).any()
+
+
+def test_selections_in_fewer_and_in_other_views():
+    tall = replace(CAMERAS[:1], sizes=torch.tensor([[36, 48]]), names=("tall.jpg",))
+    both = drawn(RED, tall + CAMERAS[2:3])
+    assert both.shape == (2 * MARGIN + PANEL + CAPTION, 2 * MARGIN + PANEL + HEIGHT + MARGIN, 3)
+    hidden = torch.arange(len(SPLATS)) == 0
+    means = torch.cat([torch.tensor([BALLS[3][0]]), SPLATS.means[1:]])  # inside a ball
+    scales = SPLATS.scales.index_fill(0, torch.tensor([0]), -6.0)
+    splats = replace(SPLATS, means=means, scales=scales)
+    assert selection_picture(splats, CAMERAS, hidden) is None
+
+
+# Label maps
+
+
+def masked(cameras: Cameras = CAMERAS, *, without: tuple[int, ...] = ()) -> Capture:
+    """Grey photos; some have no label map."""
+    rows = range(len(cameras))
+    width, height = CAMERAS.size
+    maps = [None if row in without else render_labels(SPLATS, cameras[row]) for row in rows]
+    photos = [torch.full((height, width, 3), GREY, dtype=torch.uint8) for _ in rows]
+    return Capture(cameras=cameras, photos=photos, label_maps=maps)
+
+
+def photo(page: torch.Tensor, number: int) -> torch.Tensor:
+    width, height = CAMERAS.size
+    line, column = divmod(number, PHOTO_COLUMNS)
+    left, top = MARGIN + column * (width + MARGIN), MARGIN + line * (height + MARGIN)
+    return part(page, left, top, width, height)
+
+
+def test_masked_objects_are_tinted_and_the_rest_stays_as_it_is():
+    labels = render_labels(SPLATS, CAMERAS[5])
+    expected = TINT * label_colors(labels).float() + (1 - TINT) * GREY
+    expected[labels == 0] = GREY
+    assert (photo(mask_preview(masked(), {}), 5) - expected).abs().max() <= 0.5, "rounding"
+
+
+@pytest.mark.parametrize("name", ["vase", "two\nlines", " ", "вazа 花瓶"])  # noqa: RUF001
+def test_the_legend_calls_objects_by_name_or_id(name: str):
+    plain = mask_preview(masked(), {})
+    named = mask_preview(masked(), {3: name, 999: "shows nowhere"})
+    legend = slice(MARGIN + 2 * (CAMERAS.size[1] + MARGIN), None)
+    assert torch.equal(plain[: legend.start], named[: legend.start])
+    assert not torch.equal(plain[legend], named[legend])
+    for id, is_shown in ((3, True), (7, True), (300, True), (999, False)):
+        color = label_colors(torch.tensor([[id]]))[0, 0]
+        assert (named[legend] == color).all(dim=-1).any() == is_shown
+
+
+def test_long_names_take_more_lines():
+    short, long = (
+        mask_preview(masked(), dict.fromkeys((3, 7, 300), name)) for name in ("a", "a" * 40)
+    )
+    assert long.shape[1] == short.shape[1] and long.shape[0] > short.shape[0]
+
+
+def test_previews_have_eight_photos_with_label_maps_at_most():
+    page = mask_preview(masked(without=(0, 1, 2, 4, 5, 6, 7)), {})
+    assert page.shape[1] == CAMERAS.size[0] + 2 * MARGIN, "one cell"
+    assert (photo(page, 0)[render_labels(SPLATS, CAMERAS[3]) == 0] == GREY).all()
+    many = CAMERAS[[row for row in range(8) for _ in range(3)]]
+    many = replace(many, names=tuple(f"{row}.jpg" for row in range(24)))
+    assert mask_preview(masked(many), {}).shape == mask_preview(masked(), {}).shape
+
+
+def test_large_photos_of_previews_are_made_smaller():
+    camera = enlarged(CAMERAS[:1], 20)
+    width, height = camera.size
+    image = torch.full((height, width, 3), GREY, dtype=torch.uint8)
+    labels = torch.full((height, width), 7)
+    page = mask_preview(Capture(cameras=camera, photos=[image], label_maps=[labels]), {})
+    assert width > PHOTO_WIDTH and height > PHOTO_HEIGHT
+    assert page.shape[1] == 400 + 2 * MARGIN
+
+
+# Before and after, photos and renders
+
+
+def pair(picture: torch.Tensor, width: int, height: int) -> list[torch.Tensor]:
+    """The two pictures of a row."""
+    return [part(picture, left, MARGIN, width, height) for left in (MARGIN, 2 * MARGIN + width)]
+
+
+def test_before_and_after_at_the_photos_size(tmp_path: Path):
+    pictures = write_pictures(tmp_path)
+    scene = replace(TRAINED, cameras=enlarged(CAMERAS, 2))
+    styled = painted(scene, "red", pictures, intensity=1.0, layers=(2,))
+    found = before_after(styled, device="cpu")
+    assert found is not None and found[0] in styled.cameras.names
+    assert found[1].shape == (72 + CAPTION + 2 * MARGIN, 2 * 96 + 3 * MARGIN, 3)
+    before, after = pair(found[1], 96, 72)
+    changed = (before - after).abs().amax(dim=-1) > 0
+    assert 20 < int(changed.sum()) < 0.3 * changed.numel(), "the ball, and nothing else"
+    assert before[changed][:, 0].mean() > 100 > before[changed][:, 2].mean(), "it was red before"
+    away = replace(styled.cameras, viewmats=styled.cameras.viewmats + 0)
+    away.viewmats[:, 2, 3] -= 100
+    assert before_after(replace(styled, cameras=away), device="cpu") is None
+
+
+def test_a_photo_beside_its_render(tmp_path: Path):
+    """At the photo's own size, though the scene was made from a smaller one, and captioned."""
+    views = enlarged(CAMERAS[[2, 5]], 12)
+    capture = load(write_ball_capture(tmp_path / "balls", views, masks=False), downscale=6.0)
+    scene: Scene = replace(TRAINED, cameras=views, held_out=CAMERAS.names[2:3])
+    picture = beside_photo(scene, capture, CAMERAS.names[2], device="cpu")
+    wide, high = 12 * 48, 12 * 36
+    assert picture.shape == (high + CAPTION + 2 * MARGIN, 2 * wide + 3 * MARGIN, 3)
+    photo, render = pair(picture, wide, high)
+    assert (photo - render).abs().mean() < 12, "they show the same"
+    other = one_view(scene, CAMERAS.names[5], device="cpu").float()
+    assert (photo - other).abs().mean() > 20
+    trained = beside_photo(replace(scene, held_out=()), capture, CAMERAS.names[2], device="cpu")
+    changed = (trained != picture).any(dim=-1).nonzero()
+    assert changed[:, 0].min() >= MARGIN + high and changed[:, 1].max() < MARGIN + wide
+
+
+def test_small_photos_are_enlarged_so_that_captions_can_be_read(tmp_path: Path):
+    capture = load(write_ball_capture(tmp_path / "balls"), downscale=2.0)
+    picture = beside_photo(TRAINED, capture, CAMERAS.names[2], device="cpu")
+    high = round(36 * NARROWEST / 48)
+    assert picture.shape[0] > high and picture.shape[1] == 2 * NARROWEST + 3 * MARGIN
+    for left in (MARGIN, 2 * MARGIN + NARROWEST):
+        caption = part(picture, left, MARGIN + high, NARROWEST, CAPTION)
+        assert caption.min() < 60 and bool((caption[:, -100:] == torch.tensor(PAPER)).all())
