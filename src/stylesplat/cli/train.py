@@ -173,7 +173,7 @@ def _backend(device: str) -> str:
     import numba
     import torch
 
-    from stylesplat.rendering.device import pick_device
+    from stylesplat.rendering.render import pick_device
 
     number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
     if pick_device(device).type == "cuda":

@@ -21,17 +21,15 @@ from stylesplat.rendering.kernels import (
     blend,
     blend_backward,
     project,
-    project_backward,
     sh_colors,
     tiles,
     vecs,
 )
 from stylesplat.rendering.kernels.blend import Picture
-from stylesplat.rendering.kernels.project_backward import GeometryRows
-from stylesplat.rendering.kernels.rows import Rows
+from stylesplat.rendering.kernels.project import GeometryRows
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
-from stylesplat.rendering.kernels.vec import LANES
+from stylesplat.rendering.kernels.vec import LANES, Rows
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras
@@ -114,14 +112,14 @@ class _Project(Function):
         if not any(ctx.needs_input_grad[2:]):
             return None, v_viewmat, None, None, None, None
         gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
-        project_backward.project_backward(*known, arrays(gradients), get_num_threads())
+        project.project_backward(*known, arrays(gradients), get_num_threads())
         return None, v_viewmat, *gradients, None
 
 
 def _viewmat_gradient(*known: tuple) -> Tensor:
     """Of the same nouns as `project_backward` takes; the last row of the matrix is 0."""
     sums = np.zeros((get_num_threads(), 12, LANES))
-    project_backward.view_backward(*known, sums)
+    project.view_backward(*known, sums)
     rows = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
     return torch.nn.functional.pad(rows, (0, 0, 0, 1))
 

@@ -13,8 +13,13 @@ from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.render import rasterize
 from stylesplat.training import densification, per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
-from stylesplat.training.device_ops import device_ops
-from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss, split_render
+from stylesplat.training.losses import (
+    identity_loss,
+    nearest_rows,
+    neighbor_loss,
+    photometric_loss,
+    split_render,
+)
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
 from stylesplat.training.train_config import TrainConfig, means_decay
 from stylesplat.training.training_views import TrainingView
@@ -148,7 +153,7 @@ def _identity_losses(
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
         sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
-        neighbors = device_ops(means.device).nearest(means, sample, NEIGHBORS)
+        neighbors = nearest_rows(means, sample, NEIGHBORS)
         own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss

@@ -9,7 +9,7 @@ from stylesplat.errors import some
 from stylesplat.figures.pictures import depth_step, render_pictures
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
