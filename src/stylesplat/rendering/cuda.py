@@ -35,7 +35,7 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `render.Rasterizer`.
+    """Render; see `reference.rasterize`.
 
     The Gaussians are projected and sorted into tiles once, for all channels.
     """

@@ -143,7 +143,11 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `render.Rasterizer`."""
+    """Image, coverage and projections of Gaussians, each camera with colours of its own.
+
+    Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
+    matrices have the Gaussians' type and device.
+    """
     projections, images, alphas = [], [], []
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = project(gaussians, view)
