@@ -22,7 +22,6 @@ from stylesplat.training.losses import (
 )
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
 from stylesplat.training.train_config import TrainConfig, means_decay
-from stylesplat.training.training_views import TrainingView
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -99,7 +98,10 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         camera = per_photo.shift_cameras(
             camera, params["pose_shifts"][place : place + 1], run.extent
         )
-    background, target = _random_background(view, generator)
+    background, target = None, view.photo
+    if view.alpha is not None:
+        background = torch.rand(3, generator=generator, device=run.device)
+        target = target + (1 - view.alpha) * background
     render, alphas, info = rasterize(
         splats,
         camera,
@@ -126,16 +128,6 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
     loss.backward()
     visible = (info["radii"][0] > 0).all(dim=-1)
     return PhotoGradients(state, visible, torch.stack([loss.detach(), decibels(error)]), noise)
-
-
-def _random_background(
-    view: TrainingView, generator: torch.Generator
-) -> tuple[Float[Tensor, "3"] | None, Float[Tensor, "H W 3"]]:
-    """The colour behind everything, None for black; and the photo before it."""
-    if view.alpha is None:
-        return None, view.photo
-    color = torch.rand(3, generator=generator, device=view.photo.device)
-    return color, view.photo + (1 - view.alpha) * color
 
 
 def _identity_losses(

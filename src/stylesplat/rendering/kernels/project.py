@@ -90,11 +90,7 @@ def read_two(array, first, count, buffer):
 def read_three(array, first, count, buffer):
     """Three columns; see `read_two`."""
     read_columns(array, first, count, 3, buffer)
-    return (
-        vec.load(buffer, 0),
-        vec.load(buffer, vec.LANES),
-        vec.load(buffer, 2 * vec.LANES),
-    )
+    return vec.load(buffer, 0), vec.load(buffer, vec.LANES), vec.load(buffer, 2 * vec.LANES)
 
 
 @no_type_check
@@ -102,12 +98,17 @@ def read_three(array, first, count, buffer):
 def read_four(array, first, count, buffer):
     """Four columns; see `read_two`."""
     read_columns(array, first, count, 4, buffer)
-    first_two = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
-    return (
-        *first_two,
-        vec.load(buffer, 2 * vec.LANES),
-        vec.load(buffer, 3 * vec.LANES),
-    )
+    x, y = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
+    return x, y, vec.load(buffer, 2 * vec.LANES), vec.load(buffer, 3 * vec.LANES)
+
+
+@no_type_check
+@inner
+def read_gaussian(means, quats, scales, first, count, buffer):
+    """Up to 16 Gaussians; see `read_two`."""
+    mean = read_three(means, first, count, buffer)
+    quat = read_four(quats, first, count, buffer)
+    return Gaussian(mean, quat, read_three(scales, first, count, buffer))
 
 
 @no_type_check
@@ -132,29 +133,31 @@ def write_three(array, lanes, values):
 @no_type_check
 @inner
 def dot(a, b):
-    """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @no_type_check
 @inner
 def cross_product(a, b):
-    """The vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @no_type_check
 @inner
 def scaled(a, weight):
-    """A vector times a number."""
     return a[0] * weight, a[1] * weight, a[2] * weight
 
 
 @no_type_check
 @inner
 def plus(a, b):
-    """The sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@no_type_check
+@inner
+def times(a, b):
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @no_type_check
@@ -201,16 +204,10 @@ def camera_space(mean, viewmat):
 def camera_axes(rows, scale, viewmat):
     """Rows of the matrix whose columns are a Gaussian's scaled axes in the camera."""
     r0, r1, r2 = rows
-    sx, sy, sz = scale
-    m0, m1, m2 = (
-        combine(viewmat[0], r0, r1, r2),
-        combine(viewmat[1], r0, r1, r2),
-        combine(viewmat[2], r0, r1, r2),
-    )
     return (
-        (m0[0] * sx, m0[1] * sy, m0[2] * sz),
-        (m1[0] * sx, m1[1] * sy, m1[2] * sz),
-        (m2[0] * sx, m2[1] * sy, m2[2] * sz),
+        times(combine(viewmat[0], r0, r1, r2), scale),
+        times(combine(viewmat[1], r0, r1, r2), scale),
+        times(combine(viewmat[2], r0, r1, r2), scale),
     )
 
 
@@ -286,11 +283,7 @@ def project(gaussians, view, out, threads):
         low, high = span(means.shape[0], thread, threads)
         for first in range(low, high, vec.LANES):
             count = min(vec.LANES, high - first)
-            gaussian = Gaussian(
-                read_three(means, first, count, buffer),
-                read_four(quats, first, count, buffer),
-                read_three(scales, first, count, buffer),
-            )
+            gaussian = read_gaussian(means, quats, scales, first, count, buffer)
             a0, a1, _, p, _, _, _ = image_axes(gaussian, view)
             sigma_x, sigma_y, conic = ellipse(a0, a1)
             u = K[0, 0] * p[0] / p[2] + K[0, 2]
@@ -367,17 +360,8 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
     e1 = combine((viewmat[0, 1], viewmat[1, 1], viewmat[2, 1]), d0, d1, d2)
     e2 = combine((viewmat[0, 2], viewmat[1, 2], viewmat[2, 2]), d0, d1, d2)
     r0, r1, r2 = rows
-    v_scale = (
-        e0[0] * r0[0] + e1[0] * r1[0] + e2[0] * r2[0],
-        e0[1] * r0[1] + e1[1] * r1[1] + e2[1] * r2[1],
-        e0[2] * r0[2] + e1[2] * r1[2] + e2[2] * r2[2],
-    )
-    sx, sy, sz = scale
-    v_rows = (
-        (e0[0] * sx, e0[1] * sy, e0[2] * sz),
-        (e1[0] * sx, e1[1] * sy, e1[2] * sz),
-        (e2[0] * sx, e2[1] * sy, e2[2] * sz),
-    )
+    v_scale = plus(plus(times(e0, r0), times(e1, r1)), times(e2, r2))
+    v_rows = times(e0, scale), times(e1, scale), times(e2, scale)
     v_w, v_x, v_y, v_z = rotation_backward((w, x, y, z), v_rows)
     radial = w * v_w + x * v_x + y * v_y + z * v_z
     v_quat = (
@@ -419,17 +403,6 @@ def camera_gradients(gaussian, view, conic, v_ellipse):
 
 @no_type_check
 @inner
-def gaussian_gradients(gaussian, view, conic, v_ellipse):
-    """Gradients of a Gaussian's mean, quaternion and scale."""
-    viewmat, _, _, _ = view
-    v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
-    v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
-    v_mean = combine(v_p, viewmat[0], viewmat[1], viewmat[2])
-    return Gaussian(v_mean, v_quat, v_scale)
-
-
-@no_type_check
-@inner
 def read_gradients(geometry, projected, v_projected, first, end, buffer):
     """Sixteen Gaussians, or those before `end`, with their conics and gradients; who is visible."""
     means, quats, scales = geometry
@@ -437,11 +410,7 @@ def read_gradients(geometry, projected, v_projected, first, end, buffer):
     v_means2d, v_conics, _, _ = v_projected
     count = min(vec.LANES, end - first)
     radius, _ = read_two(radii, first, count, buffer)
-    gaussian = Gaussian(
-        read_three(means, first, count, buffer),
-        read_four(quats, first, count, buffer),
-        read_three(scales, first, count, buffer),
-    )
+    gaussian = read_gaussian(means, quats, scales, first, count, buffer)
     conic = read_three(conics, first, count, buffer)
     v_ellipse = Ellipse(
         read_two(v_means2d, first, count, buffer), read_three(v_conics, first, count, buffer)
@@ -458,6 +427,7 @@ def project_backward(geometry, view, projected, v_projected, out, threads):
     """
     means, _, _ = geometry
     v_means, v_quats, v_scales = out
+    viewmat, _, _, _ = view
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
         low, high = span(means.shape[0], thread, threads)
@@ -465,7 +435,9 @@ def project_backward(geometry, view, projected, v_projected, out, threads):
             gaussian, conic, v_ellipse, lanes = read_gradients(
                 geometry, projected, v_projected, first, high, buffer
             )
-            v_mean, v_quat, v_scale = gaussian_gradients(gaussian, view, conic, v_ellipse)
+            v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
+            v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
+            v_mean = combine(v_p, viewmat[0], viewmat[1], viewmat[2])
             write_three(v_means, lanes, v_mean)
             write_three(v_scales, lanes, v_scale)
             write_three(v_quats, lanes, v_quat)
@@ -494,13 +466,6 @@ def add_row(sums, row, lanes, v_p, v_axes, mean, world_axes):
 
 
 @no_type_check
-@inner
-def stretched(row, scale):
-    """A row of a rotation matrix whose columns are multiplied by the scales."""
-    return row[0] * scale[0], row[1] * scale[1], row[2] * scale[2]
-
-
-@no_type_check
 @kernel
 def view_backward(geometry, view, projected, v_projected, sums):
     """Add up the gradient of the first three rows of the world-to-camera matrix.
@@ -524,11 +489,7 @@ def view_backward(geometry, view, projected, v_projected, sums):
             )
             v_axes, v_p, _, rows = camera_gradients(gaussian, view, conic, v_ellipse)
             mean, scale = gaussian.mean, gaussian.scale
-            world_axes = (
-                stretched(rows[0], scale),
-                stretched(rows[1], scale),
-                stretched(rows[2], scale),
-            )
+            world_axes = times(rows[0], scale), times(rows[1], scale), times(rows[2], scale)
             add_row(sums[thread], 0, lanes, v_p[0], v_axes[0], mean, world_axes)
             add_row(sums[thread], 1, lanes, v_p[1], v_axes[1], mean, world_axes)
             add_row(sums[thread], 2, lanes, v_p[2], v_axes[2], mean, world_axes)
