@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_flatten
 
-from fake_gsplat import cuda_ops
+from fake_gsplat import install_training_kernels
 from rendering.native_gsplat import install
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
@@ -32,8 +32,7 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     install(monkeypatch)
     for name in ("rasterization", "rasterize_to_pixels", "spherical_harmonics"):
         monkeypatch.setattr(gsplat, name, _kernel(getattr(gsplat, name)))
-    parts = cuda_ops(monkeypatch)
-    monkeypatch.setattr(parts, "fused_adam", _kernel(parts.fused_adam))
+    install_training_kernels(monkeypatch, _kernel)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: False)
     with FakeCuda():

@@ -2,8 +2,6 @@
 
 import inspect
 from collections.abc import Callable
-from math import comb
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -12,19 +10,17 @@ import torch
 from stylesplat.rendering.reference import rotation_matrices
 
 
-def cuda_ops(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Operations of training for GPUs, on tensors of the CPU."""
-    pytest.importorskip("gsplat")
-    from stylesplat.training import cuda_ops as module
-
-    for name, stand_in in (
-        ("fused_adam", adam),
-        ("compute_relocation", compute_relocation),
-        ("quat_scale_to_covar_preci", quat_scale_to_covar_preci),
+def install_training_kernels(
+    monkeypatch: pytest.MonkeyPatch, wrap: Callable[[Callable], Callable] = lambda each: each
+) -> None:
+    """Put stand-ins for the kernels that training calls into gsplat for one test."""
+    gsplat = pytest.importorskip("gsplat")
+    for module, name, stand_in in (
+        (gsplat.cuda._wrapper, "adam", adam),
+        (gsplat, "quat_scale_to_covar_preci", quat_scale_to_covar_preci),
     ):
         real = inspect.unwrap(getattr(module, name))
-        monkeypatch.setattr(module, name, _bound(real, stand_in))
-    return module
+        monkeypatch.setattr(module, name, wrap(_bound(real, stand_in)))
 
 
 def _bound(real: Callable, stand_in: Callable) -> Callable:
@@ -48,21 +44,6 @@ def adam(param, param_grad, exp_avg, exp_avg_sq, valid, lr, b1, b2, eps) -> None
     second = b2 * exp_avg_sq[valid] + (1 - b2) * param_grad[valid] ** 2
     exp_avg[valid], exp_avg_sq[valid] = first, second
     param[valid] -= lr * first / (second.sqrt() + eps)
-
-
-def compute_relocation(opacities, scales, ratios, binoms):
-    """RelocationCUDA.cu: activated opacities and scales; the ratios are clamped in place."""
-    (count,), (most, _) = opacities.shape, binoms.shape
-    assert scales.shape == (count, 3) and ratios.shape == (count,)
-    assert float(binoms[10, 3]) == comb(10, 3) and binoms.dtype == opacities.dtype
-    ratios.clamp_(min=1, max=most)
-    new = 1 - (1 - opacities) ** (1 / ratios)
-    total = torch.zeros_like(new)
-    for i in range(1, int(ratios.max()) + 1):
-        for k in range(i):
-            term = binoms[i - 1, k] * (-1) ** k / (k + 1) ** 0.5 * new ** (k + 1)
-            total += torch.where(ratios >= i, term, 0)
-    return new, (opacities / total)[:, None] * scales
 
 
 def quat_scale_to_covar_preci(quats, scales, compute_covar, compute_preci, triu):

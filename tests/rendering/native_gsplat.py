@@ -10,9 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.rendering import constants as const
 from stylesplat.rendering import reference
-from stylesplat.rendering.gaussians import Gaussians, Projected, View
+from stylesplat.rendering.gaussians import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected, View
 from stylesplat.scene.splats import sh_basis
 
 SUPPORTED = {1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513}
@@ -37,7 +36,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
         def apply(means, covars, quats, scales, viewmats, Ks, width, height, *options):
             *cuts, compensate, camera_model, opacities = options
             assert covars is None and not compensate and camera_model == "pinhole"
-            assert cuts == [const.EPS2D, const.NEAR_PLANE, const.FAR_PLANE, 0.0]
+            assert cuts == [EPS2D, NEAR_PLANE, FAR_PLANE, 0.0]
             calls.projections += 1
             gaussians = Gaussians(means, quats, scales, opacities)
             if means.is_meta:

@@ -10,7 +10,7 @@ from stylesplat.rendering import render as rendering
 from stylesplat.rendering import visibility
 from stylesplat.rendering.gaussians import activated
 from stylesplat.rendering.render import rasterize, render
-from stylesplat.rendering.visibility import in_view, visible_rows
+from stylesplat.rendering.visibility import in_view, visible
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
@@ -59,9 +59,9 @@ def test_what_is_seen_is_what_has_a_radius():
 
 
 @pytest.mark.usefixtures("part")
-def test_what_is_hidden_is_not_visible_rows():
+def test_what_is_hidden_is_not_visible():
     splats, camera = walled(), crop(CAMERA, (0, 0), (64, 48))  # tiles that lie in the image
-    rows = visible_rows(splats, camera)
+    rows = visible(in_view(splats, camera), camera).rows
     assert torch.equal(rows, rows.unique()) and rows[0] == 0
     behind = splats.means[:, 2] > 0
     assert behind[in_view(splats, camera).rows].any() and not behind[rows].any()
@@ -90,4 +90,4 @@ def test_a_camera_that_sees_nothing(count: int):
     splats = replace(random_splats(count), opacities=torch.full((count,), -20.0))
     image, alphas = render(splats, CAMERA)
     assert image.shape == (52, 70, 3) and not image.any() and not alphas.any()
-    assert not len(visible_rows(splats, CAMERA))
+    assert not len(visible(in_view(splats, CAMERA), CAMERA).rows)

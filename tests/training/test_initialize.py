@@ -31,16 +31,17 @@ def begun(
     )
 
 
-def noise(count: int) -> torch.Tensor:
-    return torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
-
-
-def test_one_gaussian_per_point(capture: Capture):
+@pytest.mark.parametrize("degree", range(4))
+def test_one_round_faint_gaussian_per_point(capture: Capture, degree: int):
     assert capture.points is not None and capture.point_colors is not None
-    splats = begun(capture)
+    splats = begun(capture, sh_degree=degree)
     assert torch.equal(splats.means, capture.points)
     colors = rgb_from_sh0(splats.sh0[:, 0])
     assert torch.allclose(colors, capture.point_colors / 255, atol=1e-6)
+    assert splats.sh_degree == degree and not splats.shN.any()
+    assert (splats.scales == splats.scales[:, :1]).all()
+    assert torch.allclose(torch.sigmoid(splats.opacities), torch.tensor(0.1))
+    assert torch.allclose(splats.quats.norm(dim=1), torch.tensor(1.0))
 
 
 def test_of_too_many_points_some_are_taken(capture: Capture):
@@ -48,19 +49,6 @@ def test_of_too_many_points_some_are_taken(capture: Capture):
     splats = begun(capture, cap=50)
     assert len(splats) == 50 == len(splats.means.unique(dim=0))
     assert (splats.means[:, None] == capture.points).all(-1).any(1).all()
-
-
-def test_first_gaussians_are_round_and_faint(capture: Capture):
-    splats = begun(capture)
-    assert (splats.scales == splats.scales[:, :1]).all()
-    assert torch.allclose(torch.sigmoid(splats.opacities), torch.tensor(0.1))
-    assert torch.allclose(splats.quats.norm(dim=1), torch.tensor(1.0))
-
-
-@pytest.mark.parametrize("degree", range(4))
-def test_higher_bands_are_black(capture: Capture, degree: int):
-    splats = begun(capture, sh_degree=degree)
-    assert splats.sh_degree == degree and not splats.shN.any()
 
 
 def test_with_ids_there_are_identities_and_a_classifier(capture: Capture):
@@ -80,22 +68,12 @@ def test_everything_random_follows_from_the_generator(capture: Capture):
 
 def test_distances_to_neighbours_by_hand():
     # At 0, 1, 3, 7 and 15 on a line; three neighbours each.
-    points = torch.zeros(5, 3)
-    points[:, 0] = torch.tensor([0.0, 1, 3, 7, 15])
-    expected = [
-        (1 + 3 + 7) / 3,
-        (1 + 2 + 6) / 3,
-        (2 + 3 + 4) / 3,
-        (4 + 6 + 7) / 3,
-        (8 + 12 + 14) / 3,
-    ]
+    points = torch.tensor([0.0, 1, 3, 7, 15])[:, None] * torch.tensor([1.0, 0, 0])
+    expected = [11 / 3, 9 / 3, 9 / 3, 17 / 3, 34 / 3]
     assert neighbor_distances(points).tolist() == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_distances_of_hardly_any_points(count: int):
-    distances = neighbor_distances(noise(count))
-    assert distances.shape == (count,) and (distances > 0).all()
+    for count in (1, 2, 3):  # fewer than that
+        distances = neighbor_distances(points[:count])
+        assert distances.shape == (count,) and (distances > 0).all()
 
 
 def test_random_points_are_seen_by_several_cameras(cameras: Cameras):

@@ -6,7 +6,6 @@ from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.shares import label_votes
 from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
@@ -14,7 +13,7 @@ from stylesplat.selection.identities import class_probabilities, render_labels
 from stylesplat.selection.pick import THRESHOLD, pick_objects
 from stylesplat.training import lifting
 from stylesplat.training.densification import object_share
-from stylesplat.training.lifting import REPULSIONS, class_codes, lift, with_labels_of
+from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
 PHOTOS = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
@@ -30,22 +29,18 @@ def agreement(splats: Splats) -> float:
     return float((torch.stack(maps) == torch.stack(TRUTH)).float().mean())
 
 
-def test_objects_come_back():
+def test_objects_come_back_and_only_identities_are_new():
     lifted = lift(PLAIN, capture(TRUTH))
     assert agreement(lifted) > 0.97
     known, found = pick_objects(SPLATS, [*BALLS]), pick_objects(lifted, [*BALLS])
     for id, mask in known.items():
         assert (mask & found[id]).sum() / (mask | found[id]).sum() > 0.7  # undersides are hidden
+    for name, values in PLAIN.tensors().items():
+        assert torch.equal(values, lifted.tensors()[name])
     assert lifted.confidence is not None and lifted.confidence.max() <= 1 + 1e-5
     hidden = replace(PLAIN, means=PLAIN.means.index_fill(0, torch.tensor([5]), 99.0))
     unseen = lift(hidden, capture(TRUTH)).confidence
     assert unseen is not None and unseen[5] == 0
-
-
-def test_only_identities_are_new():
-    lifted = lift(PLAIN, capture(TRUTH))
-    for name, values in PLAIN.tensors().items():
-        assert torch.equal(values, lifted.tensors()[name])
 
 
 def test_other_views_outvote_a_wrong_map():
@@ -63,19 +58,8 @@ def test_views_without_a_map_and_views_left_out():
     assert torch.equal(with_gaps.identities, chosen.identities)
 
 
-def test_more_classes_than_numbers_per_gaussian():
-    strips = [torch.arange(36)[:, None].expand(36, 48) + 100 for _ in TRUTH]  # 36 classes
-    lifted = lift(PLAIN, capture(strips))
-    assert lifted.classifier is not None
-    assert len(lifted.classifier.ids) == 37  # and background
-    codes = class_codes(37)
-    closeness = (codes @ codes.T).fill_diagonal_(-1)
-    assert closeness.max() < 0.75
-    assert torch.equal(class_codes(37), codes)
-
-
 @pytest.mark.parametrize("count", [16, 17, 300, 1000])
-def test_labels_are_told_apart_however_many_there_are(monkeypatch, count: int):
+def test_labels_are_distinct_however_many_there_are(monkeypatch, count: int):
     """Gaussians of which seven tenths are one label's, the rest two others'."""
     monkeypatch.setattr(lifting, "REPULSIONS", min(REPULSIONS, 20_000 // count))  # fast
     generator, rows = torch.Generator().manual_seed(0), torch.arange(len(PLAIN))
@@ -117,11 +101,6 @@ def test_nothing_to_lift():
         lift(away, capture(TRUTH))
 
 
-def votes(label_maps, rows) -> tuple[tuple[int, ...], torch.Tensor]:
-    ids, found = label_votes(PLAIN, CAMERAS, [(row, label_maps[row]) for row in rows])
-    return ids, torch.from_numpy(found.toarray())
-
-
 def test_renaming_labels_renames_the_ids_and_nothing_else():
     renamed = {0: 0, 3: 1000, 7: 5, 300: 42}
     maps = [labels.clone().apply_(lambda id: renamed[id]) for labels in TRUTH]
@@ -134,31 +113,28 @@ def test_renaming_labels_renames_the_ids_and_nothing_else():
     assert torch.allclose(plain.confidence, other.confidence, atol=1e-5)  # sums in another order
 
 
-def test_votes_add_up_over_views():
-    ids, every = votes(TRUTH, range(8))
-    parts = [votes(TRUTH, rows) for rows in (range(3), range(3, 8))]
-    total = torch.zeros_like(every)
-    for some, part in parts:
-        for column, id in enumerate(some):
-            total[:, ids.index(id)] += part[:, column]
-    # Sums of some hundred pixels in another order.
-    torch.testing.assert_close(total, every, atol=1e-3, rtol=1e-4)
-
-
 def test_labels_of_the_whole_picture_leave_no_doubt():
-    flat = [torch.full_like(labels, 9) for labels in TRUTH]
-    _, counts = votes(flat, range(8))
-    seen = counts.sum(dim=1) > 1  # pixels; the prior outvotes those that hardly show
-    assert seen.float().mean() > 0.8
-    share = object_share(lift(PLAIN, capture(flat)))
-    assert share is not None and (share[seen] > 0.999).all()
+    lifted = lift(PLAIN, capture([torch.full_like(labels, 9) for labels in TRUTH]))
+    share = object_share(lifted)
+    assert share is not None and (share > 0.999).float().mean() > 0.8  # the others hardly show
 
 
 @pytest.mark.parametrize("count", [17, 60, 300])
 def test_codes_of_many_classes_are_far_apart(count: int):
     codes = class_codes(count)
+    assert torch.equal(class_codes(count), codes)
     assert torch.allclose(codes.norm(dim=1), torch.ones(count), atol=1e-5)
     drawn = torch.randn(count, 16, generator=torch.Generator().manual_seed(0))
     drawn = torch.nn.functional.normalize(drawn, dim=1)
     closest = [(c @ c.T).fill_diagonal_(-1).max() for c in (codes, drawn)]
     assert closest[0] < closest[1] - 0.05, "chance alone leaves them closer"
+
+
+def test_known_labels_leave_no_doubt():
+    labels = torch.arange(len(PLAIN)) % 4 * 5
+    most = class_probabilities(labelled(PLAIN, labels)).max(dim=1)
+    assert torch.equal(most.indices, labels // 5) and most.values.min() > 0.98
+    with pytest.raises(StyleSplatError, match="labels for"):
+        labelled(PLAIN, labels[1:])
+    with pytest.raises(StyleSplatError, match="objects in labels from"):
+        labelled(PLAIN, 0 * labels)

@@ -1,3 +1,4 @@
+import gc
 import signal
 import threading
 from collections.abc import Iterator
@@ -6,19 +7,21 @@ from dataclasses import replace
 
 import pytest
 import torch
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
 
+import fake_gsplat
 from processes import begun
-from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Silence, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import TAKEN
-from stylesplat.training import loop
+from stylesplat.training import adam, densification, loop
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import deferred_interrupt, fit, progress_meter, warm_up_training
-from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
+from stylesplat.training.loop import deferred_interrupt, fit, warm_up_training
+from stylesplat.training.state import ALONE, Ranks, Run, State
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import PRESETS, TrainConfig
 from stylesplat.training.training_views import split_views
@@ -36,10 +39,15 @@ def trained(capture: Capture, config: TrainConfig, **settings) -> Splats:
 def test_held_out_views_get_better(capture: Capture, config: TrainConfig):
     generator = torch.Generator().manual_seed(0)
     start = first_splats(capture, sh_degree=3, max_gaussians=400, generator=generator)
-    splats = trained(capture, config, steps=150)
+    scores: list[tuple[float, float]] = []
+    config = replace(config, steps=150)
+    state = fit(capture, config, on_progress=lambda _, *means: scores.append(means))
+    splats = state.splats.detach()
     _, held_out = split_views(capture, config.test_every)
     for row in held_out:
         assert error(splats, capture, row) < 0.5 * error(start, capture, row)
+    assert scores[-1][0] < scores[0][0] and scores[-1][1] > scores[0][1]
+    assert all(0 < loss < 3 and 5 < psnr < 60 for loss, psnr in scores)
 
 
 def test_the_paper_trains_its_first_thousand_steps_without_higher_bands(capture: Capture):
@@ -49,7 +57,7 @@ def test_the_paper_trains_its_first_thousand_steps_without_higher_bands(capture:
 
 
 def test_identities_learn_the_labels(capture: Capture, config: TrainConfig):
-    splats = trained(capture, config, steps=500, coarse_to_fine=False)
+    splats = trained(capture, config, steps=300, coarse_to_fine=False)
     assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
     image = rasterize(splats, capture.cameras[0], features=splats.identities)[0][0, ..., 3:]
     classes = splats.classifier.logits(image).argmax(-1)
@@ -57,21 +65,16 @@ def test_identities_learn_the_labels(capture: Capture, config: TrainConfig):
     assert (predicted == capture.labels(0)).float().mean() > 0.9
 
 
-def test_same_seed_same_splats(capture: Capture, config: TrainConfig):
-    one, other, third = (trained(capture, config, seed=seed) for seed in (1, 1, 2))
-    for name, tensor in one.tensors().items():
-        assert torch.equal(tensor, other.tensors()[name]), name
-    assert not torch.equal(one.means, third.means)
-
-
-def test_randomness_of_the_process_does_not_count(capture: Capture, config: TrainConfig):
+def test_the_seed_alone_decides(capture: Capture, config: TrainConfig):
     splats = []
-    for seed in (1, 2):
-        torch.manual_seed(seed)
+    for seed in (1, 1, 2):
+        torch.manual_seed(len(splats))  # randomness of the process does not count
         before = torch.get_rng_state()
-        splats.append(trained(capture, config, steps=25))
+        splats.append(trained(capture, config, seed=seed, steps=25))
         assert torch.equal(torch.get_rng_state(), before)
-    assert torch.equal(splats[0].means, splats[1].means)
+    for name, tensor in splats[0].tensors().items():
+        assert torch.equal(tensor, splats[1].tensors()[name]), name
+    assert not torch.equal(splats[0].means, splats[2].means)
 
 
 def test_gaussians_grow_up_to_the_cap_and_never_beyond(capture: Capture, config: TrainConfig):
@@ -84,33 +87,27 @@ def test_gaussians_grow_up_to_the_cap_and_never_beyond(capture: Capture, config:
     assert counts == sorted(counts) and counts[-1] == 300 and counts[0] < 200
 
 
-def test_max_seconds_ends_the_run(capture: Capture, config: TrainConfig):
-    state = fit(capture, replace(config, max_seconds=0.3))
-    assert state.step > 0
-    assert state.seconds >= 0.3
-
-
-def test_works_without_label_maps_and_points(capture: Capture, config: TrainConfig):
+def test_captures_without_label_maps_or_points(capture: Capture, config: TrainConfig):
     bare = replace(capture, label_maps=None, points=None, point_colors=None)
     splats = trained(bare, config, steps=3, max_gaussians=30_000)
     assert splats.identities is None and splats.classifier is None
     assert len(splats) > 1000
-
-
-def test_photos_without_a_label_map_train_colour_only(capture: Capture, config: TrainConfig):
     assert capture.label_maps is not None
     some = replace(capture, label_maps=[*[None] * (len(capture) - 1), capture.label_maps[-2]])
     splats = trained(some, config, steps=10, test_every=0)
     assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
+    with pytest.raises(StyleSplatError, match="no photos left to train on"):
+        fit(capture, replace(config, test_every=1))
 
 
-def test_label_maps_of_held_out_photos_alone_train_no_identities(
-    capture: Capture, config: TrainConfig, said: list[str]
-):
-    assert capture.label_maps is not None
-    only = replace(capture, label_maps=[capture.label_maps[0], *[None] * (len(capture) - 1)])
-    assert trained(only, config, steps=3).identities is None
-    assert len(said) == 1 and "object 3, 7," in said[0]
+def test_photos_of_several_sizes(capture: Capture, config: TrainConfig):
+    sizes = capture.cameras.sizes.clone()
+    sizes[3] = torch.tensor([72, 40])
+    photos = [*capture.photos]
+    photos[3] = photos[3][:40].contiguous()
+    cameras = replace(capture.cameras, sizes=sizes)
+    mixed = replace(capture, cameras=cameras, photos=photos, label_maps=None)
+    assert len(trained(mixed, config)) == 400
 
 
 def test_objects_that_only_held_out_photos_show_are_no_classes(
@@ -129,11 +126,6 @@ def test_objects_that_only_held_out_photos_show_are_no_classes(
     assert len(said) == 1
 
 
-def test_no_photos_left(capture: Capture, config: TrainConfig):
-    with pytest.raises(StyleSplatError, match="no photos left to train on"):
-        fit(capture, replace(config, test_every=1))
-
-
 def test_kernels_are_compiled_before_the_clock_starts(
     capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
 ):
@@ -148,61 +140,64 @@ def test_kernels_are_compiled_before_the_clock_starts(
     fit(capture, replace(config, steps=9, photos_at_once=3))
     assert rounds[:2] == [(3, True), (3, False)], "on a copy"
     assert rounds[2:] == [(3, True), (3, False), (3, True)]
-
-
-def test_of_several_processes_a_round_has_one_step(
-    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
-):
-    """Its kernel is another one than that of a step for each photo."""
-    photos: list[int] = []
+    rounds.clear()
     run, state = begun(capture, config, 2, of_photos=True)
-    monkeypatch.setattr(loop, "train_step", lambda run, state: photos.append(run.batch))
-    warm_up_training(run, state, Ranks(0, 2))
-    warm_up_training(run, state, ALONE)
-    assert photos == [1, 1, 2, 2]
+    for ranks in (Ranks(0, 2), ALONE):  # of several processes a round has one step
+        warm_up_training(replace(run, ranks=ranks), state)
+    assert [photos for photos, _ in rounds] == [1, 1, 2, 2]
 
 
-def test_what_is_told_is_what_was_measured(capture: Capture, config: TrainConfig):
-    told: list[tuple[float, float]] = []
-    fit(capture, config, on_progress=lambda _, loss, psnr: told.append((loss, psnr)))
-    assert told[-1][0] < told[0][0] and told[-1][1] > told[0][1]
-    assert all(0 < loss < 3 and 5 < psnr < 60 for loss, psnr in told)
+def test_no_kernel_can_crash_where_it_is_interrupted(capture: Capture, config: TrainConfig):
+    """numba unpickles the type of an array that is returned, and does not see that fail."""
+
+    def is_number(kind: types.Type) -> bool:
+        parts = kind if isinstance(kind, types.Tuple | types.UniTuple) else [kind]
+        return all(isinstance(part, types.Number | types.NoneType) for part in parts)
+
+    fit(capture, replace(config, steps=25))
+    found = [
+        (name, compiled.signature.return_type)
+        for it in gc.get_objects()
+        if issubclass(type(it), Dispatcher)
+        and (name := it.py_func.__module__).startswith("stylesplat.")
+        if not it.targetoptions.get("no_cpython_wrapper")
+        for compiled in it.overloads.values()
+    ]
+    assert len({name for name, _ in found}) > 4
+    assert [(name, kind) for name, kind in found if not is_number(kind)] == []
 
 
-def test_an_interrupt_without_a_checkpoint_still_stops(capture: Capture, config: TrainConfig):
-    def stop(state: State, loss: float, psnr: float) -> None:
-        assert state.step == 1, "the step after the interrupt must not begin"
-        signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(capture, replace(config, photos_at_once=1), on_progress=stop)
-
-
-def test_photos_of_several_sizes(capture: Capture, config: TrainConfig):
-    sizes = capture.cameras.sizes.clone()
-    sizes[3] = torch.tensor([72, 40])
-    photos = [*capture.photos]
-    photos[3] = photos[3][:40].contiguous()
-    cameras = replace(capture.cameras, sizes=sizes)
-    mixed = replace(capture, cameras=cameras, photos=photos, label_maps=None)
-    assert len(trained(mixed, config)) == 400
-
-
-GPU = torch.device("cuda")
-STATE = first_state(random_splats(1500))
+def test_a_gpu_takes_the_same_way(capture: Capture, monkeypatch: pytest.MonkeyPatch):
+    # Noise, which differs sample by sample, left out; growth and neighbours included.
+    config = TrainConfig(steps=12, max_gaussians=200, refine_every=5, identity_every=1)
+    monkeypatch.setattr(densification, "NOISE_RATE", 0.0)
+    mine = fit(capture, config)
+    fake_gsplat.install_training_kernels(monkeypatch)
+    monkeypatch.setattr(adam, "adam_cpu", adam.adam_cuda)
+    monkeypatch.setattr(densification, "add_noise_cpu", densification.add_noise_cuda)
+    theirs = fit(capture, config)
+    assert mine.ids == theirs.ids
+    for name, tensor in mine.params.items():
+        assert theirs.params[name].dtype == tensor.dtype
+        error = (theirs.params[name] - tensor).detach().norm() / tensor.detach().norm()
+        # Rounding, which Adam blows up where gradients hardly differ from 0: those of the
+        # rotations of Gaussians that are round still are nothing but rounding. A step without its
+        # corrections, say, would be three times as long: 0.1.
+        assert error < (2e-2 if name == "quats" else 5e-3), name
 
 
 class Listener(Silence):
     """Remembers what it is told."""
 
     def __init__(self) -> None:
-        self.begun: tuple = ()
+        self.begun: list[tuple] = []
         self.done = 0.0
         self.notes: list[str] = []
 
     @contextmanager
     def task(self, what: str, total, unit: str, done) -> Iterator["Listener"]:
-        self.begun, self.done = (what, total, unit), done
+        self.begun.append((what, total, unit))
+        self.done = done
         yield self
 
     def advance(self, amount: float = 1) -> None:
@@ -212,47 +207,32 @@ class Listener(Silence):
         self.notes.append(text)
 
 
-def at(step: int, seconds: float = 0.0) -> State:
-    return replace(STATE, step=step, seconds=seconds)
-
-
-@pytest.fixture
-def listener() -> Iterator[Listener]:
-    here = Listener()
-    with observed(here):
-        yield here
-
-
-def test_steps_are_counted(listener: Listener):
-    with progress_meter(TrainConfig(steps=50), at(0)) as meter:
-        for step in (10, 20, 27):
-            meter.report(at(step), 0.5, 20.0)
-            assert listener.done == step
-    assert listener.begun == ("training", 50, "step")
-
-
-def test_seconds_are_counted_where_they_end_the_run(listener: Listener):
-    with progress_meter(TrainConfig(max_seconds=5.0), at(0)) as meter:
-        meter.report(at(10, 2.5), 0.5, 20.0)
-        assert listener.done == 2.5
-        meter.report(at(20, 5.7), 0.5, 20.0)
-        assert listener.done == 5.0, "not beyond the end"
-    assert listener.begun == ("training", 5.0, "s")
-
-
-def test_notes_hold_loss_psnr_and_gaussians(listener: Listener):
-    with progress_meter(TrainConfig(), at(0)) as meter:
-        meter.report(at(1), 0.5, 20.0)
-    assert listener.notes == ["loss 0.5000, PSNR 20.00 dB, 1,500 Gaussians"]
-
-
-def test_what_is_told_is_smooth_and_gets_there(listener: Listener):
-    with progress_meter(TrainConfig(steps=9000), at(0)) as meter:
-        meter.report(at(10), 1.0, 10.0)
-        meter.report(at(20), 0.0, 30.0)
-        meter.report(at(2000), 0.0, 30.0)
+def test_the_bar_counts_steps_and_smooths_the_scores(capture: Capture, config: TrainConfig):
+    plain, done = replace(capture, label_maps=None), list[tuple[float, int]]()
+    with observed(listener := Listener()):
+        state = fit(plain, config, on_progress=lambda s, *_: done.append((listener.done, s.step)))
+    assert ("training", 60, "step") in listener.begun
+    assert all(shown == step for shown, step in done) and done[-1][1] == 60
     losses = [float(note.split(",")[0].removeprefix("loss ")) for note in listener.notes]
-    assert losses[0] == 1 > losses[1] > 0.5 and losses[2] == 0
+    assert f"{len(state.splats):,} Gaussians" in listener.notes[-1] and "dB" in listener.notes[-1]
+    jumps = torch.tensor(losses).diff().abs()
+    assert losses[-1] < losses[0] and jumps.max() < 0.1 * losses[0]
+
+
+def test_the_bar_counts_seconds_where_they_end_the_run(capture: Capture, config: TrainConfig):
+    with observed(listener := Listener()):
+        state = fit(capture, replace(config, max_seconds=0.3))
+    assert ("training", 0.3, "s") in listener.begun
+    assert listener.done == pytest.approx(0.3) and state.seconds >= 0.3 and state.step > 0
+
+
+def test_an_interrupt_stops_after_the_step(capture: Capture, config: TrainConfig):
+    def stop(state: State, loss: float, psnr: float) -> None:
+        assert state.step == 1, "the step after the interrupt must not begin"
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, replace(config, photos_at_once=1), on_progress=stop)
 
 
 class Heard(Exception):
@@ -260,7 +240,7 @@ class Heard(Exception):
 
 
 @pytest.fixture(params=TAKEN, ids=lambda number: number.name)
-def number(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+def number(request: pytest.FixtureRequest):
     """A signal, with a handler that raises `Heard`."""
 
     def hear(*_: object) -> None:
@@ -272,19 +252,13 @@ def number(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_signals_wait_and_then_do_what_they_would_have_done(number: signal.Signals):
-    reached = False
+    reached, before = False, signal.getsignal(number)
     with pytest.raises(Heard), deferred_interrupt() as interrupted:
         assert not interrupted()
         signal.raise_signal(number)
         signal.raise_signal(number)
         reached = interrupted()
-    assert reached
-    with pytest.raises(Heard):
-        signal.raise_signal(number)
-
-
-def test_also_after_an_error(number: signal.Signals):
-    before = signal.getsignal(number)
+    assert reached and signal.getsignal(number) is before
     with pytest.raises(ValueError), deferred_interrupt():
         assert signal.getsignal(number) is not before
         raise ValueError

@@ -15,12 +15,11 @@ from torch import Tensor
 
 from capture_files import write_ball_capture
 from processes import begun
-from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.densification import perturb_means
-from stylesplat.training.loop import default_batch
+from stylesplat.training.loop import most_at_once
 from stylesplat.training.state import ALONE, PER_PHOTO, Ranks, Run, State
 from stylesplat.training.step import (
     PhotoGradients,
@@ -150,9 +149,7 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
 
 
 def test_processes_on_the_cpu_look_at_four_photos_in_all_or_at_one_each():
-    pool, cpu, cuda = RenderPool(1), torch.device("cpu"), torch.device("cuda")
-    assert [default_batch(pool, Ranks(0, count), cpu) for count in (2, 3, 4, 8)] == [2, 1, 1, 1]
-    assert default_batch(pool, ALONE, cpu) == default_batch(pool, Ranks(0, 2), cuda) == 1
+    assert [most_at_once(Ranks(0, count)) for count in (1, 2, 3, 4, 8)] == [4, 2, 1, 1, 1]
 
 
 def test_all_of_a_turn_learn_identities_or_none(capture: Capture, config: TrainConfig):

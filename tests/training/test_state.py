@@ -5,7 +5,7 @@ import torch
 from balls import SPLATS
 from scenes import random_splats
 from stylesplat.training.initialize import scene_extent
-from stylesplat.training.state import CLASSIFIER, Run, State, first_state
+from stylesplat.training.state import CLASSIFIER, Run, first_state
 from stylesplat.training.train_config import TrainConfig
 
 
@@ -13,10 +13,15 @@ def test_splats_come_back():
     state = first_state(SPLATS)
     for name, tensor in SPLATS.tensors().items():
         assert torch.equal(state.splats.tensors()[name], tensor)
+        assert len(state.params[name]) == len(SPLATS) and name in state.names
+    assert set(state.params) - set(state.names) == set(CLASSIFIER)
     classifier = state.splats.classifier
     assert classifier is not None and SPLATS.classifier is not None
     assert torch.equal(classifier.weight, SPLATS.classifier.weight)
     assert classifier.ids == state.ids == SPLATS.classifier.ids
+    plain = first_state(replace(SPLATS, identities=None, classifier=None))
+    assert plain.ids == () and plain.splats.classifier is None
+    assert not set(CLASSIFIER) & set(plain.params)
 
 
 def test_a_first_state_is_contiguous_whatever_the_splats_are():
@@ -27,30 +32,15 @@ def test_a_first_state_is_contiguous_whatever_the_splats_are():
     assert all(tensor.is_contiguous() for each in tensors for tensor in each.values())
 
 
-def test_the_classifier_has_no_row_per_gaussian():
-    state = first_state(SPLATS)
-    assert set(state.params) - set(state.names) == set(CLASSIFIER)
-    assert all(len(state.params[name]) == len(SPLATS) for name in state.names)
-
-
-def test_without_identities_there_is_no_classifier():
-    plain = replace(SPLATS, identities=None, classifier=None)
-    state = first_state(plain)
-    assert state.ids == () and state.splats.classifier is None
-    assert not set(CLASSIFIER) & set(state.params)
-
-
 def test_clones_share_nothing():
     state = first_state(random_splats(5))
     copy = state.clone()
     with torch.no_grad():
-        for name in copy.params:
-            copy.params[name].fill_(7)
-            copy.moments.first[name].fill_(7)
-            copy.moments.second[name].fill_(7)
-    assert not any((tensor == 7).all() for tensor in state.params.values())
-    assert not any(tensor.any() for tensor in state.moments.first.values())
-    assert not any(tensor.any() for tensor in state.moments.second.values())
+        for tensors in (copy.params, copy.moments.first, copy.moments.second):
+            for tensor in tensors.values():
+                tensor.fill_(7)
+    for tensors in (state.params, state.moments.first, state.moments.second):
+        assert not any((tensor == 7).all() for tensor in tensors.values())
 
 
 def run(cameras, *, rows=tuple(range(1, 9)), **settings) -> Run:
@@ -64,25 +54,14 @@ def run(cameras, *, rows=tuple(range(1, 9)), **settings) -> Run:
     )
 
 
-def state(step: int = 0, seconds: float = 0.0) -> State:
-    begun = first_state(random_splats(5))
-    return State(begun.params, begun.moments, (), 5, step, seconds)
-
-
-def test_each_photo_comes_once_per_epoch(cameras):
+def test_each_photo_comes_once_per_epoch_in_an_order_that_follows_from_the_step(cameras):
     here = run(cameras)
     for epoch in range(5):
         rows = [here.row(8 * epoch + place) for place in range(8)]
         assert sorted(rows) == list(range(1, 9))
-
-
-def test_the_order_is_a_function_of_the_step(cameras):
     forth = [run(cameras).row(step) for step in range(24)]
     back = [run(cameras).row(step) for step in reversed(range(24))]
     assert forth == back[::-1]
-
-
-def test_every_photo_may_come_first(cameras):
     firsts = {run(cameras, seed=seed).row(0) for seed in range(60)}
     assert firsts == set(range(1, 9))  # each is missed with a chance of (7/8)^60, 3 in 10,000
 
@@ -103,6 +82,18 @@ def test_offsets_cover_the_stride(cameras):
 
 
 def test_progress_is_the_share_of_seconds_if_these_are_given(cameras):
-    here = run(cameras, steps=10, max_seconds=4.0)
-    shares = [here.progress(state(1000, seconds)) for seconds in (0.0, 1.0, 4.0, 5.0)]
+    here, state = run(cameras, steps=10, max_seconds=4.0), first_state(random_splats(5))
+    shares = [here.progress(replace(state, step=1000, seconds=s)) for s in (0.0, 1.0, 4.0, 5.0)]
     assert shares == [0, 0.25, 1, 1]
+
+
+def test_a_round_takes_the_next_steps(cameras):
+    here, state = replace(run(cameras, steps=11), batch=4), first_state(random_splats(5))
+
+    def rounds(here: Run) -> list[list[int]]:
+        return [[*here.photos(replace(state, step=step))] for step in (0, 4, 8)]
+
+    assert rounds(here) == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
+    timed = replace(here, config=replace(here.config, max_seconds=9.0))
+    assert rounds(timed)[-1] == [8, 9, 10, 11]
+    assert [here.every(2, step) for step in range(12)] == [True] * 4 + [False] * 4 + [True] * 4

@@ -9,11 +9,9 @@ from stylesplat.scene.cache import GIB, Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
 from stylesplat.training.training_views import (
-    LearnedIds,
     Views,
     class_type,
     learned_ids,
-    say_unseen,
     split_views,
     to_classes,
     training_views,
@@ -134,20 +132,15 @@ def labelled(capture: Capture, *maps: list[int] | None) -> Capture:
     return replace(capture, label_maps=tensors)
 
 
-def test_ids_that_occur_background_first(capture: Capture):
-    assert learned_ids(capture, range(9)) == LearnedIds((0, 3, 7), {})
-
-
-def test_ids_of_trained_photos_only(capture: Capture):
-    maps = labelled(capture, [1, 2], [2, 3], [4, 0], [5])
-    shown = learned_ids(maps, [1, 3])
-    assert shown.trained == (0, 2, 3, 5)
-    assert shown.held_out == {"0.png": (1,), "2.png": (4,)}
-
-
-def test_without_label_maps_there_are_no_classes(capture: Capture):
-    assert learned_ids(replace(capture, label_maps=None), range(9)) == LearnedIds((), {})
-    assert learned_ids(labelled(capture), range(9)) == LearnedIds((), {})
+def test_ids_of_trained_photos_background_first(capture: Capture, said: list[str]):
+    assert learned_ids(capture, range(9)) == (0, 3, 7)
+    for bare in (replace(capture, label_maps=None), labelled(capture)):
+        assert learned_ids(bare, range(9)) == ()
+    assert said == []
+    maps = replace(labelled(capture, [1, 2], [2, 3], [4, 0], [5]), object_names={4: "vase"})
+    assert learned_ids(maps, [1, 3]) == (0, 2, 3, 5)
+    (line,) = said
+    assert "object 1, 4 (vase)" in line and "0.png, 2.png" in line and "--test-every" in line
 
 
 def test_classes_are_places_in_the_ids():
@@ -166,13 +159,3 @@ def test_the_smallest_type_holds_all_classes(count: int, dtype: torch.dtype):
     ids = tuple(range(0, 2 * count, 2))
     classes = to_classes(torch.tensor([[0, ids[-1]]]), ids)
     assert classes.dtype == dtype and classes.tolist() == [[0, count - 1]]
-
-
-def test_what_is_not_learned_is_said_in_one_line(said: list[str]):
-    held_out = {f"{i}.png": (i, 9) for i in range(5)}
-    say_unseen(LearnedIds((0,), held_out), {2: "vase"})
-    assert said == [
-        "Only held-out photos show object 0, 1, 2 (vase) and 3 more, so training does not learn "
-        "it: 0.png, 1.png, 2.png and 2 more. Use `--test-every 0` to train on all photos, or "
-        "another value to hold out others."
-    ]

@@ -244,7 +244,7 @@ def _revise_scene(before: "ss.Scene", after: "ss.Scene", place: Path) -> None:
 def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, Any]:
     """The objects of a scene, drawn as label maps over renders of its views."""
     from stylesplat.masks.quick_splat import rendered_capture
-    from stylesplat.rendering.device import pick_device
+    from stylesplat.rendering.render import pick_device
     from stylesplat.scene.capture import at_most
     from stylesplat.selection.choose import names_of
     from stylesplat.selection.identities import object_ids, render_labels

@@ -167,7 +167,7 @@ def _torchrun(device: str) -> Iterator[bool]:
     import torch
     import torch.distributed as dist
 
-    from stylesplat.rendering.device import pick_device
+    from stylesplat.rendering.render import pick_device
 
     number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
     if pick_device(device).type == "cuda":

@@ -16,7 +16,7 @@ from torch import Tensor
 from stylesplat.io.splats.packing import LARGEST, morton_order, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
-from stylesplat.rendering.constants import MIN_ALPHA
+from stylesplat.rendering.gaussians import MIN_ALPHA
 from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.splats import Splats
 

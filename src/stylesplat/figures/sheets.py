@@ -36,8 +36,7 @@ from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.metrics.psnr import psnr
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.render import render
+from stylesplat.rendering.render import pick_device, render
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most

@@ -16,7 +16,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.figures.orbits import first_view
 from stylesplat.figures.packed import pack
 from stylesplat.io.atomic import atomic_path, refuse_file
-from stylesplat.rendering.constants import MIN_ALPHA
+from stylesplat.rendering.gaussians import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of, rows_unpainted
 from stylesplat.scene.content import extent_of

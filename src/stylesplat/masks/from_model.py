@@ -14,7 +14,7 @@ from stylesplat.masks.repair import repair_ids
 from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
 from stylesplat.masks.tracking import Segmenter, split_clips, track_clip
 from stylesplat.progress import task
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most, fingerprint
 from stylesplat.scene.labels import Labels, Mask
 from stylesplat.scene.scene import Scene

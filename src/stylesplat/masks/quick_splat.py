@@ -11,8 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.render import render
+from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import SAME, posed_as

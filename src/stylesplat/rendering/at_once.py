@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
-from itertools import islice
 from threading import Barrier
 from typing import TypeVar
 
@@ -38,9 +37,23 @@ class RenderPool:
 
     def in_order(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         """The results of a function for each item; at most two per thread wait to be read."""
-        if self._pool is None:
-            return map(function, items)
-        return _in_order(self._pool, function, items, 2 * self.size)
+        return map(function, items) if self._pool is None else self._ahead(function, items)
+
+    def _ahead(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
+        assert self._pool is not None
+        enabled = torch.is_grad_enabled()  # which is each thread's own
+
+        def work(item: T) -> R:
+            with torch.set_grad_enabled(enabled):
+                return function(item)
+
+        waiting = deque[Future[R]]()
+        for item in items:
+            if len(waiting) == 2 * self.size:
+                yield waiting.popleft().result()
+            waiting.append(self._pool.submit(copy_context().run, work, item))
+        while waiting:
+            yield waiting.popleft().result()
 
     def end(self) -> None:
         """End the threads and drop what waits."""
@@ -74,21 +87,3 @@ def _share(threads: int) -> None:
     """Set the threads of numba and torch for one thread of the pool."""
     set_num_threads(threads)
     torch.set_num_threads(threads)
-
-
-def _in_order(
-    pool: ThreadPoolExecutor, function: Callable[[T], R], items: Sequence[T], ahead: int
-) -> Iterator[R]:
-    enabled = torch.is_grad_enabled()  # which is each thread's own
-
-    def work(item: T) -> R:
-        with torch.set_grad_enabled(enabled):
-            return function(item)
-
-    left, waiting = iter(items), deque[Future[R]]()
-    for item in islice(left, ahead):
-        waiting.append(pool.submit(copy_context().run, work, item))
-    while waiting:
-        yield waiting.popleft().result()
-        for item in islice(left, 1):
-            waiting.append(pool.submit(copy_context().run, work, item))

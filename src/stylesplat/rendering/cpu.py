@@ -21,17 +21,15 @@ from stylesplat.rendering.kernels import (
     blend,
     blend_backward,
     project,
-    project_backward,
     sh_colors,
     tiles,
     vecs,
 )
 from stylesplat.rendering.kernels.blend import Picture
-from stylesplat.rendering.kernels.project_backward import GeometryRows
-from stylesplat.rendering.kernels.rows import Rows
+from stylesplat.rendering.kernels.project import GeometryRows
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
-from stylesplat.rendering.kernels.vec import LANES
+from stylesplat.rendering.kernels.vec import LANES, Rows
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras
@@ -110,20 +108,17 @@ class _Project(Function):
             arrays(projected),
             arrays(Projected(*v_projected)),
         )
-        v_viewmat = _viewmat_gradient(*known) if ctx.needs_input_grad[1] else None
+        v_viewmat = None
+        if ctx.needs_input_grad[1]:
+            sums = np.zeros((get_num_threads(), 12, LANES))
+            project.view_backward(*known, sums)
+            upper = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
+            v_viewmat = torch.nn.functional.pad(upper, (0, 0, 0, 1))  # the last row is fixed
         if not any(ctx.needs_input_grad[2:]):
             return None, v_viewmat, None, None, None, None
         gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
-        project_backward.project_backward(*known, arrays(gradients), get_num_threads())
+        project.project_backward(*known, arrays(gradients), get_num_threads())
         return None, v_viewmat, *gradients, None
-
-
-def _viewmat_gradient(*known: tuple) -> Tensor:
-    """Of the same nouns as `project_backward` takes; the last row of the matrix is 0."""
-    sums = np.zeros((get_num_threads(), 12, LANES))
-    project_backward.view_backward(*known, sums)
-    rows = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
-    return torch.nn.functional.pad(rows, (0, 0, 0, 1))
 
 
 class Tiled(NamedTuple):
@@ -147,29 +142,21 @@ class Drawing(NamedTuple):
     """Coverage, [H, W, 1]."""
 
 
-def sort_into_tiles(
-    projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]
-) -> Tiled:
-    """Lists of what to blend, without gradients, for an image of a width and height."""
-    ellipses = arrays(Ellipses(projected.means2d, projected.conics, opacities, colors))
-    depths, radii = _as_arrays(projected.depths, projected.radii)
-    order = tiles.depth_order(depths, radii)
-    stride = tiles.row_stride(colors.shape[1])
-    rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
-    tiles.pack_rows(order, ellipses, rows)
-    lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
-    return Tiled(order, rows, lists)
-
-
 def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
     """Blend projected Gaussians, without gradients, into an image of a width and height."""
     (width, height), channels = size, colors.shape[1]
-    tiled = sort_into_tiles(projected, opacities, colors, size)
+    depths, radii = _as_arrays(projected.depths, projected.radii)
+    order = tiles.depth_order(depths, radii)
+    stride = tiles.row_stride(channels)
+    rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
+    ellipses = Ellipses(projected.means2d, projected.conics, opacities, colors)
+    tiles.pack_rows(order, arrays(ellipses), rows)
+    lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
     picture = as_picture(image, alphas)
-    blend.blend(vecs.channels(channels), tiled.rows, tiled.lists, picture, get_num_threads())
-    return Drawing(tiled, image, alphas)
+    blend.blend(vecs.channels(channels), rows, lists, picture, get_num_threads())
+    return Drawing(Tiled(order, rows, lists), image, alphas)
 
 
 def reaching(tiled: Tiled) -> Bool[np.ndarray, " R"]:
@@ -189,8 +176,8 @@ def as_picture(image: Tensor, alphas: Tensor) -> Picture:
 
 class _Blend(Function):
     @staticmethod
-    def forward(ctx, size, geometry_channels, opacities, colors, *projected):
-        ctx.tiled, image, alphas = draw(Projected(*projected), opacities, colors, size)
+    def forward(ctx, drawing, geometry_channels, opacities, colors, *projected):
+        ctx.tiled, image, alphas = drawing
         ctx.geometry_channels, ctx.count = geometry_channels, len(opacities)
         ctx.save_for_backward(image, alphas)
         return image, alphas
@@ -248,15 +235,15 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `render.Rasterizer`."""
+    """Render; see `reference.rasterize`."""
     wanted, colors = colors.shape[-1], padded(colors)
     if geometry_channels == wanted:
         geometry_channels = colors.shape[-1]
-    images, projections = [], []
+    images, projections, opacities = [], [], gaussians.opacities
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
-        projected = project_gaussians(gaussians, view)
-        size, opacities = (view.width, view.height), gaussians.opacities
-        images.append(_Blend.apply(size, geometry_channels, opacities, view_colors, *projected))
+        projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
+        drawing = draw(projected, opacities, view_colors, cameras.size)
+        images.append(_Blend.apply(drawing, geometry_channels, opacities, view_colors, *projected))
         projections.append(projected)
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))

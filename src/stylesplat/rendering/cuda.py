@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.rendering import constants as const
-from stylesplat.rendering.gaussians import Gaussians, Projected
+from stylesplat.rendering.gaussians import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected
 from stylesplat.rendering.reference import Info
 from stylesplat.scene.cameras import Cameras
 
@@ -36,7 +35,7 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `render.Rasterizer`.
+    """Render; see `reference.rasterize`.
 
     The Gaussians are projected and sorted into tiles once, for all channels.
     """
@@ -49,9 +48,9 @@ def rasterize(
         Ks=cameras.Ks,
         width=width,
         height=height,
-        near_plane=const.NEAR_PLANE,
-        far_plane=const.FAR_PLANE,
-        eps2d=const.EPS2D,
+        near_plane=NEAR_PLANE,
+        far_plane=FAR_PLANE,
+        eps2d=EPS2D,
         packed=False,  # projections are [C, N, ...], which is what `Info` promises
         channel_chunk=CHANNELS_AT_ONCE,
     )

@@ -23,7 +23,7 @@ from stylesplat.rendering.kernels import linear_blocks, vec
 from stylesplat.rendering.kernels.linear_blocks import Kept
 from stylesplat.rendering.render import colors_of
 from stylesplat.rendering.sh import SH_C0
-from stylesplat.rendering.visibility import InView, in_view
+from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -116,38 +116,21 @@ def contributions(
     """
     near = in_view(splats, camera, pixels)
     mine = picked[near.rows]
-    drawing = _draw_others(splats, camera, near, mine)
-    numbers, places = _number_shown(drawing.tiled, mine)
-    background, coverage = drawing.image.split((3, 1), dim=2)
+    others = (~mine).nonzero()[:, 0]
+    colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
+    origin = with_matrices_of(splats, camera).positions
+    colors[others, :3] = colors_of(splats, near.rows[others], origin)
+    tiled, image, _ = cpu.draw(near.projected, near.opacities, colors, camera.size)
+    drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
+    numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
+    background, coverage = image.split((3, 1), dim=2)
     return Contributions(
-        gaussians=near.rows[places],
+        gaussians=near.rows[torch.from_numpy(tiled.order[drawn].astype(np.int64))],
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
-        kept=_keep(drawing.tiled, numbers, camera.size),
+        kept=_keep(tiled, numbers, camera.size),
     )
-
-
-def _draw_others(splats: Splats, camera: Cameras, near: InView, picked: Tensor) -> cpu.Drawing:
-    """The image of all but the picked Gaussians, and the coverage of these."""
-    others = (~picked).nonzero()[:, 0]
-    colors = picked[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
-    colors[others, :3] = colors_of(
-        splats, near.rows[others], with_matrices_of(splats, camera).positions
-    )
-    return cpu.draw(near.projected, near.opacities, colors, camera.size)
-
-
-def _number_shown(tiled: cpu.Tiled, picked: Tensor) -> tuple[np.ndarray, Tensor]:
-    """Count the picked Gaussians that are drawn: the number of each rank or -1, and their places.
-
-    Args:
-        tiled: What was drawn.
-        picked: Which of that.
-    """
-    shown = cpu.reaching(tiled) & picked.numpy()[tiled.order]
-    numbers = np.where(shown, np.cumsum(shown) - 1, -1).astype(np.int32)
-    return numbers, torch.from_numpy(tiled.order[shown].astype(np.int64))
 
 
 def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:

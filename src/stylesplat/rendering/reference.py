@@ -8,8 +8,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.rendering import constants as const
-from stylesplat.rendering.gaussians import Gaussians, Projected, View, views_of
+from stylesplat.rendering.gaussians import (
+    EPS2D,
+    FAR_PLANE,
+    FOV_MARGIN,
+    MAX_ALPHA,
+    MAX_EXTENT,
+    MIN_ALPHA,
+    MIN_TRANSMITTANCE,
+    NEAR_PLANE,
+    Gaussians,
+    Projected,
+    View,
+    views_of,
+)
 from stylesplat.rendering.sh import sh_colors
 from stylesplat.scene.cameras import Cameras
 
@@ -38,7 +50,7 @@ def perspective_jacobian(means_c: Float[Tensor, "N 3"], view: View) -> Float[Ten
     zero = torch.zeros_like(z)
 
     def clamped(t: Tensor, focal: Tensor, centre: Tensor, size: int) -> Tensor:
-        margin = const.FOV_MARGIN * 0.5 * size / focal
+        margin = FOV_MARGIN * 0.5 * size / focal
         low, high = -(centre / focal + margin), (size - centre) / focal + margin
         return z * torch.minimum(torch.maximum(t / z, low), high)
 
@@ -57,11 +69,11 @@ def project(gaussians: Gaussians, view: View) -> Projected:
     means_c = means @ rotation.T + viewmat[:3, 3]
     axes = rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [N, 3, 3]
     depths = means_c[:, 2]
-    in_range = (depths > const.NEAR_PLANE) & (depths < const.FAR_PLANE)
+    in_range = (depths > NEAR_PLANE) & (depths < FAR_PLANE)
     means_c = torch.where(in_range[:, None], means_c, means_c.new_tensor([0.0, 0.0, 1.0]))
     axes2d = perspective_jacobian(means_c, view) @ axes  # [N, 2, 3]
     eye = torch.eye(2, dtype=means.dtype, device=means.device)
-    covars2d = axes2d @ axes2d.mT + const.EPS2D * eye
+    covars2d = axes2d @ axes2d.mT + EPS2D * eye
     conics = torch.linalg.inv(covars2d).flatten(1)[:, [0, 1, 3]]
     means2d = torch.stack(
         [
@@ -74,15 +86,15 @@ def project(gaussians: Gaussians, view: View) -> Projected:
     low, high = means2d - radii, means2d + radii
     size = means2d.new_tensor([width, height])
     on_screen = ((high > 0) & (low < size)).all(dim=-1)
-    seen = in_range & on_screen & (opacities >= const.MIN_ALPHA)
+    seen = in_range & on_screen & (opacities >= MIN_ALPHA)
     radii = torch.where(seen[:, None], radii, 0).to(torch.int32)
     return Projected(means2d, conics, depths, radii)
 
 
 @torch.no_grad()
 def _radii(covars2d: Tensor, opacities: Tensor) -> Tensor:
-    fade = 2 * torch.log(opacities.clamp(min=const.MIN_ALPHA) / const.MIN_ALPHA)
-    extent = fade.sqrt().clamp(max=const.MAX_EXTENT)[:, None]
+    fade = 2 * torch.log(opacities.clamp(min=MIN_ALPHA) / MIN_ALPHA)
+    extent = fade.sqrt().clamp(max=MAX_EXTENT)[:, None]
     return (extent * covars2d.diagonal(dim1=-2, dim2=-1).sqrt()).ceil()
 
 
@@ -115,9 +127,9 @@ def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: T
     dx, dy = (pixels[:, None] - means2d[None]).unbind(-1)  # [P, M]
     a, b, c = conics.unbind(-1)
     sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
-    alphas = (opacities * torch.exp(-sigma)).clamp(max=const.MAX_ALPHA)
-    alphas = torch.where((sigma >= 0) & (alphas >= const.MIN_ALPHA), alphas, 0)
-    live = torch.cumprod(1 - alphas, dim=1) > const.MIN_TRANSMITTANCE
+    alphas = (opacities * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
+    alphas = torch.where((sigma >= 0) & (alphas >= MIN_ALPHA), alphas, 0)
+    live = torch.cumprod(1 - alphas, dim=1) > MIN_TRANSMITTANCE
     alphas = torch.where(live, alphas, 0)
     after = torch.cumprod(1 - alphas, dim=1)
     before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
@@ -131,7 +143,11 @@ def rasterize(
     *,
     geometry_channels: int,
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `render.Rasterizer`."""
+    """Image, coverage and projections of Gaussians, each camera with colours of its own.
+
+    Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
+    matrices have the Gaussians' type and device.
+    """
     projections, images, alphas = [], [], []
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = project(gaussians, view)

@@ -1,18 +1,18 @@
-"""The one way to an image: activate the splats, pick a backend, render.
+"""The one way to an image: pick a device, activate the splats, render with its backend.
 
 `rasterize` is differentiable and takes several cameras; `render` takes one, without gradients, in
 the memory of what is in view.
 """
 
 from importlib.util import find_spec
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.gaussians import Gaussians, activated, with_matrices_of
+from stylesplat.rendering.gaussians import activated, with_matrices_of
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.visibility import PART, in_view, visible
 from stylesplat.scene.cameras import Cameras
@@ -22,36 +22,26 @@ Backend = Literal["auto", "reference", "cpu", "cuda"]
 MANY = 1 << 21  # Gaussians in view, from which features are gathered of the visible ones alone
 
 
-@runtime_checkable
-class Rasterizer(Protocol):
-    """The two functions of a backend's module."""
+def pick_device(name: torch.device | str = "auto") -> torch.device:
+    """The device called `auto`, `cpu`, `cuda` or `cuda:1`; `auto` is an NVIDIA GPU if there is one.
 
-    def spherical_harmonics(
-        self,
-        degree: int,
-        dirs: Float[Tensor, "N 3"],
-        sh0: Float[Tensor, "N 1 3"],
-        shN: Float[Tensor, "N _ 3"],
-        *,
-        clamp: bool = True,
-    ) -> Float[Tensor, "N 3"]:
-        """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
-        ...
-
-    def rasterize(
-        self,
-        gaussians: Gaussians,
-        colors: Float[Tensor, "C N D"],
-        cameras: Cameras,
-        *,
-        geometry_channels: int,
-    ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-        """Image, coverage and projections of Gaussians, each camera with colours of its own.
-
-        Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
-        matrices have the Gaussians' type and device.
-        """
-        ...
+    Raises:
+        StyleSplatError: If it is none of these, or `cuda` is asked for and torch sees no GPU.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except (RuntimeError, TypeError):  # torch's own words for what is no device
+        device = None
+    if device is None or device.type not in ("cpu", "cuda"):
+        raise StyleSplatError(f"There is no device {str(name)!r}. Use auto, cpu or cuda.")
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise StyleSplatError(
+            "Cannot compute on cuda: torch sees no NVIDIA GPU here. Use --device cpu, or install "
+            "a driver and a CUDA build of torch."
+        )
+    return device
 
 
 def rasterize(
@@ -90,14 +80,13 @@ def rasterize(
     backend_module = _module(backend, splats.device)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
-    colors = torch.stack(
-        [
-            backend_module.spherical_harmonics(
-                degree, splats.means - origin, splats.sh0, splats.shN, clamp=clamp
-            )
-            for origin in cameras.positions
-        ]
-    )  # [C, N, 3]
+    views = []
+    for origin in cameras.positions:
+        dirs = splats.means - origin
+        views.append(
+            backend_module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp)
+        )
+    colors = torch.stack(views)  # [C, N, 3]
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
     render_colors, render_alphas, info = backend_module.rasterize(
@@ -121,7 +110,8 @@ def over_background(
     return colors + (1 - alphas) * torch.cat([background, padding]).to(colors)
 
 
-def _module(backend: Backend, device: torch.device) -> Rasterizer:
+def _module(backend: Backend, device: torch.device):
+    """The module of a backend, with `rasterize` and `spherical_harmonics` as `reference` has."""
     if backend == "auto":
         backend = "cuda" if device.type == "cuda" else "cpu"
     if backend == "reference":

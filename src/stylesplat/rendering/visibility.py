@@ -129,20 +129,6 @@ def _touching(low: Tensor, high: Tensor, marked: _Marked) -> Bool[Tensor, " N"]:
 
 
 @torch.no_grad()
-def visible_rows(
-    splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None
-) -> Int[Tensor, " M"]:
-    """The rows of the visible Gaussians of one camera, in order.
-
-    Args:
-        splats: The scene, on the CPU.
-        camera: The camera.
-        pixels: Leave out Gaussians that cannot reach one of these; all pixels by default.
-    """
-    return visible(in_view(splats, camera, pixels), camera).rows
-
-
-@torch.no_grad()
 def visible(near: InView, camera: Cameras) -> InView:
     """The Gaussians that reach a pixel of the camera, though others hide some."""
     from stylesplat.rendering import cpu

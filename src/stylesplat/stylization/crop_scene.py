@@ -15,7 +15,7 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.shares import coverage, without_looks
-from stylesplat.rendering.visibility import LARGE, visible_rows
+from stylesplat.rendering.visibility import LARGE, in_view, visible
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.confine import reached_pixels
@@ -100,7 +100,7 @@ def _nearby(
         if not near.any():
             return None
         near = torch.from_numpy(cv2.dilate(near.numpy().astype(np.uint8), square)).bool()
-        rows = visible_rows(others, view, near)
+        rows = visible(in_view(others, view, near), view).rows
         there = torch.cat([own, rows])
         shares = coverage(bare[there], view, torch.arange(len(there)) < len(own))
         return rows if (shares > VISIBLE).any() else None

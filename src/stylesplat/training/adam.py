@@ -6,15 +6,18 @@ Rows whose Gaussian is invisible in a step keep their value and moments, as in g
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
+import numba
+import numpy as np
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from stylesplat.training.device_ops import AdamTurn, device_ops
+from stylesplat.rendering.kernels.jit import kernel
 
 BETA1, BETA2 = 0.9, 0.999
+EPS = 1e-15  # as in the 3D Gaussian splatting code
 
 
 @dataclass(frozen=True)
@@ -96,5 +99,90 @@ def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int =
             corrections = 1 - BETA1**step, 1 - BETA2**step
             turns.append(AdamTurn(param.grad, visible, rates[name] * photos**0.5, corrections))
         if turns:
-            adam = device_ops(stepped.device).adam
+            adam = adam_cuda if stepped.is_cuda else adam_cpu
             adam(stepped.detach(), moments.first[name], moments.second[name], turns, kept)
+
+
+class AdamTurn(NamedTuple):
+    """What differs between one step of a tensor and the next."""
+
+    grad: Tensor
+    visible: Bool[Tensor, " N"]
+    """The rows to step; others stay as they are."""
+    rate: float
+    corrections: tuple[float, float]
+    """Both moments are divided by these, because they started at 0."""
+
+
+def adam_cuda(
+    param: Tensor,
+    first: Tensor,
+    second: Tensor,
+    turns: Sequence[AdamTurn],
+    kept: tuple[float, float],
+) -> None:
+    """Step a tensor in place, by the kernel of gsplat's `SelectiveAdam`; see `adam_cpu`.
+
+    The kernel divides by sqrt(second) + eps without the corrections, so rate and eps contain them:
+    rate / c1 * first / (sqrt(second / c2) + eps) is the same.
+    """
+    from gsplat.cuda._wrapper import adam
+
+    for turn in turns:
+        root = turn.corrections[1] ** 0.5
+        adam(
+            param,
+            turn.grad.contiguous(),
+            first,
+            second,
+            valid=turn.visible,
+            lr=turn.rate * root / turn.corrections[0],
+            b1=kept[0],
+            b2=kept[1],
+            eps=EPS * root,
+        )
+
+
+def adam_cpu(
+    param: Tensor,
+    first: Tensor,
+    second: Tensor,
+    turns: Sequence[AdamTurn],
+    kept: tuple[float, float],
+) -> None:
+    """Step a tensor in place, all turns in one pass through memory, whose speed is the limit.
+
+    `kept` are the shares of the moments that stay.
+    """
+    changed = (param, first, second)
+    packed = [tensor.contiguous() for tensor in changed]  # a copy of those that are not contiguous
+    arrays = tuple(_rows(tensor) for tensor in packed)
+    grads = tuple(_rows(turn.grad) for turn in turns)
+    chosen = tuple(turn.visible.numpy() for turn in turns)
+    factors = [(turn.rate / turn.corrections[0], 1 / turn.corrections[1]) for turn in turns]
+    betas = np.float32(kept[0]), np.float32(kept[1])
+    _adam(arrays, betas, grads, chosen, np.array(factors, np.float32))
+    for tensor, copy in zip(changed, packed, strict=True):
+        if copy is not tensor:
+            tensor.copy_(copy)
+
+
+def _rows(tensor: Tensor) -> np.ndarray:
+    return tensor.contiguous().view(len(tensor), -1).numpy()
+
+
+@no_type_check
+@kernel
+def _adam(arrays, kept, grads, chosen, factors):
+    param, first, second = arrays
+    (b1, b2), eps, one = kept, np.float32(EPS), np.float32(1)
+    for i in numba.prange(param.shape[0]):
+        for turn in range(len(grads)):
+            grad, (rate, scale) = grads[turn], factors[turn]
+            if chosen[turn][i]:
+                for j in range(param.shape[1]):
+                    g = grad[i, j]
+                    m = b1 * first[i, j] + (one - b1) * g
+                    v = b2 * second[i, j] + (one - b2) * g * g
+                    first[i, j], second[i, j] = m, v
+                    param[i, j] -= rate * m / (np.sqrt(v * scale) + eps)

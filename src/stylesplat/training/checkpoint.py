@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import torch
 
@@ -16,7 +15,6 @@ from stylesplat.io.files import reason
 from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.progress import say
 from stylesplat.scene.capture import differences
-from stylesplat.scene.labels import MAX_ID
 from stylesplat.training.adam import Moments
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
@@ -82,7 +80,6 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: boo
     """
     path = checkpoint.path
     try:
-        _check_sizes(path)
         content = torch.load(path, map_location=device, weights_only=True)
         changed = _changed(content, checkpoint, finish=finish)
         state = None if changed else _state(content, checkpoint)
@@ -102,18 +99,16 @@ def _write(content: dict[str, Any], path: Path) -> None:
         with path.open("wb") as file:
             torch.save(content, file)
     except RuntimeError as error:  # of its zip writer, after whatever stopped it
-        causes: list[BaseException] = [error]
-        while causes[-1].__context__ is not None:
-            causes.append(causes[-1].__context__)
-        raise next((e for e in causes if isinstance(e, OSError)), OSError(reason(error))) from error
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, OSError):
+            cause = cause.__context__
+        raise cause or OSError(reason(error)) from error
 
 
 def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool) -> str:
     """How the run of a checkpoint differs from the one wanted; empty if it does not."""
     # A setting that an older version did not have was what is the default now.
     saved, wanted = asdict(TrainConfig()) | content["config"], asdict(checkpoint.config)
-    if "capture" not in content:
-        return "an older version, which did not record its photos, poses, label maps and size"
     over = finish or checkpoint.config.progress(content["counts"][1], content["seconds"]) >= 1
     free = FREE | LENGTH if over else FREE
     settings = [n for n, value in wanted.items() if n not in free and saved[n] != value]
@@ -121,25 +116,9 @@ def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool
     return ", ".join(changed + differences(content["capture"], checkpoint.capture))
 
 
-def _check_sizes(path: Path) -> None:
-    """Raise a ValueError if a file expands to more than its size; `torch.save` never compresses."""
-    if not path.is_file():
-        raise ValueError("no plain file")
-    with ZipFile(path) as packed:
-        if sum(each.file_size for each in packed.infolist()) > path.stat().st_size:
-            raise ValueError("it claims to hold more than it does")
-
-
 def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     """The state in a checkpoint; raises a ValueError or a KeyError if it cannot be one."""
     params, ids, config = content["params"], tuple(content["ids"]), checkpoint.config
-    (first_count, step), seconds = content["counts"], content["seconds"]
-    known = all(isinstance(id, int) and 0 <= id <= MAX_ID for id in ids)
-    if not known or len({*ids}) < len(ids):
-        raise ValueError("ids are not all different label ids")
-    counts_fit = isinstance(first_count, int) and isinstance(step, int) and first_count > 0 <= step
-    if not (counts_fit and 0 <= seconds < math.inf):
-        raise ValueError("counts of steps, seconds or Gaussians are out of range")
     declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if ids else {})
     corrects = {"on": True, "off": False}.get(config.color_correction, "color_maps" in params)
     if corrects:  # `auto` left this open
@@ -154,7 +133,8 @@ def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
         check_tensors(moments, anything, sizes)
     params = {name: t.requires_grad_() for name, t in params.items()}
     moments = Moments(content["first"], content["second"])
-    return State(params, moments, ids, first_count, step, seconds)
+    first_count, step = content["counts"]
+    return State(params, moments, ids, first_count, step, content["seconds"])
 
 
 class Checkpointer:
@@ -168,9 +148,9 @@ class Checkpointer:
 
     def after_step(self, state: State) -> None:
         """Write a checkpoint if it is time; say when writing fails, and when it works again."""
-        if self._checkpoint is None or time.monotonic() - self._written <= CHECKPOINT_SECONDS:
+        if time.monotonic() - self._written <= CHECKPOINT_SECONDS:
             return
-        error = self._try(self._checkpoint, state)
+        error = self._save(state)
         if error is not None and not self._fails:
             say(f"{error} Training goes on without a checkpoint.")
         elif error is None and self._fails:
@@ -179,22 +159,21 @@ class Checkpointer:
 
     def at_end(self, state: State, *, interrupted: bool) -> None:
         """Write the last checkpoint; say so if an interrupted run cannot be saved."""
-        if self._checkpoint is None:
-            return
-        error = self._try(self._checkpoint, state)
-        if error is None or (self._fails and not interrupted):
+        error = self._save(state)
+        if self._checkpoint is None or error is None or (self._fails and not interrupted):
             return
         there = "There is no checkpoint"
         if self._checkpoint.path.exists():
             there = f"The last checkpoint is of step {self._saved_step:,}"
         say(f"{error} {there}, and the run was at step {state.step:,}.")
 
-    def _try(self, checkpoint: Checkpoint, state: State) -> StyleSplatError | None:
+    def _save(self, state: State) -> StyleSplatError | None:
         try:
-            save_checkpoint(checkpoint, state)
-            self._saved_step = state.step
-            return None
+            if self._checkpoint is not None:
+                save_checkpoint(self._checkpoint, state)
+                self._saved_step = state.step
         except StyleSplatError as error:
             return error
         finally:
             self._written = time.monotonic()
+        return None

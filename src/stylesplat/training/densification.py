@@ -4,17 +4,26 @@ Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, s
 copies look as it did; noise in proportion to transparency lets Gaussians explore.
 """
 
+from functools import cache
+from math import comb, exp
+from typing import no_type_check
+
+import numba
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments
-from stylesplat.training.device_ops import DEAD_OPACITY, MAX_COPIES, Geometry, device_ops
 
+DEAD_OPACITY = 0.005
+MAX_COPIES = 51  # of one Gaussian at a time (official)
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an extent of 8
+NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
+OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
 CERTAIN = 0.95  # probability of an object; a hole in the background would show
@@ -48,8 +57,49 @@ def perturb_means(
         noise: Standard normal.
         photos: Photos of the step; the variances of their noises add up.
     """
-    geometry = Geometry(**{name: params[name].detach() for name in Geometry._fields})
-    device_ops(noise.device).add_noise(geometry, noise, NOISE_RATE * decay * photos**0.5 / extent)
+    rate = NOISE_RATE * decay * photos**0.5 / extent
+    add_noise = add_noise_cuda if noise.is_cuda else add_noise_cpu
+    add_noise({name: t.detach() for name, t in params.items()}, noise, rate)
+
+
+def add_noise_cuda(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> None:
+    """Move means by a rate times their covariance times noise.
+
+    As gsplat's `inject_noise_to_position`, which draws from the global generator.
+    """
+    from gsplat import quat_scale_to_covar_preci
+
+    scales, opacities = params["scales"].exp(), torch.sigmoid(params["opacities"])
+    covars, _ = quat_scale_to_covar_preci(params["quats"], scales, compute_preci=False)
+    gate = torch.sigmoid(NOISE_SHARPNESS * (DEAD_OPACITY - opacities))
+    params["means"].add_(torch.einsum("nij,nj->ni", covars, rate * gate[:, None] * noise))
+
+
+def add_noise_cpu(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> None:
+    """The same by noise along the axes of each Gaussian, without the opaque ones."""
+    names = ("means", "quats", "scales", "opacities")
+    _add_noise(tuple(t.numpy() for t in (*(params[name] for name in names), noise)), rate)
+
+
+@no_type_check
+@kernel
+def _add_noise(arrays, rate):
+    means, quats, scales, opacities, noise = arrays
+    for i in numba.prange(means.shape[0]):
+        if opacities[i] > OPAQUE:
+            continue
+        opacity = 1 / (1 + exp(-opacities[i]))
+        step = rate / (1 + exp(-NOISE_SHARPNESS * (DEAD_OPACITY - opacity)))
+        a = step * noise[i, 0] * exp(2 * scales[i, 0])
+        b = step * noise[i, 1] * exp(2 * scales[i, 1])
+        c = step * noise[i, 2] * exp(2 * scales[i, 2])
+        w, x, y, z = quats[i]
+        double = 2 / max(w * w + x * x + y * y + z * z, 1e-24)
+        # the rotation as v + 2 w (q x v) + 2 q x (q x v)
+        d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+        means[i, 0] += a + double * (w * d + y * f - z * e)
+        means[i, 1] += b + double * (w * e + z * d - x * f)
+        means[i, 2] += c + double * (w * f + x * e - y * d)
 
 
 @torch.no_grad()
@@ -100,7 +150,7 @@ def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
     """Opacities and scales with which a source and its copies together look as before."""
     copies = torch.bincount(sources, minlength=len(params["opacities"])) + 1
     opacities, scales = params["opacities"].detach().clone(), params["scales"].detach().clone()
-    new_opacities, new_scales = device_ops(sources.device).relocate(
+    new_opacities, new_scales = relocate(
         torch.sigmoid(opacities[sources]),
         scales[sources].exp(),
         copies[sources].clamp(max=MAX_COPIES),
@@ -108,6 +158,35 @@ def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
     opacities[sources] = torch.logit(new_opacities.clamp(DEAD_OPACITY, MAX_OPACITY))
     scales[sources] = new_scales.log()
     return {"opacities": opacities, "scales": scales}
+
+
+def relocate(
+    opacities: Float[Tensor, " M"], scales: Float[Tensor, "M 3"], copies: Int[Tensor, " M"]
+) -> tuple[Float[Tensor, " M"], Float[Tensor, "M 3"]]:
+    """Activated opacities and scales with which so many copies look like one Gaussian.
+
+    Equation 9 of 3DGS-MCMC (Kheradmand et al. 2024), for at most `MAX_COPIES`. Its terms alternate
+    and are large, hence float64.
+    """
+    old = opacities.double()
+    new = 1 - (1 - old) ** (1 / copies)
+    powers = torch.arange(1, MAX_COPIES + 1, device=new.device)
+    terms = _spread_terms().to(new.device)[copies] * new[:, None] ** powers
+    factor = old / terms.sum(dim=1)
+    return new.to(opacities), scales * factor.to(scales)[:, None]
+
+
+@cache
+def _spread_terms() -> Float[Tensor, "n k"]:
+    """By copies n and power k of the opacity, the factor of the paper's double sum.
+
+    The inner binomials C(i - 1, k - 1) add up to C(n, k) over i.
+    """
+    table = torch.zeros(MAX_COPIES + 1, MAX_COPIES, dtype=torch.float64)
+    for n in range(1, MAX_COPIES + 1):
+        for k in range(1, n + 1):
+            table[n, k - 1] = comb(n, k) * (-1) ** (k - 1) / k**0.5
+    return table
 
 
 @torch.no_grad()

@@ -4,7 +4,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,10 +25,10 @@ from stylesplat.training.checkpoint import (
 )
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.per_photo import first_of_photos
-from stylesplat.training.state import Ranks, Run, State, first_state
+from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import learned_ids, say_unseen, split_views, training_views
+from stylesplat.training.training_views import learned_ids, split_views, training_views
 
 MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
 SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
@@ -88,23 +88,65 @@ def fit(
     rows, _ = split_views(capture, config.test_every)
     if not rows:
         raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
-    saved = None
+    saved = continued = None
     if checkpoint is not None:
         mark = fingerprint(replace(capture, object_names={}))
         saved = Checkpoint(checkpoint, config, mark, len(rows))
-    continued = None
-    if saved is not None and saved.path.exists():
-        continued = load_checkpoint(saved, device, finish=finish)
-        if finish or config.progress(continued.step, continued.seconds) >= 1:
-            say(f"Taking no more steps than the {continued.step:,} of {saved.path}.")
-            return continued
-        say(
-            f"Continuing from {saved.path}, after {continued.step:,} steps. `--restart` begins "
-            "anew."
-        )
-    state = continued or _first(capture, rows, config, device)
+        if checkpoint.exists():
+            continued = load_checkpoint(saved, device, finish=finish)
+            steps = f"{continued.step:,}"
+            if finish or config.progress(continued.step, continued.seconds) >= 1:
+                say(f"Taking no more steps than the {steps} of {checkpoint}.")
+                return continued
+            say(f"Continuing from {checkpoint}, after {steps} steps. `--restart` begins anew.")
+    run, state = _begin(capture, config, rows, device, continued)
+    try:
+        warm_up_training(run, state)
+        checkpointer = Checkpointer(saved if run.ranks.number == 0 else None, state)
+        with _progress_bar(config, state) as bar, deferred_interrupt() as interrupted:
+            meter = ProgressMeter(config, state, bar, on_progress)
+            state, stopped = _agree(run, state, interrupted=interrupted())
+            while run.progress(state) < 1 and not stopped:
+                start = time.perf_counter()
+                after, scores = train_step(run, state)
+                means = meter.add(scores, after.step)
+                state = replace(after, seconds=state.seconds + time.perf_counter() - start)
+                if means is not None:
+                    meter.report(state, *means)
+                checkpointer.after_step(state)
+                state, stopped = _agree(run, state, interrupted=interrupted())
+            if meter.sums is not None:
+                meter.report(state, *meter.means())
+            checkpointer.at_end(state, interrupted=stopped)
+        if stopped:  # and the program's own handler has let it pass
+            raise KeyboardInterrupt
+        return state
+    finally:
+        run.pool.end()
+
+
+def _begin(
+    capture: Capture,
+    config: TrainConfig,
+    rows: list[int],
+    device: torch.device,
+    continued: State | None,
+) -> tuple[Run, State]:
+    """What stays the same in the course of a run, and the state that it starts or continues at."""
+    state = continued or first_state(
+        first_splats(
+            capture,
+            sh_degree=config.sh_degree,
+            max_gaussians=config.max_gaussians,
+            generator=torch.Generator().manual_seed(config.seed),
+            ids=learned_ids(capture, rows),
+        ).to(device)
+    )
     ranks = Ranks.here()
-    pool = RenderPool(config.photos_at_once or most_at_once(ranks), device)
+    most = most_at_once(ranks)
+    pool = RenderPool(config.photos_at_once or most, device)
+    # Processes on the CPU send their gradients once a round, so each has as many photos in it
+    same = ranks.count > 1 and device.type == "cpu"
     run = Run(
         config=config,
         rows=tuple(rows),
@@ -114,28 +156,13 @@ def fit(
         cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
         device=device,
-        batch=config.photos_at_once or default_batch(pool, ranks, device),
+        batch=config.photos_at_once or (most if same else pool.size),
+        ranks=ranks,
+        pool=pool,
     )
     if continued is None:
         state = state.with_photos(first_of_photos(run, capture.points))
-    try:
-        warm_up_training(run, state, ranks)
-        run = replace(run, pool=pool, ranks=ranks)
-        checkpointer = Checkpointer(saved if ranks.number == 0 else None, state)
-        with progress_meter(config, state, on_progress) as meter:
-            return _train(run, state, checkpointer, meter)
-    finally:
-        pool.end()
-
-
-def default_batch(pool: RenderPool, ranks: Ranks, device: torch.device) -> int:
-    """Photos of a round of one process.
-
-    Of several processes on the CPU each has the same number, however many threads it has, because
-    they send their gradients once per round.
-    """
-    sends = ranks.count > 1 and device.type == "cpu"
-    return most_at_once(ranks) if sends else pool.size
+    return run, state
 
 
 def most_at_once(ranks: Ranks) -> int:
@@ -143,55 +170,28 @@ def most_at_once(ranks: Ranks) -> int:
     return max(1, MOST_AT_ONCE // ranks.count)
 
 
-def _first(capture: Capture, rows: list[int], config: TrainConfig, device: torch.device) -> State:
-    learned = learned_ids(capture, rows)
-    say_unseen(learned, capture.object_names)
-    splats = first_splats(
-        capture,
-        sh_degree=config.sh_degree,
-        max_gaussians=config.max_gaussians,
-        generator=torch.Generator().manual_seed(config.seed),
-        ids=learned.trained,
-    )
-    return first_state(splats.to(device))
-
-
-def warm_up_training(run: Run, state: State, ranks: Ranks) -> None:
+def warm_up_training(run: Run, state: State) -> None:
     """Compile the kernels before the clock starts, by rounds on a copy of the state.
 
     The rounds are those of one process; of several processes all photos of a round have one step.
     """
-    run = run if ranks.count == 1 else replace(run, batch=1)
+    batch = run.batch if run.ranks.count == 1 else 1
+    run = replace(run, batch=batch, ranks=ALONE, pool=RenderPool(1))
     if run.progress(state) < 1:
         for number in range(min(run.config.identity_every, 2)):  # with and without identities
-            train_step(run, replace(state.clone(), step=number * run.batch))
-
-
-def _train(run: Run, state: State, checkpointer: Checkpointer, meter: "ProgressMeter") -> State:
-    """Train to the end of the run; Ctrl-C and SIGTERM wait for the end of a step."""
-    with deferred_interrupt() as interrupted:
-        state, stopped = _agree(run, state, interrupted=interrupted())
-        while run.progress(state) < 1 and not stopped:
-            start = time.perf_counter()
-            after, scores = train_step(run, state)
-            means = meter.add(scores, after.step)
-            state = replace(after, seconds=state.seconds + time.perf_counter() - start)
-            if means is not None:
-                meter.report(state, *means)
-            checkpointer.after_step(state)
-            state, stopped = _agree(run, state, interrupted=interrupted())
-        if meter.steps:
-            meter.report(state, *meter.means())
-        checkpointer.at_end(state, interrupted=stopped)
-    if stopped:  # and the program's own handler has let it pass
-        raise KeyboardInterrupt
-    return state
+            train_step(run, replace(state.clone(), step=number * batch))
 
 
 def _agree(run: Run, state: State, *, interrupted: bool) -> tuple[State, bool]:
     """The state with the time of the slowest process; and whether any process is to stop."""
     seconds, stopped = run.ranks.largest(state.seconds, interrupted)
     return replace(state, seconds=seconds), bool(stopped)
+
+
+def _progress_bar(config: TrainConfig, state: State) -> AbstractContextManager[Task]:
+    if config.max_seconds is None:
+        return task("training", config.steps, unit="step", done=state.step)
+    return task("training", config.max_seconds, unit="s", done=state.seconds)
 
 
 class ProgressMeter:
@@ -203,57 +203,41 @@ class ProgressMeter:
         self._limit, self._bar, self._on_progress = config.max_seconds, bar, on_progress
         self._done = state.step if self._limit is None else state.seconds
         self._step = state.step
-        self._shown: tuple[float, float] | None = None
+        self._smooth: tuple[float, float] | None = None
         self._restart()
 
     def _restart(self) -> None:
-        self._sums: Float[Tensor, 2] | None = None
-        self.steps, self._since = 0, time.monotonic()
+        self.sums: Float[Tensor, 2] | None = None
+        self._rounds, self._since = 0, time.monotonic()
 
     def add(self, scores: Float[Tensor, "2"], step: int) -> tuple[float, float] | None:
-        """Add the scores of a step; the means if it is time for a report."""
-        self._sums = scores if self._sums is None else self._sums + scores
-        self.steps += 1
-        waits = scores.device.type != "cpu" and step % GPU_STEPS != 0
+        """Add the scores of a round; the means if it is time for a report."""
+        self.sums = scores if self.sums is None else self.sums + scores
+        self._rounds += 1
+        waits = scores.is_cuda and step % GPU_STEPS != 0
         due = not waits or time.monotonic() - self._since > GPU_SECONDS
         return self.means() if due else None
 
     def means(self) -> tuple[float, float]:
         """Means of loss and PSNR since the last report; waits for the device."""
-        assert self._sums is not None
-        loss, psnr = (self._sums / self.steps).tolist()
+        assert self.sums is not None
+        loss, psnr = (self.sums / self._rounds).tolist()
         return loss, psnr
 
     def report(self, state: State, loss: float, psnr: float) -> None:
         """Show the progress and smoothed means, and start new means."""
-        kept, (old_loss, old_psnr) = (
-            SMOOTHING ** (state.step - self._step),
-            self._shown or (loss, psnr),
-        )
-        self._shown = (kept * old_loss + (1 - kept) * loss, kept * old_psnr + (1 - kept) * psnr)
-        self._bar.note(
-            f"loss {self._shown[0]:.4f}, PSNR {self._shown[1]:.2f} dB, "
-            f"{len(state.params['means']):,} Gaussians"
-        )
+        kept = SMOOTHING ** (state.step - self._step)
+        old_loss, old_psnr = self._smooth or (loss, psnr)
+        smooth = kept * old_loss + (1 - kept) * loss, kept * old_psnr + (1 - kept) * psnr
+        self._smooth = smooth
+        count = len(state.params["means"])
+        self._bar.note(f"loss {smooth[0]:.4f}, PSNR {smooth[1]:.2f} dB, {count:,} Gaussians")
         done = state.step if self._limit is None else min(state.seconds, self._limit)
         self._bar.advance(done - self._done)
         self._done, self._step = done, state.step
         self._restart()
         if self._on_progress is not None:
             self._on_progress(state, loss, psnr)
-
-
-@contextmanager
-def progress_meter(
-    config: TrainConfig, state: State, on_progress: Report | None = None
-) -> Iterator[ProgressMeter]:
-    """A progress bar of the steps, or seconds, of a run that begins or continues at a state."""
-    if config.max_seconds is None:
-        bar = task("training", config.steps, unit="step", done=state.step)
-    else:
-        bar = task("training", config.max_seconds, unit="s", done=state.seconds)
-    with bar as shown:
-        yield ProgressMeter(config, state, shown, on_progress)
 
 
 @contextmanager
@@ -265,10 +249,9 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """
     came: list[int] = []
     handlers = {number: signal.getsignal(number) for number in TAKEN}
-    if threading.current_thread() is threading.main_thread():
-        taken = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
-    else:
-        taken = {}
+    if threading.current_thread() is not threading.main_thread():
+        handlers = {}
+    taken = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
     try:
         for number in taken:
             signal.signal(number, lambda number, _: came.append(number))

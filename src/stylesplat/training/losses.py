@@ -4,7 +4,10 @@
 
 from math import log
 
+import numpy as np
+import torch
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
@@ -12,10 +15,11 @@ from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
 from stylesplat.metrics.ssim import ssim
 from stylesplat.scene.splats import Classifier
-from stylesplat.training.device_ops import device_ops
+from stylesplat.training.photometric_cpu import Photometric
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
+DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
 
 def photometric_loss(
@@ -26,18 +30,18 @@ def photometric_loss(
     Returns:
         The loss; and the mean squared error of the image clamped to 0..1, without gradient.
     """
-    return device_ops(image.device).photometric_loss(image, target, DSSIM_WEIGHT)
+    if not image.is_cuda:
+        return Photometric.apply(image, target, DSSIM_WEIGHT)
+    return photometric_reference(image, target)
 
 
-def photometric_spec(
-    image: Float[Tensor, "H W 3"],
-    target: Float[Tensor, "H W 3"],
-    dssim_weight: float = DSSIM_WEIGHT,
+def photometric_reference(
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
     """`photometric_loss` in plain torch, on any device and in any precision."""
     dissimilarity = 1 - ssim(image, target)
     error = (image.detach().clamp(0, 1) - target).square().mean()
-    return (1 - dssim_weight) * l1_loss(image, target) + dssim_weight * dissimilarity, error
+    return (1 - DSSIM_WEIGHT) * l1_loss(image, target) + DSSIM_WEIGHT * dissimilarity, error
 
 
 def identity_loss(
@@ -66,6 +70,29 @@ def neighbor_loss(
     theirs = log_softmax(classifier.logits(neighbors), dim=-1)
     divergence = kl_div(theirs, own.expand_as(theirs), reduction="none", log_target=True).sum(-1)
     return NEIGHBOR_WEIGHT * divergence.mean() / len(classifier.ids)
+
+
+def nearest_rows(
+    means: Float[Tensor, "N 3"], sample: Int[Tensor, " S"], count: int
+) -> Int[Tensor, "S k"]:
+    """Rows of the nearest neighbours of some rows, without the rows themselves.
+
+    On the CPU by a k-d tree, 17 times faster for 50,000 points than all distances.
+    """
+    if not means.is_cuda:
+        tree = KDTree(means.numpy(), balanced_tree=False, compact_nodes=False)  # quick to build
+        found = np.asarray(tree.query(means[sample].numpy(), k=count + 1)[1])
+        own = found == sample.numpy()[:, None]
+        own[~own.any(axis=1), -1] = True  # of twins at one place, it itself may not be among them
+        return torch.from_numpy(found[~own].reshape(len(found), count))
+    found = []
+    for some in sample.split(max(1, DISTANCES_AT_ONCE // len(means))):
+        # Not by a matrix product, which rounds small distances away
+        mode = "donot_use_mm_for_euclid_dist"
+        distances = torch.cdist(means[some], means, compute_mode=mode)
+        distances.scatter_(1, some[:, None], torch.inf)
+        found.append(distances.topk(count, dim=1, largest=False).indices)
+    return torch.cat(found)
 
 
 class _SplitRender(Function):

@@ -8,7 +8,7 @@ INRIA's code and gsplat, for exposure and white balance. It matches gains of 0.6
 light, with a tint, to 58 dB, as measured on photos; except for what is blown out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -47,8 +47,26 @@ def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, 
         run: Settings and photos.
         points: Sparse points in the world, which give first exposures.
     """
-    shifts = {"pose_shifts": torch.zeros(len(run.rows), 6)} if run.config.refine_poses else {}
-    return {name: each.to(run.device) for name, each in (_first_maps(run, points) | shifts).items()}
+    first = dict[str, Tensor]()
+    if run.config.refine_poses:
+        first["pose_shifts"] = torch.zeros(len(run.rows), 6, device=run.device)
+    wanted = run.config.color_correction
+    has_points = points is not None and len(points) > 0
+    if wanted == "off" or (wanted == "auto" and not has_points):
+        return first
+    gains = torch.zeros(len(run.rows), 3)
+    if points is not None and has_points:
+        gains = photo_gains(points, run)
+    if wanted == "auto":
+        if gains.std(dim=0, correction=0).max() < VARIED:  # of the channel that differs most
+            return first
+        say(
+            "The photos differ in exposure or white balance. Training learns these differences "
+            "and keeps them out of the splat."
+        )
+    factors = gains.exp() - gains.exp().mean(dim=0)
+    maps = torch.cat([torch.diag_embed(factors), torch.zeros(len(gains), 3, 1)], dim=2)
+    return {"color_maps": maps.to(run.device)} | first
 
 
 def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
@@ -85,50 +103,24 @@ def step_photo(run: Run, state: State) -> None:
             state.params[name].sub_(state.params[name].mean(dim=0))
 
 
-def _first_maps(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
-    """First colour maps; none if the settings or the photos do not ask for them."""
-    wanted = run.config.color_correction
-    if points is None or not len(points):
-        points = None
-    if wanted == "off" or (wanted == "auto" and points is None):
-        return {}
-    gains = torch.zeros(len(run.rows), 3)
-    if points is not None:
-
-        def coarsest(row: int) -> TrainingView:
-            return run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
-
-        gains = photo_gains(points, coarsest, run.rows)
-    spread = gains.std(dim=0, correction=0).max().item()  # of the channel that differs most
-    if wanted == "auto" and spread < VARIED:
-        return {}
-    if wanted == "auto":
-        say(
-            "The photos differ in exposure or white balance. Training learns these differences "
-            "and keeps them out of the splat."
-        )
-    factors = gains.exp() - gains.exp().mean(dim=0)
-    changes = torch.cat([torch.diag_embed(factors), torch.zeros(len(gains), 3, 1)], dim=2)
-    return {"color_maps": changes}
-
-
-def photo_gains(
-    points: Float[Tensor, "M 3"], views: Callable[[int], TrainingView], rows: Sequence[int]
-) -> Float[Tensor, "R 3"]:
+def photo_gains(points: Float[Tensor, "M 3"], run: Run) -> Float[Tensor, "R 3"]:
     """The logarithms of each photo's gain per channel of sRGB, whose mean over photos is 0.
 
-    Medians ignore points that are hidden in a photo, or shine.
+    Photos are looked at as small as training begins with. Medians ignore points that are hidden in
+    a photo, or shine.
 
     Args:
         points: Sparse points in the world.
-        views: Photos with their cameras, by row.
-        rows: Which photos.
+        run: Settings and photos.
     """
     some = points[evenly(range(len(points)), POINTS)].cpu()
-    colors = [_log_colors(some, views(row)) for row in track(rows, "comparing exposures")]
-    logs = torch.stack(colors)
+    colors = []
+    for row in track(run.rows, "comparing exposures"):
+        view = run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
+        colors.append(_log_colors(some, view))
+    logs = torch.stack(colors)  # [R, P, 3]
     counts = (~logs.isnan()).all(dim=-1).sum(dim=1)  # [R]
-    gains = torch.zeros(len(rows), 3)
+    gains = torch.zeros(len(logs), 3)
     for _ in range(ROUNDS):
         typical = (logs - gains[:, None]).nanmedian(dim=0).values  # [P, 3]
         gains = (logs - typical).nanmedian(dim=1).values
@@ -199,7 +191,9 @@ def shift_cameras(cameras: Cameras, shifts: Float[Tensor, "C 6"], unit: float) -
         unit: Of length.
     """
     viewmats = cameras.viewmats.to(shifts)
-    turns = torch.linalg.matrix_exp(_cross_matrices(shifts[:, :3]))  # [C, 3, 3]
+    axes, basis = shifts[:, :3], torch.eye(3).to(shifts).expand(len(shifts), 3, 3)
+    cross = torch.linalg.cross(axes[:, None].expand(-1, 3, -1), basis).mT  # as the product with it
+    turns = torch.linalg.matrix_exp(cross)  # [C, 3, 3]
     rotations = viewmats[:, :3, :3] @ turns.mT
     positions = cameras.positions.to(shifts) + unit * shifts[:, 3:]
     upper = torch.cat([rotations, -rotations @ positions[:, :, None]], dim=2)
@@ -226,9 +220,3 @@ def with_refined_cameras(capture: Capture, state: State, rows: Sequence[int]) ->
 
     full = None if capture.full is None else found(capture.full)
     return replace(capture, cameras=found(capture.cameras), full=full)
-
-
-def _cross_matrices(axes: Float[Tensor, "C 3"]) -> Float[Tensor, "C 3 3"]:
-    """The matrices that multiply as the cross product with each axis does."""
-    basis = torch.eye(3).to(axes)
-    return torch.linalg.cross(axes[:, None].expand(-1, 3, -1), basis.expand(len(axes), 3, 3)).mT

@@ -1,7 +1,7 @@
 """The photometric loss on the CPU: value and gradient in two passes of separable filters.
 
 Images are rows of 3 W numbers inside a frame of zeros (SSIM's padding), so that vectors of 16 may
-be read anywhere. Tested against `losses.photometric_spec`.
+be read anywhere. Tested against `losses.photometric_reference`.
 """
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
@@ -11,7 +11,6 @@ from typing import NamedTuple, no_type_check
 import numba
 import numpy as np
 import torch
-from jaxtyping import Float
 from numba import get_num_threads
 from torch import Tensor
 from torch.autograd import Function
@@ -179,7 +178,9 @@ def backward(pair, v_maps, factors, v_x, threads):
                 v_x[row, j] = gradient[j]
 
 
-class _Photometric(Function):
+class Photometric(Function):
+    """L1 and D-SSIM, weighted, and the squared error; gradients reach the image only."""
+
     @staticmethod
     def forward(ctx, image, target, dssim_weight):
         height, n = len(image), image[0].numel()
@@ -210,10 +211,3 @@ class _Photometric(Function):
         v_rows = v_x.view(len(v_x), -1).numpy()
         backward(ctx.pair, ctx.v_maps, factors, v_rows, get_num_threads())
         return v_x, None, None
-
-
-def photometric_loss(
-    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], dssim_weight: float
-) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """L1 and D-SSIM, weighted, and the squared error; gradients reach `image` only."""
-    return _Photometric.apply(image, target, dssim_weight)

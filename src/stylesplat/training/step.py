@@ -13,11 +13,15 @@ from stylesplat.metrics.psnr import decibels
 from stylesplat.rendering.render import rasterize
 from stylesplat.training import densification, per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
-from stylesplat.training.device_ops import device_ops
-from stylesplat.training.losses import identity_loss, neighbor_loss, photometric_loss, split_render
+from stylesplat.training.losses import (
+    identity_loss,
+    nearest_rows,
+    neighbor_loss,
+    photometric_loss,
+    split_render,
+)
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
 from stylesplat.training.train_config import TrainConfig, means_decay
-from stylesplat.training.training_views import TrainingView
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -94,7 +98,10 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         camera = per_photo.shift_cameras(
             camera, params["pose_shifts"][place : place + 1], run.extent
         )
-    background, target = _random_background(view, generator)
+    background, target = None, view.photo
+    if view.alpha is not None:
+        background = torch.rand(3, generator=generator, device=run.device)
+        target = target + (1 - view.alpha) * background
     render, alphas, info = rasterize(
         splats,
         camera,
@@ -123,16 +130,6 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
     return PhotoGradients(state, visible, torch.stack([loss.detach(), decibels(error)]), noise)
 
 
-def _random_background(
-    view: TrainingView, generator: torch.Generator
-) -> tuple[Float[Tensor, "3"] | None, Float[Tensor, "H W 3"]]:
-    """The colour behind everything, None for black; and the photo before it."""
-    if view.alpha is None:
-        return None, view.photo
-    color = torch.rand(3, generator=generator, device=view.photo.device)
-    return color, view.photo + (1 - view.alpha) * color
-
-
 def _identity_losses(
     run: Run,
     state: State,
@@ -148,7 +145,7 @@ def _identity_losses(
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
         sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
-        neighbors = device_ops(means.device).nearest(means, sample, NEIGHBORS)
+        neighbors = nearest_rows(means, sample, NEIGHBORS)
         own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss

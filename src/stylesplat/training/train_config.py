@@ -14,7 +14,6 @@ MIN_SIZE = 64  # pixels; photos are not made smaller than this
 SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
 MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
 
-WHOLE = ("steps", "max_gaussians", "test_every", "seed", "refine_every", "identity_every")
 POSITIVE = (
     "steps",
     "max_seconds",
@@ -25,7 +24,8 @@ POSITIVE = (
     "photos_at_once",
     "sh_degree_every",
 )
-WHOLE_OR_NONE = ("photos_at_once", "sh_degree_every")
+NOT_NEGATIVE = ("test_every", "max_memory")
+FRACTIONS = ("max_seconds", "max_memory")  # the others are whole numbers
 IDENTITY_SETTINGS = (
     "object_growth",
     "object_pixels",
@@ -131,25 +131,19 @@ class TrainConfig:
         return int(first * (max(self.max_gaussians, first) / first) ** share)
 
     def __post_init__(self) -> None:
-        for name in POSITIVE:
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise StyleSplatError(f"Cannot train with {name} {value}: it must exceed 0.")
-        for name in ("max_memory", "test_every"):
-            value = getattr(self, name)
-            if value is not None and not value >= 0:
-                raise StyleSplatError(
-                    f"Cannot train with {name} {value}: it must not be less than 0."
-                )
-        check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
+        for name in (*POSITIVE, *NOT_NEGATIVE, "seed"):
+            value, remedy = getattr(self, name), None
+            if name in POSITIVE and value is not None and not value > 0:
+                remedy = "it must exceed 0"
+            elif name in NOT_NEGATIVE and value is not None and not value >= 0:
+                remedy = "it must not be less than 0"
+            elif name not in FRACTIONS and not isinstance(value, int | None):
+                remedy = "give a whole number"
+            if remedy is not None:
+                raise StyleSplatError(f"Cannot train with {name} {value}: {remedy}.")
         if self.sh_degree not in SH_DEGREES:
             raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
-        given = [name for name in WHOLE_OR_NONE if getattr(self, name) is not None]
-        for name in (*WHOLE, *given):
-            if not isinstance(getattr(self, name), int):
-                raise StyleSplatError(
-                    f"Cannot train with {name} {getattr(self, name)}: give a whole number."
-                )
+        check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
 
 
 def means_decay(progress: float) -> float:

@@ -1,7 +1,6 @@
 """Training photos and label classes: which there are, and at every size the schedule asks for."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from threading import Lock
 from typing import NamedTuple
 
@@ -145,48 +144,33 @@ def _upload(tensor: Tensor, device: torch.device) -> Tensor:
     return tensor.pin_memory().to(device, non_blocking=True)
 
 
-@dataclass(frozen=True)
-class LearnedIds:
-    """Which label ids training learns."""
+def learned_ids(capture: Capture, rows: Sequence[int]) -> tuple[int, ...]:
+    """The label ids that training learns, background first; none without label maps.
 
-    trained: tuple[int, ...]
-    """In the photos that are trained on, background first; none if these have no label maps."""
-    held_out: Mapping[str, tuple[int, ...]]
-    """By name of a held-out photo the ids that no trained one shows."""
-
-
-def learned_ids(capture: Capture, rows: Sequence[int]) -> LearnedIds:
-    """Read all label maps, one at a time.
+    Reads all label maps, one at a time. Says in one line which objects are not learned because
+    only held-out photos show them.
 
     Args:
         capture: With label maps or without.
         rows: The photos that are trained on; the others are held out.
     """
     if capture.label_maps is None:
-        return LearnedIds((), {})
+        return ()
     found = {row: ids_of(capture.labels(row)) for row in track(range(len(capture)), "reading ids")}
     labelled = [found[row] for row in rows if found[row]]
-    trained = tuple(sorted({BACKGROUND}.union(*labelled))) if labelled else ()
-    known = {BACKGROUND, *trained}
-    unseen = {
-        capture.cameras.names[row]: tuple(sorted(ids - known))
-        for row, ids in found.items()
-        if row not in rows and not ids <= known
-    }
-    return LearnedIds(trained, unseen)
-
-
-def say_unseen(learned: LearnedIds, names: Mapping[int, str]) -> None:
-    """Say in one line which objects are not learned because only held-out photos show them."""
-    if not learned.held_out:
-        return
-    ids = sorted(set().union(*learned.held_out.values()))
-    objects = some([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
-    photos = some([*learned.held_out])
-    say(
-        f"Only held-out photos show object {objects}, so training does not learn it: {photos}. "
-        "Use `--test-every 0` to train on all photos, or another value to hold out others."
-    )
+    trained = {BACKGROUND}.union(*labelled)
+    unseen = {row: ids - trained for row, ids in found.items() if ids - trained}
+    if unseen:
+        names = capture.object_names
+        ids = sorted(set().union(*unseen.values()))
+        objects = some([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
+        photos = some([capture.cameras.names[row] for row in unseen])
+        say(
+            f"Only held-out photos show object {objects}, so training does not learn it: "
+            f"{photos}. Use `--test-every 0` to train on all photos, or another value to hold out "
+            "others."
+        )
+    return tuple(sorted(trained)) if labelled else ()
 
 
 def to_classes(labels: Int[Tensor, "H W"], ids: tuple[int, ...]) -> Integer[Tensor, "H W"]:

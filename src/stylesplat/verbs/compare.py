@@ -15,7 +15,7 @@ from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.sampling import evenly

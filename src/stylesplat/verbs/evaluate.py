@@ -14,7 +14,7 @@ from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
 from stylesplat.evaluation.style import measure_look, measure_statistics, measure_style
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import mask_of, without_layers

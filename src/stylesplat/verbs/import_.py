@@ -17,7 +17,7 @@ from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import known_frames, posed_as, seen_from
 from stylesplat.scene.framing import ring_cameras

@@ -12,7 +12,7 @@ from stylesplat.masks.from_boxes import Boxes, Strokes, mask_boxes, refuse_witho
 from stylesplat.masks.from_model import mask_with_model
 from stylesplat.masks.import_masks import check_mask_source, import_label_maps
 from stylesplat.masks.quick_splat import rendered_capture
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene

@@ -10,7 +10,7 @@ from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
 from stylesplat.figures.pictures import depth_step, render_pictures
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos

@@ -11,7 +11,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.arguments import Places, check_box, parse_places, several
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, Rules, choose

@@ -15,8 +15,7 @@ from stylesplat.figures.grid import draw_grid
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.style_sheet import caption_rows, plan_sheet
 from stylesplat.progress import track
-from stylesplat.rendering.device import pick_device
-from stylesplat.rendering.render import render
+from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.one_line import counted, one_line

@@ -12,7 +12,7 @@ import torch
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.evaluation.style import measure_painted
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.compose import (
     beneath,
     family,

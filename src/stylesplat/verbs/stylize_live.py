@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.compose import beneath, compose, family
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene

@@ -11,7 +11,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import Fits, evaluate_views
 from stylesplat.progress import say
-from stylesplat.rendering.device import pick_device
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -28,7 +28,7 @@ from stylesplat.training.train_config import (
     TrainConfig,
     refuse_identity_settings,
 )
-from stylesplat.training.training_views import learned_ids, say_unseen, split_views
+from stylesplat.training.training_views import learned_ids, split_views
 
 LIBRARIES = ("stylesplat", "torch", "numba")
 
@@ -96,7 +96,7 @@ def train(
     splats, seconds = state.splats.detach(), state.seconds
     capture = with_refined_cameras(capture, state, rows)
     if segment == "lift" and capture.label_maps is not None:
-        say_unseen(learned_ids(capture, rows), capture.object_names)
+        learned_ids(capture, rows)  # says which objects are not learned
         start = time.perf_counter()
         splats = _lifted(splats, capture, rows)
         seconds += time.perf_counter() - start

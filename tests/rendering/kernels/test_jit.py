@@ -64,5 +64,5 @@ def test_caches_older_than_the_kernels_are_deleted(tmp_path: Path):
     for each in (old, other):
         os.utime(each, (0, 0))
     os.utime(new, (2**32, 2**32))  # a century from now
-    delete_stale_caches(tmp_path)
+    delete_stale_caches(folder.parent)
     assert [each.exists() for each in (old, new, other)] == [False, True, True]

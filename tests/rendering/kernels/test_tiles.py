@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from scenes import random_splats, two_cameras
-from stylesplat.rendering import constants as const
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import activated, views_of
+from stylesplat.rendering.gaussians import MIN_ALPHA, activated, views_of
 from stylesplat.rendering.kernels import tiles
-from stylesplat.rendering.kernels.rows import Rows, span
+from stylesplat.rendering.kernels.project import span
 from stylesplat.rendering.kernels.tiles import Ellipses
+from stylesplat.rendering.kernels.vec import Rows
 
 GAUSSIANS = activated(random_splats())
 SIZE = (70, 52)  # 5 x 4 tiles, the last ones cut
@@ -56,7 +56,7 @@ def test_rows_hold_what_blending_reads(packed):
     assert torch.equal(table[:, 8:11], ellipses.colors[order])
     # at the threshold alpha is MIN_ALPHA; float32 logarithm
     at_threshold = table[:, 6] * torch.exp(8 * table[:, 5])
-    torch.testing.assert_close(at_threshold, torch.full_like(at_threshold, const.MIN_ALPHA))
+    torch.testing.assert_close(at_threshold, torch.full_like(at_threshold, MIN_ALPHA))
 
 
 def visible(ellipses: Ellipses, order: np.ndarray) -> torch.Tensor:
@@ -67,7 +67,7 @@ def visible(ellipses: Ellipses, order: np.ndarray) -> torch.Tensor:
     dx, dy = x - means[:, 0, None, None], y - means[:, 1, None, None]
     a, b, c = (conics[:, i, None, None] for i in range(3))
     sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
-    return opacities[:, None, None] * torch.exp(-sigma) >= const.MIN_ALPHA
+    return opacities[:, None, None] * torch.exp(-sigma) >= MIN_ALPHA
 
 
 def listed(lists: tiles.TileLists) -> dict[tuple[int, int], int]:

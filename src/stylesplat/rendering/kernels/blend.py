@@ -10,11 +10,11 @@ from typing import NamedTuple, no_type_check
 import numba
 import numpy as np
 
-from stylesplat.rendering import constants as const
+from stylesplat.rendering.gaussians import MAX_ALPHA, MIN_TRANSMITTANCE
 from stylesplat.rendering.kernels import vec, vecs
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.rendering.kernels.rows import RowPlace, spread_row
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
+from stylesplat.rendering.kernels.vec import RowPlace, spread_row
 
 BLOCKS = 16
 PIXELS = 16  # in a block: the lanes of a vector
@@ -83,10 +83,10 @@ def cross(row, dx, dy, transmittance):
     eighth = vec.fma(dy * spread_row(row, 4), dy, x_part)
     counts = vec.greater_equal(eighth, spread_row(row, 5))
     raw = vec.exp_of_eighth(eighth) * spread_row(row, 6)
-    alpha = vec.select(counts, vec.minimum(raw, const.MAX_ALPHA), 0)
+    alpha = vec.select(counts, vec.minimum(raw, MAX_ALPHA), 0)
     weight = alpha * transmittance
     after = transmittance - weight
-    live = vec.greater(after, const.MIN_TRANSMITTANCE)
+    live = vec.greater(after, MIN_TRANSMITTANCE)
     weight = vec.select(live, weight, 0)
     return Crossing(raw, alpha, weight, vec.select(live, after, 0), counts, live)
 

@@ -5,7 +5,7 @@ from typing import NamedTuple, no_type_check
 import numba
 import numpy as np
 
-from stylesplat.rendering import constants as const
+from stylesplat.rendering.gaussians import MAX_ALPHA
 from stylesplat.rendering.kernels import vec, vecs
 from stylesplat.rendering.kernels.blend import (
     BLOCKS,
@@ -17,8 +17,8 @@ from stylesplat.rendering.kernels.blend import (
     tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inlined, inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import RowPlace, Rows, spread_row
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
+from stylesplat.rendering.kernels.vec import RowPlace, Rows, spread_row
 
 AHEAD = 6  # entries by which rows are prefetched
 MOMENTS = 6  # gradient numbers of the ellipse, in front of the colours'
@@ -130,7 +130,7 @@ def block_gradients(geometry, row, pixels, block, totals):
     vec.store(state, first, crossing.after)
     vec.store(state, first + PIXELS, rest)
     follows = vec.both(
-        vec.both(crossing.counts, crossing.live), vec.greater_equal(const.MAX_ALPHA, crossing.raw)
+        vec.both(crossing.counts, crossing.live), vec.greater_equal(MAX_ALPHA, crossing.raw)
     )
     behind = crossing.alpha * rest * vec.reciprocal(1 - crossing.alpha)
     v_s = vec.select(follows, gain - behind, 0)

@@ -15,7 +15,7 @@ Ctrl-C that came while the kernel ran) is a segmentation fault.
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -50,33 +50,33 @@ class _Announcement(event.Listener):
         """Nothing to say."""
 
 
-@lru_cache(maxsize=1)
+@cache
 def announce_compilation() -> None:
     """Say so in one line if kernels have to be compiled from now on."""
     event.register("numba:compile", _Announcement())
 
 
-@lru_cache(maxsize=1)
+@cache
 def no_cache() -> None:
     """Say once that kernels cannot be cached."""
     say(NO_CACHE)
 
 
-def delete_stale_caches(package: Path) -> None:
-    """Delete cached kernels that are older than the newest source of the kernels.
+@cache
+def delete_stale_caches(folder: Path) -> None:
+    """Delete cached kernels of a folder that are older than the newest source of the kernels.
 
-    numba looks at the source of each kernel alone. A type that another file has renamed since, as
-    by an upgrade of the package, is an AttributeError when such a cache is read.
+    numba unpickles an index before it compares it with the source. A type that was renamed since,
+    as by an upgrade of the package, is an AttributeError then.
     """
     with suppress(OSError):
         newest = max(each.stat().st_mtime for each in Path(__file__).parent.glob("*.py"))
-        for cache in package.rglob("__pycache__/*.nb[ic]"):
-            if cache.stat().st_mtime < newest:
-                cache.unlink(missing_ok=True)
+        for kernel in (folder / "__pycache__").glob("*.nb[ic]"):
+            if kernel.stat().st_mtime < newest:
+                kernel.unlink(missing_ok=True)
 
 
 announce_compilation()  # whoever loads kernels may have to compile them
-delete_stale_caches(Path(__file__).parents[2])
 
 ONLY_PRANGE = {
     "prange": True,
@@ -89,6 +89,7 @@ def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with numba's cache on disk, or without where it finds no folder to write to."""
 
     def decorate(function: Callable[..., Any]) -> Any:
+        delete_stale_caches(Path(function.__code__.co_filename).parent)
         try:
             return numba.njit(cache=True, **options)(function)
         except RuntimeError:  # numba has tried all places

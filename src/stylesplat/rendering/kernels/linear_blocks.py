@@ -22,7 +22,7 @@ from stylesplat.rendering.kernels.blend import (
     tile_corner,
 )
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import RowPlace, spread_row
+from stylesplat.rendering.kernels.vec import RowPlace, spread_row
 
 COLORS = vecs.channels(3)
 NONE = vecs.channels(0)

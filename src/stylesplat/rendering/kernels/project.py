@@ -6,43 +6,158 @@ those of `rendering/gaussians.py`, with arrays.
 """
 
 from math import log, sqrt
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from torch import Tensor
 
-from stylesplat.rendering import constants as const
+from stylesplat.rendering.gaussians import (
+    EPS2D,
+    FAR_PLANE,
+    FOV_MARGIN,
+    MAX_EXTENT,
+    MIN_ALPHA,
+    NEAR_PLANE,
+)
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
-from stylesplat.rendering.kernels.rows import Lanes, read_four, read_three, span, write_column
+
+
+class GeometryRows(NamedTuple):
+    """What of Gaussians is differentiated here, or the gradients of that."""
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+
+
+class Gaussian(NamedTuple):
+    """One of them, or rather sixteen: the components are vectors."""
+
+    mean: tuple
+    quat: tuple
+    scale: tuple
+
+
+class Ellipse(NamedTuple):
+    """What a Gaussian looks like, or the gradients of that; again sixteen."""
+
+    mean2d: tuple
+    conic: tuple
+
+
+class Lanes(NamedTuple):
+    """Which rows of the arrays the lanes of a vector are."""
+
+    first: int
+    rows: int
+    """How many, up to 16."""
+    mask: object
+    """The lanes that are not 0."""
+    buffer: np.ndarray
+    """Room for a vector."""
+
+
+@no_type_check
+@inner
+def span(rows, thread, threads):
+    """First row of a thread's share and the one after its last; shares are whole vectors."""
+    vectors = -(-rows // vec.LANES)
+    low, high = vectors * thread // threads, vectors * (thread + 1) // threads
+    return low * vec.LANES, min(high * vec.LANES, rows)
+
+
+@no_type_check
+@inner
+def read_columns(array, first, count, columns, buffer):
+    """Copy the first columns of up to 16 rows into `buffer`, one after the other."""
+    for lane in range(count):
+        for column in range(columns):
+            buffer[column * vec.LANES + lane] = array[first + lane, column]
+
+
+@no_type_check
+@inner
+def read_two(array, first, count, buffer):
+    """Two columns of up to 16 rows from `first` on; `buffer` has room for four."""
+    read_columns(array, first, count, 2, buffer)
+    return vec.load(buffer, 0), vec.load(buffer, vec.LANES)
+
+
+@no_type_check
+@inner
+def read_three(array, first, count, buffer):
+    """Three columns; see `read_two`."""
+    read_columns(array, first, count, 3, buffer)
+    return vec.load(buffer, 0), vec.load(buffer, vec.LANES), vec.load(buffer, 2 * vec.LANES)
+
+
+@no_type_check
+@inner
+def read_four(array, first, count, buffer):
+    """Four columns; see `read_two`."""
+    read_columns(array, first, count, 4, buffer)
+    x, y = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
+    return x, y, vec.load(buffer, 2 * vec.LANES), vec.load(buffer, 3 * vec.LANES)
+
+
+@no_type_check
+@inner
+def read_gaussian(means, quats, scales, first, count, buffer):
+    """Up to 16 Gaussians; see `read_two`."""
+    mean = read_three(means, first, count, buffer)
+    quat = read_four(quats, first, count, buffer)
+    return Gaussian(mean, quat, read_three(scales, first, count, buffer))
+
+
+@no_type_check
+@inner
+def write_column(array, column, lanes, value):
+    """Write a column of up to 16 rows."""
+    first, count, mask, buffer = lanes
+    vec.store(buffer, 0, vec.select(mask, value, 0))
+    for lane in range(count):
+        array[first + lane, column] = buffer[lane]
+
+
+@no_type_check
+@inner
+def write_three(array, lanes, values):
+    """Write the first three columns of up to 16 rows."""
+    write_column(array, 0, lanes, values[0])
+    write_column(array, 1, lanes, values[1])
+    write_column(array, 2, lanes, values[2])
 
 
 @no_type_check
 @inner
 def dot(a, b):
-    """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @no_type_check
 @inner
 def cross_product(a, b):
-    """The vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @no_type_check
 @inner
 def scaled(a, weight):
-    """A vector times a number."""
     return a[0] * weight, a[1] * weight, a[2] * weight
 
 
 @no_type_check
 @inner
 def plus(a, b):
-    """The sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@no_type_check
+@inner
+def times(a, b):
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @no_type_check
@@ -89,16 +204,10 @@ def camera_space(mean, viewmat):
 def camera_axes(rows, scale, viewmat):
     """Rows of the matrix whose columns are a Gaussian's scaled axes in the camera."""
     r0, r1, r2 = rows
-    sx, sy, sz = scale
-    m0, m1, m2 = (
-        combine(viewmat[0], r0, r1, r2),
-        combine(viewmat[1], r0, r1, r2),
-        combine(viewmat[2], r0, r1, r2),
-    )
     return (
-        (m0[0] * sx, m0[1] * sy, m0[2] * sz),
-        (m1[0] * sx, m1[1] * sy, m1[2] * sz),
-        (m2[0] * sx, m2[1] * sy, m2[2] * sz),
+        times(combine(viewmat[0], r0, r1, r2), scale),
+        times(combine(viewmat[1], r0, r1, r2), scale),
+        times(combine(viewmat[2], r0, r1, r2), scale),
     )
 
 
@@ -106,37 +215,42 @@ def camera_axes(rows, scale, viewmat):
 @inner
 def clamped_slope(slope, focal, centre, size):
     """The slope at which the Jacobian is taken: held constant far outside the image."""
-    margin = const.FOV_MARGIN * 0.5 * size / focal
+    margin = FOV_MARGIN * 0.5 * size / focal
     least, most = -(centre / focal + margin), (size - centre) / focal + margin
     return vec.minimum(vec.maximum(slope, least), most)
 
 
 @no_type_check
 @inner
-def image_axes(axes, p, view):
-    """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`.
+def image_axes(gaussian, view):
+    """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`; and their origin.
 
     Returns:
-        The two rows, and the slopes in x and y at which the Jacobian was taken.
+        The two rows, and the slopes in x and y at which the Jacobian was taken; the mean and axes
+        in the camera, the unit quaternion and the rows of its rotation matrix.
     """
-    m0, m1, m2 = axes
-    _, K, width, height = view
+    viewmat, K, width, height = view
+    p = camera_space(gaussian.mean, viewmat)
+    unit = unit_quaternion(gaussian.quat)
+    w, x, y, z, _ = unit
+    rows = rotation(w, x, y, z)
+    m0, m1, m2 = camera_axes(rows, gaussian.scale, viewmat)
     fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
     slope_x = clamped_slope(p[0] * inverse_z, fx, K[0, 2], width)
     slope_y = clamped_slope(p[1] * inverse_z, fy, K[1, 2], height)
     a0 = plus(scaled(m0, fx * inverse_z), scaled(m2, -fx * slope_x * inverse_z))
     a1 = plus(scaled(m1, fy * inverse_z), scaled(m2, -fy * slope_y * inverse_z))
-    return a0, a1, (slope_x, slope_y)
+    return a0, a1, (slope_x, slope_y), p, (m0, m1, m2), unit, rows
 
 
 @no_type_check
 @inner
 def ellipse(a0, a1):
     """The standard deviations in x and y of an ellipse with these axes, and its conic."""
-    cov_xx, cov_xy, cov_yy = dot(a0, a0) + const.EPS2D, dot(a0, a1), dot(a1, a1) + const.EPS2D
+    cov_xx, cov_xy, cov_yy = dot(a0, a0) + EPS2D, dot(a0, a1), dot(a1, a1) + EPS2D
     area = cross_product(a0, a1)
     # |a0 x a1|^2 + ...: positive by construction where xx yy - xy xy cancels
-    det = dot(area, area) + const.EPS2D * (cov_xx + cov_yy - const.EPS2D)
+    det = dot(area, area) + EPS2D * (cov_xx + cov_yy - EPS2D)
     return vec.sqrt(cov_xx), vec.sqrt(cov_yy), (cov_yy / det, 0 - cov_xy / det, cov_xx / det)
 
 
@@ -145,8 +259,8 @@ def ellipse(a0, a1):
 def read_extents(opacities, first, count, buffer):
     """How many standard deviations out 16 Gaussians are seen; negative for invisible ones."""
     for lane in range(count):
-        fade = 2 * log(max(opacities[first + lane], 1e-30) / const.MIN_ALPHA)
-        buffer[lane] = min(const.MAX_EXTENT, sqrt(fade)) if fade >= 0 else -1
+        fade = 2 * log(max(opacities[first + lane], 1e-30) / MIN_ALPHA)
+        buffer[lane] = min(MAX_EXTENT, sqrt(fade)) if fade >= 0 else -1
     return vec.load(buffer, 0)
 
 
@@ -163,17 +277,14 @@ def project(gaussians, view, out, threads):
     """Fill `out` (depths as [N,1]) with what one camera sees: 0 for Gaussians that it does not."""
     means, quats, scales, opacities = gaussians
     means2d, conics, depths, radii = out
-    viewmat, K, width, height = view
+    _, K, width, height = view
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
         low, high = span(means.shape[0], thread, threads)
         for first in range(low, high, vec.LANES):
             count = min(vec.LANES, high - first)
-            p = camera_space(read_three(means, first, count, buffer), viewmat)
-            w, x, y, z, _ = unit_quaternion(read_four(quats, first, count, buffer))
-            scale = read_three(scales, first, count, buffer)
-            axes = camera_axes(rotation(w, x, y, z), scale, viewmat)
-            a0, a1, _ = image_axes(axes, p, view)
+            gaussian = read_gaussian(means, quats, scales, first, count, buffer)
+            a0, a1, _, p, _, _, _ = image_axes(gaussian, view)
             sigma_x, sigma_y, conic = ellipse(a0, a1)
             u = K[0, 0] * p[0] / p[2] + K[0, 2]
             v = K[1, 1] * p[1] / p[2] + K[1, 2]
@@ -183,14 +294,202 @@ def project(gaussians, view, out, threads):
                 between(0 - radius_x, u, width + radius_x),
                 between(0 - radius_y, v, height + radius_y),
             )
-            deep = between(const.NEAR_PLANE, p[2], const.FAR_PLANE)
+            deep = between(NEAR_PLANE, p[2], FAR_PLANE)
             seen = vec.both(vec.both(inside, deep), vec.greater_equal(extent, 0))
             lanes = Lanes(first, count, seen, buffer)
             write_column(means2d, 0, lanes, u)
             write_column(means2d, 1, lanes, v)
-            write_column(conics, 0, lanes, conic[0])
-            write_column(conics, 1, lanes, conic[1])
-            write_column(conics, 2, lanes, conic[2])
+            write_three(conics, lanes, conic)
             write_column(depths, 0, lanes, p[2])
             write_column(radii, 0, lanes, radius_x)
             write_column(radii, 1, lanes, radius_y)
+
+
+@no_type_check
+@inner
+def covariance_gradient(conic, v_conic):
+    """Gradient of the 2D covariance (xx, xy, yy) from that of its inverse: -X V X."""
+    a, b, c = conic
+    va, vb, vc = v_conic[0], 0.5 * v_conic[1], v_conic[2]
+    xx, xy = a * va + b * vb, a * vb + b * vc
+    yx, yy = b * va + c * vb, b * vb + c * vc
+    return 0 - (xx * a + xy * b), 0 - (xx * b + xy * c), 0 - (yx * b + yy * c)
+
+
+@no_type_check
+@inner
+def jacobian_backward(p, K, slopes, v_rows, axes):
+    """Gradient of the camera-space mean through the perspective Jacobian."""
+    fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
+    slope_x, slope_y = slopes
+    v_a0, v_a1 = v_rows
+    v_slope_x = -fx * inverse_z * dot(v_a0, axes[2])
+    v_slope_y = -fy * inverse_z * dot(v_a1, axes[2])
+    v_z = 0 - (fx * dot(v_a0, axes[0]) + fy * dot(v_a1, axes[1])) * inverse_z * inverse_z
+    v_z = v_z - (v_slope_x * slope_x + v_slope_y * slope_y) * inverse_z
+    # a clamped slope does not depend on the mean
+    v_x = vec.select(vec.equal(slope_x, p[0] * inverse_z), v_slope_x * inverse_z, 0)
+    v_y = vec.select(vec.equal(slope_y, p[1] * inverse_z), v_slope_y * inverse_z, 0)
+    return v_x, v_y, v_z - v_x * slope_x - v_y * slope_y
+
+
+@no_type_check
+@inner
+def rotation_backward(quat, v_rows):
+    """Gradient of a unit quaternion from that of the rows of its matrix."""
+    w, x, y, z = quat
+    d0, d1, d2 = v_rows
+    return (
+        2 * (z * (d1[0] - d0[1]) + y * (d0[2] - d2[0]) + x * (d2[1] - d1[2])),
+        2 * (y * (d0[1] + d1[0]) + z * (d0[2] + d2[0]) + w * (d2[1] - d1[2]))
+        - 4 * x * (d1[1] + d2[2]),
+        2 * (x * (d0[1] + d1[0]) + z * (d1[2] + d2[1]) + w * (d0[2] - d2[0]))
+        - 4 * y * (d0[0] + d2[2]),
+        2 * (x * (d0[2] + d2[0]) + y * (d1[2] + d2[1]) + w * (d1[0] - d0[1]))
+        - 4 * z * (d0[0] + d1[1]),
+    )
+
+
+@no_type_check
+@inner
+def axes_backward(v_axes, unit, rows, scale, viewmat):
+    """Gradients of scale and quaternion from that of `camera_axes`."""
+    w, x, y, z, inverse_norm = unit
+    d0, d1, d2 = v_axes
+    e0 = combine((viewmat[0, 0], viewmat[1, 0], viewmat[2, 0]), d0, d1, d2)
+    e1 = combine((viewmat[0, 1], viewmat[1, 1], viewmat[2, 1]), d0, d1, d2)
+    e2 = combine((viewmat[0, 2], viewmat[1, 2], viewmat[2, 2]), d0, d1, d2)
+    r0, r1, r2 = rows
+    v_scale = plus(plus(times(e0, r0), times(e1, r1)), times(e2, r2))
+    v_rows = times(e0, scale), times(e1, scale), times(e2, scale)
+    v_w, v_x, v_y, v_z = rotation_backward((w, x, y, z), v_rows)
+    radial = w * v_w + x * v_x + y * v_y + z * v_z
+    v_quat = (
+        (v_w - radial * w) * inverse_norm,
+        (v_x - radial * x) * inverse_norm,
+        (v_y - radial * y) * inverse_norm,
+        (v_z - radial * z) * inverse_norm,
+    )
+    return v_scale, v_quat
+
+
+@no_type_check
+@inner
+def camera_gradients(gaussian, view, conic, v_ellipse):
+    """Gradients of the rows of `camera_axes` and of the mean in camera coordinates.
+
+    Returns:
+        Both, then the unit quaternion and the rows of its rotation matrix.
+    """
+    _, K, _, _ = view
+    a0, a1, slopes, p, axes, unit, rows = image_axes(gaussian, view)
+    g_xx, g_xy, g_yy = covariance_gradient(conic, v_ellipse.conic)
+    v_a0 = plus(scaled(a0, 2 * g_xx), scaled(a1, 2 * g_xy))
+    v_a1 = plus(scaled(a0, 2 * g_xy), scaled(a1, 2 * g_yy))
+    fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
+    v_axes = (
+        scaled(v_a0, fx * inverse_z),
+        scaled(v_a1, fy * inverse_z),
+        plus(
+            scaled(v_a0, -fx * slopes[0] * inverse_z),
+            scaled(v_a1, -fy * slopes[1] * inverse_z),
+        ),
+    )
+    v_x, v_y, v_z = jacobian_backward(p, K, slopes, (v_a0, v_a1), axes)
+    v_u, v_v = fx * inverse_z * v_ellipse.mean2d[0], fy * inverse_z * v_ellipse.mean2d[1]
+    v_z = v_z - (v_u * p[0] + v_v * p[1]) * inverse_z
+    return v_axes, (v_x + v_u, v_y + v_v, v_z), unit, rows
+
+
+@no_type_check
+@inner
+def read_gradients(geometry, projected, v_projected, first, end, buffer):
+    """Sixteen Gaussians, or those before `end`, with their conics and gradients; who is visible."""
+    means, quats, scales = geometry
+    _, conics, _, radii = projected
+    v_means2d, v_conics, _, _ = v_projected
+    count = min(vec.LANES, end - first)
+    radius, _ = read_two(radii, first, count, buffer)
+    gaussian = read_gaussian(means, quats, scales, first, count, buffer)
+    conic = read_three(conics, first, count, buffer)
+    v_ellipse = Ellipse(
+        read_two(v_means2d, first, count, buffer), read_three(v_conics, first, count, buffer)
+    )
+    return gaussian, conic, v_ellipse, Lanes(first, count, vec.greater(radius, 0), buffer)
+
+
+@no_type_check
+@kernel
+def project_backward(geometry, view, projected, v_projected, out, threads):
+    """Fill the gradients of the Gaussians that one camera sees, and 0 for the others.
+
+    Of `v_projected` only means2d and conics count: depths and radii are not differentiated.
+    """
+    means, _, _ = geometry
+    v_means, v_quats, v_scales = out
+    viewmat, _, _, _ = view
+    for thread in numba.prange(threads):
+        buffer = np.zeros(4 * vec.LANES, np.float32)
+        low, high = span(means.shape[0], thread, threads)
+        for first in range(low, high, vec.LANES):
+            gaussian, conic, v_ellipse, lanes = read_gradients(
+                geometry, projected, v_projected, first, high, buffer
+            )
+            v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
+            v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
+            v_mean = combine(v_p, viewmat[0], viewmat[1], viewmat[2])
+            write_three(v_means, lanes, v_mean)
+            write_three(v_scales, lanes, v_scale)
+            write_three(v_quats, lanes, v_quat)
+            write_column(v_quats, 3, lanes, v_quat[3])
+
+
+@no_type_check
+@inner
+def add_lanes(sums, index, lanes, value):
+    """Add a vector to a row of sums, lane by lane."""
+    _, count, mask, buffer = lanes
+    vec.store(buffer, 0, vec.select(mask, value, 0))
+    for lane in range(count):
+        sums[index, lane] += buffer[lane]
+
+
+@no_type_check
+@inner
+def add_row(sums, row, lanes, v_p, v_axes, mean, world_axes):
+    """Add to the gradient of one row of the matrix: of its rotation, then of its translation."""
+    e0, e1, e2 = world_axes
+    add_lanes(sums, 4 * row, lanes, v_p * mean[0] + dot(v_axes, e0))
+    add_lanes(sums, 4 * row + 1, lanes, v_p * mean[1] + dot(v_axes, e1))
+    add_lanes(sums, 4 * row + 2, lanes, v_p * mean[2] + dot(v_axes, e2))
+    add_lanes(sums, 4 * row + 3, lanes, v_p)
+
+
+@no_type_check
+@kernel
+def view_backward(geometry, view, projected, v_projected, sums):
+    """Add up the gradient of the first three rows of the world-to-camera matrix.
+
+    Args:
+        geometry: As `project_backward` takes it, like all but the last.
+        view: The camera.
+        projected: What it sees.
+        v_projected: The gradients of that.
+        sums: Zeros, [T,12,16] in float64: threads and lanes add up apart, since what single
+            Gaussians pull cancels to a large part, and the order must not vary.
+    """
+    means, _, _ = geometry
+    threads = sums.shape[0]
+    for thread in numba.prange(threads):
+        buffer = np.zeros(4 * vec.LANES, np.float32)
+        low, high = span(means.shape[0], thread, threads)
+        for first in range(low, high, vec.LANES):
+            gaussian, conic, v_ellipse, lanes = read_gradients(
+                geometry, projected, v_projected, first, high, buffer
+            )
+            v_axes, v_p, _, rows = camera_gradients(gaussian, view, conic, v_ellipse)
+            mean, scale = gaussian.mean, gaussian.scale
+            world_axes = times(rows[0], scale), times(rows[1], scale), times(rows[2], scale)
+            add_row(sums[thread], 0, lanes, v_p[0], v_axes[0], mean, world_axes)
+            add_row(sums[thread], 1, lanes, v_p[1], v_axes[1], mean, world_axes)
+            add_row(sums[thread], 2, lanes, v_p[2], v_axes[2], mean, world_axes)

@@ -12,10 +12,10 @@ import numba
 import numpy as np
 from torch import Tensor
 
-from stylesplat.rendering import constants as const
+from stylesplat.rendering.gaussians import MIN_ALPHA
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.rows import RowPlace, Rows, spread_row
+from stylesplat.rendering.kernels.vec import RowPlace, Rows, spread_row
 
 TILE = 16
 BLOCK = 4
@@ -115,7 +115,7 @@ def pack_rows(order, ellipses, rows):
         flat[row], flat[row + 1] = means2d[i, 0], means2d[i, 1]
         flat[row + 2], flat[row + 3] = -conics[i, 0] / 16, -conics[i, 1] / 8
         flat[row + 4] = -conics[i, 2] / 16
-        flat[row + 5] = -log(opacities[i] / const.MIN_ALPHA) / 8
+        flat[row + 5] = -log(opacities[i] / MIN_ALPHA) / 8
         flat[row + 6] = opacities[i]
         for c in range(colors.shape[1]):
             flat[row + ROW_COLORS + c] = colors[i, c]

@@ -8,8 +8,9 @@ kernel that others import, delete `__pycache__` in this folder and in `training/
 """
 
 import operator
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -22,6 +23,21 @@ I32 = ir.IntType(32)
 VEC = ir.VectorType(F32, LANES)
 HALVES = ir.VectorType(ir.HalfType(), LANES)
 MASK = ir.VectorType(ir.IntType(1), LANES)
+
+
+class Rows(NamedTuple):
+    """Rows of one length."""
+
+    flat: np.ndarray
+    stride: int
+    """Length of a row: a multiple of 16 floats, one cache line."""
+
+
+class RowPlace(NamedTuple):
+    """Where a row, or the pixels of a block, begin."""
+
+    flat: np.ndarray
+    first: int
 
 
 class VecType(types.Type):
@@ -181,6 +197,20 @@ def spread(typingctx, array, index):
         return emit_broadcast(builder, builder.load(address))
 
     return vec(array, types.intp), codegen
+
+
+@intrinsic
+@no_type_check
+def spread_row(typingctx, place, column):
+    """All lanes set to one number of the row at a place; see `spread`."""
+
+    def codegen(context, builder, signature, args):
+        flat, first = cgutils.unpack_tuple(builder, args[0], 2)
+        index = builder.add(first, args[1])
+        address = emit_address(context, builder, place.types[0], flat, index)
+        return emit_broadcast(builder, builder.load(address))
+
+    return vec(place, types.intp), codegen
 
 
 @intrinsic
