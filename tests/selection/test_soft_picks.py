@@ -11,12 +11,11 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection import soft_picks as surveying
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import (
+    INSIDE,
+    OUTSIDE,
     OwnShares,
-    find_places,
-    inside_parts,
     own_shares,
     sampled_views,
-    soft_shares,
     survey,
 )
 
@@ -38,31 +37,24 @@ def solid_ball(*, haze: bool) -> Splats:
     return replace(splats, means=means, scales=scales, opacities=opacities)
 
 
-def test_an_object_is_where_it_covers_most():
-    for place in find_places(SPLATS, BALL, VIEWS):
-        row = VIEWS.index(place.camera.names[0])
-        assert torch.equal(place.pixels, coverage(SPLATS, VIEWS[row], BALL) > 0.5)
-
-
-def test_parts_are_what_the_weights_say():
-    """Of one Gaussian, whose weights are the change of a render with its own colour."""
-    places = find_places(SPLATS, BALL, VIEWS)
-    parts = inside_parts(SPLATS, BALL, places)
-    row = 215
+def test_shares_are_what_renders_say():
+    """The weight of a Gaussian is the change of a render with its own colour."""
+    shares = own_shares(SPLATS, BALL, VIEWS)
+    row = int(((shares > 0.1) & (shares < 0.9)).nonzero()[0])
     lit = replace(SPLATS, sh0=SPLATS.sh0.index_add(0, torch.tensor([row]), torch.ones(1, 1, 3)))
     inside = everywhere = 0.0
-    for place in places:
-        one, other = (rasterize(s, place.camera)[0][0, ..., 2] for s in (lit, SPLATS))
-        inside += float((one - other)[place.pixels].sum())
+    for camera in sampled_views(VIEWS):
+        one, other = (rasterize(splats, camera)[0][0, ..., 2] for splats in (lit, SPLATS))
+        inside += float((one - other)[coverage(SPLATS, camera, BALL) > 0.5].sum())
         everywhere += float((one - other).sum())
-    assert float(parts[row]) == pytest.approx(inside / everywhere, rel=1e-2)  # float16 weights
-    assert not parts[~BALL].any()
+    expected = (inside / everywhere - OUTSIDE) / (INSIDE - OUTSIDE)
+    assert float(shares[row]) == pytest.approx(expected, abs=0.03)  # float16 weights
+    assert not shares[~BALL].any()
 
 
 def test_haze_is_not_the_object_and_what_is_well_inside_is():
     splats = solid_ball(haze=True)
-    everything = torch.ones(len(splats), dtype=torch.bool)
-    shares = soft_shares(splats, everything, find_places(splats, everything, VIEWS))
+    shares = own_shares(splats, torch.ones(len(splats), dtype=torch.bool), VIEWS)
     radius = splats.means.norm(dim=1)
     assert shares[0] == 0
     assert (shares[(radius < 0.2) & (radius > 0)] == 1).float().mean() > 0.95
@@ -74,14 +66,10 @@ def test_haze_is_not_the_object_and_what_is_well_inside_is():
 def test_what_no_view_shows_takes_after_its_neighbours():
     splats = solid_ball(haze=False)
     faint = replace(splats, opacities=splats.opacities.index_fill(0, torch.tensor([0]), -20.0))
-    everything = torch.ones(len(splats), dtype=torch.bool)
-    places = find_places(faint, everything, VIEWS)
-    parts = inside_parts(faint, everything, places)
-    distances = (splats.means - splats.means[0]).norm(dim=1)
-    seen = parts.gather(0, distances.argsort()[1:10])
-    torch.testing.assert_close(parts[0], seen.median())
-    alone = torch.arange(len(splats)) == 0
-    assert not inside_parts(faint, alone, places).any()
+    shares = own_shares(faint, torch.ones(len(splats), dtype=torch.bool), VIEWS)
+    nearest = (splats.means - splats.means[0]).norm(dim=1).argsort()[1:10]
+    torch.testing.assert_close(shares[0], shares[nearest].median())
+    assert not own_shares(faint, torch.arange(len(splats)) == 0, VIEWS).any()
 
 
 @pytest.fixture

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int, Int32
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.rendering.visibility import LARGE, bounds, in_view, pixel_bounds, visible
 from stylesplat.scene.cameras import Cameras
@@ -21,7 +22,6 @@ from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.projection import crop, overlapping
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.contacts import on_support
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.members import likeliest
 
@@ -34,101 +34,64 @@ LABELLED = 0.25  # coverage from which a pixel is the object's if its label says
 OUTSIDE, INSIDE = 0.6, 0.95
 UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less takes its neighbours' part
 NEIGHBOURS = 9
-NO_IDS = torch.zeros(0, dtype=torch.long)
-
-
-@dataclass(frozen=True)
-class ObjectPixels:
-    """An object's pixels in one view."""
-
-    camera: Cameras
-    pixels: Bool[Tensor, "H W"]
-    painted: Float[Tensor, "N 2"]
-    """The contribution of each picked Gaussian to these pixels, and to the whole image."""
 
 
 @torch.no_grad()
-def find_places(
+def own_shares(
     splats: Splats,
     picked: Bool[Tensor, " N"],
     cameras: Cameras,
+    *,
     labels: Int[Tensor, " N"] | None = None,
-) -> list[ObjectPixels]:
-    """Find an object's pixels in some views.
+) -> Float[Tensor, " N"]:
+    """The share of each Gaussian's contribution to renders that belongs to the object.
 
-    They are where the picked Gaussians cover half of a pixel, or less if the pixel has a label that
-    most Gaussians of the pick, and few others, have.
+    The object's pixels are those that the picked Gaussians cover by half, or by a quarter if the
+    pixel has a label that most Gaussians of the pick, and few others, have. Haze and floaters,
+    which lie mostly outside over all views, get exactly 0; Gaussians well inside get exactly 1.
 
     Args:
         splats: The scene.
         picked: The object's Gaussians.
         cameras: Views to choose from.
         labels: The likeliest label of each Gaussian, if known.
-    """
-    # contributions exist on the CPU only
-    splats, picked = splats.to("cpu"), picked.cpu()
-    bare = without_looks(splats)
-    if labels is None and splats.identities is not None and splats.classifier is not None:
-        labels = likeliest(splats)
-    ids = NO_IDS if labels is None else _own_ids(labels, picked)
-    alone = bare[picked.nonzero()[:, 0]]
 
-    def find(camera: Cameras) -> ObjectPixels:
+    Returns:
+        Shares in 0..1; 0 for all that is not picked.
+    """
+    device = splats.device
+    splats, picked = splats.to("cpu"), picked.cpu()  # contributions exist on the CPU only
+    bare, alone = without_looks(splats), without_looks(splats)[picked.nonzero()[:, 0]]
+    if labels is None and splats.classifier is not None:
+        labels = likeliest(splats)
+    ids = None if labels is None else _own_ids(labels, picked)
+
+    def sums_in(camera: Cameras) -> Float[Tensor, "N 2"]:
+        """The contribution of each Gaussian to the object's pixels, and to all."""
         view = contributions(bare, camera, picked, in_view(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
-        if len(ids) and unsure.any():
+        if ids is not None and len(ids) and unsure.any():
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
-        return ObjectPixels(camera, pixels, _painted(view, pixels, len(splats)))
+        sums = torch.stack([view.weights(pixels), view.weights()], dim=1)
+        return sums.new_zeros(len(splats), 2).index_copy_(0, view.gaussians, sums)
 
     views = sampled_views(cameras)
-    return [*track(at_once(find, views), "finding contours", total=len(views))]
+    found = track(at_once(sums_in, views), "finding contours", total=len(views))
+    inside, everywhere = sum(found, torch.zeros(len(splats), 2)).unbind(dim=1)
+    parts = inside / everywhere.clamp(min=UNSEEN)
+    seen, unseen = picked & (everywhere >= UNSEEN), picked & (everywhere < UNSEEN)
+    if seen.any() and unseen.any():
+        tree = KDTree(splats.means[seen].double().numpy())
+        count = min(NEIGHBOURS, int(seen.sum()))
+        rows = torch.from_numpy(tree.query(splats.means[unseen].double().numpy(), k=count)[1])
+        parts[unseen] = parts[seen][rows.view(-1, count)].median(dim=1).values
+    return (((parts - OUTSIDE) / (INSIDE - OUTSIDE)).clamp(0, 1) * picked).to(device)
 
 
 def sampled_views(cameras: Cameras) -> list[Cameras]:
     """The views in which shares are measured, one by one, at a small size."""
     return [cameras[row].at_most(LONGER_SIDE) for row in evenly(range(len(cameras)), VIEWS)]
-
-
-def soft_shares(
-    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[ObjectPixels]
-) -> Float[Tensor, " N"]:
-    """The share of each Gaussian's contribution that belongs to the object.
-
-    Haze and floaters, which lie mostly outside over all views, get exactly 0; Gaussians well inside
-    get exactly 1.
-
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians.
-        places: The object's pixels, found for these Gaussians or for those that they came from.
-
-    Returns:
-        Shares in 0..1; 0 for all that is not picked.
-    """
-    inside = inside_parts(splats, picked, places)
-    return ((inside - OUTSIDE) / (INSIDE - OUTSIDE)).clamp(0, 1)
-
-
-@torch.no_grad()
-def inside_parts(
-    splats: Splats, picked: Bool[Tensor, " N"], places: Sequence[ObjectPixels]
-) -> Float[Tensor, " N"]:
-    """The part of each picked Gaussian's contribution inside the object, 0..1; 0 for the others."""
-    sums = torch.stack([place.painted for place in places]).sum(dim=0)
-    inside, everywhere = sums.unbind(dim=1)
-    means, mine = splats.means.cpu(), picked.cpu()
-    parts = inside / everywhere.clamp(min=UNSEEN)
-    seen = mine & (everywhere >= UNSEEN)
-    unseen = mine & ~seen
-    parts[unseen] = _of_neighbours(means[unseen], means[seen], parts[seen])
-    return (parts * mine).to(splats.device)
-
-
-def _painted(view: Contributions, pixels: Bool[Tensor, "H W"], count: int) -> Tensor:
-    """The contribution of each Gaussian to some pixels, and to all."""
-    sums = torch.stack([view.weights(pixels), view.weights()], dim=1)
-    return sums.new_zeros(count, 2).index_copy_(0, view.gaussians, sums)
 
 
 def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Tensor:
@@ -144,36 +107,12 @@ def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"])
 def _own_ids(labels: Int[Tensor, " N"], picked: Bool[Tensor, " N"]) -> Tensor:
     """The labels most of whose Gaussians are picked."""
     ids, own = labels[picked].unique(return_counts=True)
-    every = torch.stack([(labels == id).sum() for id in ids]) if len(ids) else own
+    known, counts = labels.unique(return_counts=True)
+    every = counts[torch.searchsorted(known, ids)]
     return ids[(2 * own > every) & (ids != BACKGROUND)]
 
 
-def _of_neighbours(
-    points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], values: Float[Tensor, " L"]
-) -> Float[Tensor, " M"]:
-    """The median value of the nearest others; 0 if there are none."""
-    count = min(NEIGHBOURS, len(others))
-    if count == 0 or len(points) == 0:
-        return points.new_zeros(len(points))
-    from scipy.spatial import KDTree  # most objects need none, and it takes a while to import
-
-    tree = KDTree(others.double().numpy())
-    _, rows = tree.query(points.double().numpy(), k=count)
-    return values[torch.from_numpy(rows).view(-1, count)].median(dim=1).values
-
-
 MARGIN = 2  # pixels around what an object may reach
-NEARBY = 0.25  # of an object's extent along each axis: what it stands on lies within
-
-
-@dataclass(frozen=True)
-class VisibleInView:
-    """The visible Gaussians of one view, and the pixels that each may reach."""
-
-    camera: Cameras
-    rows: Int32[Tensor, " M"]
-    low: Int32[Tensor, "M 2"]
-    high: Int32[Tensor, "M 2"]
 
 
 @dataclass(frozen=True)
@@ -181,22 +120,19 @@ class Survey:
     """What matters to each object of a large scene; every view is rendered once for all."""
 
     splats: Splats
-    views: Sequence[VisibleInView]
+    views: Sequence[tuple[Cameras, Int32[Tensor, " _"], Int32[Tensor, "_ 2"], Int32[Tensor, "_ 2"]]]
+    """Each with its visible Gaussians, and the lowest and highest pixel that each may reach."""
 
     def around(self, picked: Bool[Tensor, " N"]) -> Int[Tensor, " M"]:
-        """Rows of an object's Gaussians, those visible around its pixels, and those close by."""
+        """Rows of an object's Gaussians, and of those visible around its pixels."""
         mine = picked.clone()
         own = self.splats[picked.nonzero()[:, 0]]
-        for view in self.views:
-            low, high = pixel_bounds(own, view.camera)
+        for camera, rows, lows, highs in self.views:
+            low, high = pixel_bounds(own, camera)
             shown = (low < high).all(dim=1)
             if shown.any():
                 low, high = low[shown].amin(dim=0) - MARGIN, high[shown].amax(dim=0) + MARGIN
-                mine[view.rows[overlapping(view.low, view.high, low + 1, high - 1)].long()] = True
-        low, high = own.means.amin(dim=0), own.means.amax(dim=0)
-        room = NEARBY * (high - low).norm()
-        means = self.splats.means
-        mine[overlapping(means, means, low - room, high + room)] = True
+                mine[rows[overlapping(lows, highs, low + 1, high - 1)].long()] = True
         return mine.nonzero()[:, 0]
 
 
@@ -207,38 +143,13 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
         return None
     bare = without_looks(splats)
 
-    def look(camera: Cameras) -> VisibleInView:
+    def find(camera: Cameras) -> tuple[Cameras, Tensor, Tensor, Tensor]:
         near = visible(in_view(bare, camera), camera)
         low, high = bounds(near.projected)
-        return VisibleInView(camera, near.rows.int(), low.int(), high.int())
+        return camera, near.rows.int(), low.int(), high.int()
 
-    found = at_once(look, cameras)
+    found = at_once(find, cameras)
     return Survey(splats, [*track(found, "finding visible Gaussians", total=len(cameras))])
-
-
-@torch.no_grad()
-def own_shares(
-    splats: Splats,
-    picked: Bool[Tensor, " N"],
-    cameras: Cameras,
-    *,
-    labels: Int[Tensor, " N"] | None = None,
-    seed: int = 0,
-) -> Float[Tensor, " N"]:
-    """Soft shares without the surface that the object stands on: what `stylize` would paint.
-
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians.
-        cameras: Views to choose from.
-        labels: The likeliest label of each Gaussian, if known.
-        seed: Of the planes that are tried for the surface.
-
-    Returns:
-        Shares in 0..1: 0 for the surface, for haze and floaters, and for all that is not picked.
-    """
-    own = picked & ~on_support(splats, picked, seed=seed)
-    return soft_shares(splats, own, find_places(splats, own, cameras, labels))
 
 
 class OwnShares:

@@ -11,8 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.contacts import on_support
-from stylesplat.selection.soft_picks import find_places, soft_shares
+from stylesplat.selection.soft_picks import own_shares
 from stylesplat.stylization.canvas import Canvas, lay_canvas
 from stylesplat.stylization.confine import confine_canvas
 from stylesplat.stylization.fit_canvas import fit_canvas
@@ -62,7 +61,7 @@ class Paintable:
 
 
 def own_gaussians(context: PaintContext, target: PaintTarget) -> Paintable:
-    """The object on its own Gaussians, without what it stands on and what lies mostly beside it.
+    """The object on its own Gaussians, without what lies mostly beside it.
 
     Raises:
         StyleSplatError: If it is not seen, or nothing is its own.
@@ -71,11 +70,9 @@ def own_gaussians(context: PaintContext, target: PaintTarget) -> Paintable:
     everyone = torch.arange(len(splats), device=splats.device)
     if target.config.published:
         return Paintable(context, target, everyone)
-    mask = target.mask & ~on_support(splats, target.mask, seed=target.config.seed)
-    shares = soft_shares(splats, mask, find_places(splats, mask, context.cameras))
-    own = replace(target, mask=shares > OWN)
+    own = replace(target, mask=own_shares(splats, target.mask, context.cameras) > OWN)
     if not own.mask.any():
-        require_boxes(context, replace(target, mask=mask), context.cameras)  # else that is why
+        require_boxes(context, target, context.cameras)  # else that is why
         raise StyleSplatError(
             f"Cannot stylise {target.name}: most of what each of its Gaussians paints lies where "
             "they cover less than half. Pick more of the object."
