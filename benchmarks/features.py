@@ -34,7 +34,6 @@ from torch.nn import functional as F
 import stylesplat as ss
 from stylesplat.evaluation.style import measure_style
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.content import COARSE
 from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
@@ -50,6 +49,7 @@ from stylesplat.stylization.views import ObjectView, object_views, require_boxes
 
 FOX = 1  # label id
 MEDIUM = PATTERN_LENGTH  # pixels of an object when its style is matched last
+COARSE = 0.6  # share of it in the coarse stages
 BLOCKS = (1, 2, 3)
 PHOTO_SIZE = 256  # pixels of photos and paintings whose features are compared
 PHOTOS = 6  # of each scene

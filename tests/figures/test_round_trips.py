@@ -8,7 +8,7 @@ from balls import CAMERAS
 from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
-from stylesplat.scene.cameras import Cameras, focus_point, look_at, up_vector
+from stylesplat.scene.cameras import Cameras, look_at, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import FILLED, ring_cameras
 from stylesplat.scene.splats import Splats
