@@ -24,7 +24,8 @@ from stylesplat.stylization.strokes import align_to_strokes
 from stylesplat.stylization.views import Box
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
-COARSER = 2  # ratio of the photos' size to that of the check, which finds the same as at full size
+COARSER = 2.0  # ratio of the photos' size to that of the check, which finds the same as at full size
+LEAST_SIZE = 480  # pixels of the check's longer side, so that small photos are checked in full
 MARGIN = 16  # pixels around what the object may reach in them
 FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
 EDGE = 2  # pixels around what is covered that are its edge
@@ -64,7 +65,8 @@ def confine_canvas(
         turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing)
         turned = replace(round_discs, quats=turned.quats, scales=turned.scales)
         canvas = replace(canvas, splats=turned)
-    checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(COARSER)
+    coarser = min(COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
+    checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(coarser)
     outside = _find_outside(splats, mask, _crop_to_gaussians(splats[mask], checked))
     rows, outside = _overflow(canvas, outside)
     scales = canvas.splats.scales.clone()
