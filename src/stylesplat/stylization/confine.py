@@ -24,7 +24,7 @@ from stylesplat.stylization.strokes import align_to_strokes
 from stylesplat.stylization.views import Box
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
-COARSER = 2.0  # ratio of the photos' size to that of the check, which finds the same as at full size
+COARSER = 2.0  # ratio of the photos' size to that of the check: finds the same as full size
 LEAST_SIZE = 480  # pixels of the check's longer side, so that small photos are checked in full
 MARGIN = 16  # pixels around what the object may reach in them
 FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
