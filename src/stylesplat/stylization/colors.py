@@ -20,6 +20,9 @@ VARIATION = 0.15  # deviation of the colours that `vary_colors` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
 PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern
+SHADING = (
+    0.6  # of the object's large shapes of light to keep: with all, its dark side shows nothing else
+)
 LEAST_DEVIATION = 0.5  # pixels of a blur's deviation; less blurs nothing
 HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
@@ -142,6 +145,9 @@ def remove_pattern(
 ) -> Splats:
     """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
 
+    With it goes a part of the shading, so that strokes and form have room between the style's
+    darkest colour and its brightest on either side of the object.
+
     Args:
         splats: The scene.
         mask: The object's Gaussians.
@@ -151,8 +157,15 @@ def remove_pattern(
     """
     if share == 0:
         return splats
-    smooth = blur_colors(splats, mask, views, PATTERN * length)
-    return replace(splats, sh0=torch.lerp(splats.sh0, smooth.sh0, share))
+    smooth = blur_colors(splats, mask, views, PATTERN * length).sh0[mask]
+    flat = smooth.mean(dim=0).lerp(smooth, SHADING)
+    rows = mask.nonzero()[:, 0]
+    return splats.with_rows(rows, {"sh0": splats.sh0[rows].lerp(flat, share)})
+
+
+def add_luminance(splats: Splats, luminance: Float[Tensor, " N"]) -> Splats:
+    """Make Gaussians brighter by luminance in 0..1 units, or darker."""
+    return replace(splats, sh0=splats.sh0 + luminance[:, None, None] / SH_C0)
 
 
 @torch.no_grad()
@@ -191,10 +204,10 @@ def smooth(
     if deviation < LEAST_DEVIATION:
         return values * mask
     inside = mask.to(values)
-    return inside * _blur(values * inside, deviation) / _blur(inside, deviation).clamp(min=1e-3)
+    return inside * blur(values * inside, deviation) / blur(inside, deviation).clamp(min=1e-3)
 
 
-def _blur(values: Float[Tensor, "H W"], deviation: float) -> Float[Tensor, "H W"]:
+def blur(values: Float[Tensor, "H W"], deviation: float) -> Float[Tensor, "H W"]:
     """A Gaussian blur with zeros around, of no particular sum: two products of matrices."""
     height, width = values.shape
     return _kernel(height, deviation).to(values) @ values @ _kernel(width, deviation).to(values)

@@ -31,11 +31,9 @@ FINEST = 640.0  # pixels of the object's longer side: at more, windows would be 
 LEAST = 48.0  # pixels: smaller renders have too few features, however large the strokes are
 SMALLEST = 2.0  # times the pattern length: for small strokes, even if the photos are smaller
 WINDOW = 160  # pixels: a step in a window costs as much as a coarse step
-PATTERN_REMOVED = 0.75  # of an object whose detail is form: removing all takes mouths along
 GROWTH = 4.0  # times as many Gaussians with a canvas
 MOST_GROWTH = 16.0  # of objects that have few
 MANY_DISCS = 60_000  # objects of few Gaussians get as many discs: fewer show no strokes
-FIRST = 25  # steps before the canvas is laid, so that the first strokes show at once
 
 
 @dataclass(frozen=True)
@@ -68,13 +66,13 @@ class _Row:
 PLANS: dict[Quality, tuple[_Row, ...]] = {
     "draft": (_Row(90, of_pattern=0.6), _Row(30, of_pattern=1.0)),
     "normal": (
-        _Row(60, of_pattern=0.6),
+        _Row(40, of_pattern=0.6),
         _Row(30, of_pattern=1.0),
         _Row(60, of_photos=0.5, rate=2.0),
         _Row(60, of_photos=1.0, rate=2.0),
     ),
     "high": (
-        _Row(60, of_pattern=0.6),
+        _Row(40, of_pattern=0.6),
         _Row(30, of_pattern=1.0),
         _Row(80, of_photos=0.5, rate=2.0),
         _Row(200, of_photos=1.0, rate=2.0),
@@ -152,16 +150,12 @@ class StyleConfig:
             return self.steps
         return sum(row.steps for row in PLANS[self.quality])
 
-    def pattern_removed(self, form: float) -> float:
-        """The share of the object's own pattern to remove before painting.
-
-        Args:
-            form: The share of its detail that is form, 0 to 1; the rest is decoration.
-        """
+    @property
+    def pattern_removed(self) -> float:
+        """The share of the object's own pattern to remove before painting."""
         if self.color == "free" or self.published:
             return 0.0
-        most = 1 - (1 - PATTERN_REMOVED) * form
-        return most * (1 - min(self.content, 1.0))
+        return 1 - min(self.content, 1.0)
 
     def max_discs(self, gaussians: int) -> int:
         """How many discs a canvas may have.
@@ -192,10 +186,6 @@ class StyleConfig:
         finest = float(self.object_size or max(pattern, min(photo_length, FINEST)))
         most = float(self.object_size or max(SMALLEST * pattern, finest))
         rows = PLANS[self.quality]
-        if self.max_discs(1):
-            first, *rest = rows
-            rows = (_Row(FIRST, first.of_pattern), _Row(first.steps - FIRST, first.of_pattern))
-            rows = (*rows, *rest)
         total = sum(row.steps for row in rows)
         ends = [round(self.all_steps * n / total) for n in accumulate(r.steps for r in rows)]
         stages = []

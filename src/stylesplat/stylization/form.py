@@ -4,6 +4,7 @@ Form is detail that stands out locally: eyes, a mouth, a fold, an edge. Detail t
 everywhere (a pattern, fur, a weave) is decoration, which the style replaces.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,12 +12,14 @@ from itertools import pairwise
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.render import rasterize
+from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.colors import HIDDEN, smooth
-from stylesplat.stylization.views import ObjectView
+from stylesplat.stylization.colors import HIDDEN, STRIDE, blur, smooth
+from stylesplat.stylization.views import ObjectView, with_fixed_bands
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
 ENERGY_DEVIATION = 0.03  # of the blur that averages a band's energy, in lengths
@@ -26,7 +29,20 @@ SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compa
 # The demo's vase and teapot have .67 to .75, a doll .89, fox and a face 1.1 to 1.5.
 EVEN, UNEVEN = 0.75, 0.88
 TINY = 1e-6  # energy of a band that the object hardly has
-FLAT_WEIGHT = 0.3  # weight of pixels where nothing stands out: paint stays calm there
+NEAR = 0.04  # deviation of the window of a local correlation, in lengths
+FAINT = 0.01  # of 1: detail of less contrast counts less
+ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
+FLAT_WEIGHT = 0.05  # weight of pixels where nothing stands out: paint stays calm there
+
+
+@dataclass(frozen=True)
+class FormSurvey:
+    """The detail of an object in all views, by bands of size."""
+
+    energies: Sequence[float] = (0.0, 0.0)
+    """The median of the local energy: what stands out has more."""
+    shares: Sequence[float] = (1.0, 1.0)
+    """The share of the detail that is form; 0 if the object has its detail everywhere."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +54,14 @@ class Form:
     weights: Sequence[Float[Tensor, "H W"]]
     """How much each pixel counts."""
     shares: Sequence[float]
-    """How much each band counts: 0 if the object has its detail everywhere."""
+    """How much each band counts."""
 
 
 @torch.no_grad()
-def form_shares(
+def survey_form(
     images: Sequence[Float[Tensor, "_ _ 3"]], masks: Sequence[Bool[Tensor, "_ _"]], length: float
-) -> list[float]:
-    """The share of an object's detail that is form, by bands; 0 where it is alike everywhere.
+) -> FormSurvey:
+    """Measure an object's detail in several views.
 
     Args:
         images: Views of the whole unpainted object.
@@ -59,12 +75,10 @@ def form_shares(
             for image, mask in zip(images, masks, strict=True)
         )
     ]
-    shares = []
-    for views in zip(*energies, strict=True):
-        energy = torch.cat(views)
-        variation = float(energy.std() / (energy.mean() + TINY))
-        shares.append(min(max((variation - EVEN) / (UNEVEN - EVEN), 0.0), 1.0))
-    return shares
+    bands = [torch.cat(views) for views in zip(*energies, strict=True)]
+    variations = [float(energy.std() / (energy.mean() + TINY)) for energy in bands]
+    shares = [min(max((each - EVEN) / (UNEVEN - EVEN), 0.0), 1.0) for each in variations]
+    return FormSurvey([float(energy.median()) for energy in bands], shares)
 
 
 @torch.no_grad()
@@ -72,7 +86,7 @@ def measure_form(
     image: Float[Tensor, "H W 3"],
     mask: Bool[Tensor, "H W"],
     length: float,
-    shares: Sequence[float],
+    survey: FormSurvey,
 ) -> Form:
     """Find the form in a picture of the unpainted object.
 
@@ -80,31 +94,36 @@ def measure_form(
         image: The unpainted view.
         mask: The object's pixels.
         length: The longer side of the whole object, in pixels.
-        shares: Of the bands; see `form_shares`.
+        survey: Of the whole object.
     """
     details, weights = [], []
-    for band in luminance_bands(image, mask, length):
+    bands = luminance_bands(image, mask, length)
+    for band, typical in zip(bands, survey.energies, strict=True):
         energy = smooth(band.square(), mask, ENERGY_DEVIATION * length)
-        typical = SALIENT * energy[mask].median()
-        weight = (1 - typical / energy.clamp(min=1e-9)).clamp(min=0) * mask
+        weight = (1 - SALIENT * typical / energy.clamp(min=TINY)).clamp(min=0) * mask
         detail = weight * band
         details.append(detail)
         weights.append((weight + FLAT_WEIGHT) * mask)
-    return Form(details, weights, shares)
+    return Form(details, weights, survey.shares)
 
 
 def form_distance(
     image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float, form: Form
 ) -> Float[Tensor, ""]:
-    """1 minus the weighted correlation of a painted view's luminance with the form, over bands."""
-    total = image.new_zeros(())
+    """1 minus the local correlation of a painted view's luminance with the form, over bands.
+
+    Every place that stands out counts by how much it does, whatever its contrast: an eye in the
+    shade as much as one in the light.
+    """
+    total, near = image.new_zeros(()), NEAR * length
+    faint = 2 * math.pi * (near * FAINT) ** 2  # a blur has the sum of its Gaussian
     known = zip(form.details, form.weights, form.shares, strict=True)
     for band, (detail, weight, share) in zip(
         luminance_bands(image, mask, length), known, strict=True
     ):
-        norms = (weight * band.square()).sum() * (weight * detail.square()).sum()
-        correlation = (weight * band * detail).sum() / (norms + 1e-12).sqrt()
-        total = total + share * (1 - correlation)
+        norms = blur(band.square(), near) * blur(detail.square(), near)
+        correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
+        total = total + share * (weight * (1 - correlation)).sum() / weight.sum()
     return total
 
 
@@ -115,11 +134,13 @@ def form_relief(
     mask: Bool[Tensor, " N"],
     views: Sequence[ObjectView],
     length: float,
-    shares: Sequence[float],
-) -> Float[Tensor, " N"]:
-    """The form of an object as luminance that each of its Gaussians adds, averaged over views.
+    survey: FormSurvey,
+) -> Float[Tensor, "N 2"]:
+    """The form of an object as luminance that each of its Gaussians adds, by bands.
 
-    Adding some of it to painted colours, or taking it away, changes the form in closed form.
+    Adding it to painted colours, or taking it away, changes the form in closed form. It is the
+    luminance whose renders are nearest to the form in all views (simultaneous algebraic
+    reconstruction, Gilbert 1972).
 
     Args:
         before: The unpainted scene.
@@ -127,24 +148,32 @@ def form_relief(
         mask: Those of the object.
         views: Of the whole object.
         length: The object's longer side in these views, in pixels.
-        shares: Of the bands; see `form_shares`.
+        survey: Of the whole object.
 
     Returns:
         In -1..1; 0 for Gaussians that are not the object's or hardly show.
     """
-    matte = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
-    total, weights = torch.zeros_like(splats.opacities), torch.zeros_like(splats.opacities)
+    hidden = mask[:, None, None]
+    flat = replace(splats, sh0=splats.sh0.masked_fill(hidden, 0), shN=splats.shN * ~hidden)
+    views = with_fixed_bands(views, flat)
+    weights, targets = torch.zeros_like(splats.opacities), []
     for view in views:
-        image = rasterize(before, view.camera)[0][0]
-        form = measure_form(image, view.pixels, length, shares)
+        form = measure_form(rasterize(before, view.camera)[0][0], view.pixels, length, survey)
         pairs = zip(form.details, form.shares, strict=True)
-        detail = torch.stack([share * detail for detail, share in pairs]).sum(dim=0)
-        image = torch.stack([detail, view.pixels.to(detail), torch.zeros_like(detail)], dim=2)
-        sums = view.backproject(matte, image)
-        total += sums[:, 0, 0]
-        weights += sums[:, 0, 1]
-    relief = (total / weights.clamp(min=HIDDEN)).clamp(-1, 1)  # renders may be brighter than 1
-    return torch.where(mask & (weights > HIDDEN), relief, 0)
+        own = view.pixels.to(splats.means)
+        target = torch.stack([*(share * detail for detail, share in pairs), own], dim=2)
+        weights += view.backproject(flat, target)[:, 0, 2]
+        targets.append((view, (target + view.render(flat))[..., :2], own[..., None]))
+    visible, relief = mask & (weights > HIDDEN), splats.means.new_zeros(len(splats), 2)
+    for _ in range(ROUNDS):
+        sh0 = flat.sh0 + F.pad(relief, (0, 1))[:, None] / SH_C0
+        missing = torch.zeros_like(relief)
+        for view, target, own in targets:
+            error = (target - view.render(replace(flat, sh0=sh0))[..., :2]) * own
+            missing += view.backproject(flat, F.pad(error, (0, 1)))[:, 0, :2]
+        relief = relief + STRIDE * missing / weights.clamp(min=HIDDEN)[:, None]
+        relief = torch.where(visible[:, None], relief, 0).clamp(-1, 1)
+    return relief
 
 
 def luminance_bands(

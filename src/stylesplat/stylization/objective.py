@@ -1,7 +1,7 @@
 """The objective of the optimisation: style, form, content, palette and large shapes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -9,12 +9,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.progress import track
+from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import Palette
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.form import Form, form_distance, measure_form
+from stylesplat.stylization.form import Form, FormSurvey, form_distance, measure_form
 from stylesplat.stylization.matching import StyleIndex, cosine_distance
 from stylesplat.stylization.views import ObjectView
 
@@ -62,8 +63,8 @@ class Objective:
     """The layers and weights."""
     length: float
     """The whole object's longer side in the views, in pixels."""
-    form_shares: Sequence[float] = (1.0, 1.0)
-    """The share of the object's detail that is form, by bands; see `form_shares`."""
+    form: FormSurvey = field(default_factory=FormSurvey)
+    """What tells the object's form from its pattern."""
     palette: Palette | None = None
     """The colours to stay near to; None leaves them free."""
 
@@ -78,16 +79,19 @@ class Objective:
             original: The unpainted scene, which need not have the same Gaussians.
             painted: The scene whose large shapes are to stay; None leaves them free.
         """
-        return [
-            self._target(view, original, painted) for view in track(views, "measuring the form")
-        ]
+
+        def look(view: ObjectView) -> ViewTarget:
+            return self._target(view, original, painted)
+
+        found = at_once(look, views, original.device)
+        return [*track(found, "measuring the form", total=len(views))]
 
     def _target(self, view: ObjectView, original: Splats, painted: Splats | None) -> ViewTarget:
         form = content = None
         if self.config.form > 0 or self.config.content > 0:
             image = rasterize(original, view.camera)[0][0]
             if self.config.form > 0:
-                form = measure_form(image, view.pixels, self.length, self.form_shares)
+                form = measure_form(image, view.pixels, self.length, self.form)
             if self.config.content > 0:
                 content = self._features(view, image)
         shapes = None if painted is None else _large_shapes(view, view.render(painted))

@@ -15,6 +15,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import (
     DARKEST,
     Palette,
+    add_luminance,
     blur_colors,
     build_palette,
     color_map,
@@ -25,7 +26,7 @@ from stylesplat.stylization.colors import (
     transfer_colors,
 )
 from stylesplat.stylization.config import ColorMode, Stage, StyleConfig
-from stylesplat.stylization.form import SURVEY_LENGTH, form_relief, form_shares
+from stylesplat.stylization.form import SURVEY_LENGTH, FormSurvey, form_relief, survey_form
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
 from stylesplat.stylization.paintable import Paintable, confine, lay, own_gaussians
@@ -55,7 +56,8 @@ STYLE_FEATURES = 4096  # at random, of those of a fine stage, which has many
 COLOR_VIEWS = 8  # whose pixels give an object's colours
 COLOR_LENGTH = 240.0  # longer side of the object in them at most, in pixels
 CANVAS_RATE = 0.5  # factor of the rate on a canvas: a pixel shows few discs, and more looks grainy
-CANVAS_STAGE = 1  # before which the canvas is laid: the first strokes show at once
+SHARPENED = 2.0  # form that is added to the colours before fine stages, of the finer band
+PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
 PUBLISHED_VIEWS = 0.25  # share of the views that the paper uses
 SHN_SLOWDOWN = 20  # ratio of the rates of sh0 and shN in the official code
 FINAL_RATE = 0.1  # of the last step, as a share of the first's
@@ -96,8 +98,16 @@ class _Goal:
     """The colours to stay near to; None leaves them free."""
 
 
-def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintState]:
+def paint_steps(
+    context: PaintContext, target: PaintTarget, *, preview: bool = False
+) -> Iterator[PaintState]:
     """Paint one object of a scene.
+
+    Args:
+        context: The scene and its views.
+        target: The object and its style.
+        preview: Show first strokes on the object's own Gaussians before the canvas is laid. These
+            steps come in addition, and change nothing in the result.
 
     Yields:
         The state after every step. Whoever stops asking keeps what there is; whoever asks again
@@ -110,54 +120,55 @@ def paint_steps(context: PaintContext, target: PaintTarget) -> Iterator[PaintSta
     config, object = target.config, own_gaussians(context, target)
     survey = require_boxes(object.context, object.target, context.cameras)
     boxes = _used_boxes(survey, config)
-    stages = _stages(context, target, typical_length(boxes))
-    canvas_at = min(CANVAS_STAGE, len(stages) - 1)
+    stages, canvas_at = _stages(context, target, typical_length(boxes)), 0
+    if preview and config.max_discs(1) > 0:
+        stages, canvas_at = [replace(stages[0], steps=PREVIEW_STEPS), *stages], 1
     confined_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
-    confined_at = max(canvas_at, confined_at)
+    steps, done = sum(stage.steps for stage in stages), 0
     generator = torch.Generator().manual_seed(config.seed)
-    views, goal, paint, done = list[ObjectView](), None, object.splats, 0
-    shares, relief = _form_shares(object, boxes), torch.zeros_like(object.splats.opacities)
+    views, goal, paint = list[ObjectView](), None, object.splats
+    form, relief = _survey_form(object, boxes), object.splats.means.new_zeros(0, 2)
     color_views, color_length = list[ObjectView](), 0.0
     for number, stage in enumerate(stages):
         views.clear()  # before there are others: they take much memory
-        anew = number == 0
+        anew = number in (0, canvas_at)
         if number == canvas_at:
             object = lay(object, boxes, stages[-1].length)
-            anew |= object.canvas is not None
         if number == confined_at and object.canvas is not None:
             object, kept = confine(object, boxes, None if anew else paint)
             if not anew:
                 paint = replace(object.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
-                relief = relief[kept]
         views += stage_views(object.context, object.target, boxes, stage, generator)
         if stage.window is None and len(views) >= COLOR_VIEWS:
             color_views, color_length = evenly(views, COLOR_VIEWS), stage.length
         elif number <= confined_at:  # later stages have the same Gaussians
             color_length = min(stage.length, COLOR_LENGTH)
             color_views = _color_views(object, boxes, color_length)
-        if anew or goal is None:
-            goal, paint = _begin(object, color_views, color_length, max(shares))
-        if anew or number == len(stages) - 1:
-            rest = color_views, color_length, shares
+        if anew or number == confined_at:
+            rest = color_views, color_length, form
             relief = form_relief(object.before, object.splats, object.mask, *rest)
-        objective = replace(_objective(object, goal, stage), form_shares=shares)
+        if anew or goal is None:
+            goal, paint = _begin(object, color_views, color_length, relief)
+        elif number == confined_at:  # coarse stages lose what is finer than their pixels
+            paint = add_luminance(paint, _form_weight(config, SHARPENED) * relief[:, 0])
+        objective = replace(_objective(object, goal, stage), form=form)
         targets = objective.targets(views, object.before, paint if stage.fine else None)
-        steps = optimize_colors(paint, object.mask, targets, objective, stage.steps)
-        for number_in_stage, (paint, nnfm) in enumerate(steps, start=1):
+        taken = optimize_colors(paint, object.mask, targets, objective, stage.steps)
+        for number_in_stage, (paint, nnfm) in enumerate(taken, start=1):
             done += 1
             if number_in_stage == stage.steps:
-                last = done == config.all_steps
+                last = number == len(stages) - 1
                 if not (stage.fine or last or goal.palette is None):
                     paint = blur_colors(paint, object.mask, color_views)
                 paint = _end_stage(object, goal, paint, color_views, last)
             yield PaintState(
                 step=done,
-                steps=config.all_steps,
+                steps=steps,
                 nnfm=nnfm,
                 splats=paint,
                 base=object.unpainted,
                 parents=object.parents,
-                relief=relief,
+                relief=relief.sum(dim=1),
                 boxes=survey,
             )
 
@@ -278,17 +289,17 @@ def _color_views(object: Paintable, boxes: Sequence[Box], length: float) -> list
     return object_views(object.context, object.target, few, zoom, max_memory=math.inf)
 
 
-def _form_shares(object: Paintable, boxes: Sequence[Box]) -> list[float]:
-    """The share of the object's detail that is form, by bands, whatever size it is painted in."""
+def _survey_form(object: Paintable, boxes: Sequence[Box]) -> FormSurvey:
+    """The object's detail, whatever size it is painted in."""
     splats, zoom = object.before, SURVEY_LENGTH / typical_length(boxes)
     cameras = [crop_to_box(box, zoom, (0, 0))[0] for box in evenly(boxes, COLOR_VIEWS)]
     pairs = [colors_and_coverage(splats, camera, object.mask) for camera in cameras]
     images, covered = zip(*pairs, strict=True)
-    return form_shares(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
+    return survey_form(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
 
 
 def _begin(
-    object: Paintable, views: Sequence[ObjectView], length: float, form: float
+    object: Paintable, views: Sequence[ObjectView], length: float, relief: Float[Tensor, "N 2"]
 ) -> tuple[_Goal, Splats]:
     """What the object is to look like, and the colours to start from.
 
@@ -296,20 +307,26 @@ def _begin(
         object: What is painted.
         views: Of the object.
         length: Its longer side in them, in pixels.
-        form: The share of its detail that is form.
+        relief: Its form.
     """
     config, splats, mask = object.target.config, object.splats, object.mask
     pictures = _pictures(object, views)
     colors = torch.cat([picture.reshape(-1, 3) for picture in pictures])
     if config.published:
         return _Goal(pictures, colors, None), splats
-    splats = remove_pattern(splats, mask, views, length, config.pattern_removed(form))
+    splats = remove_pattern(splats, mask, views, length, config.pattern_removed)
+    splats = add_luminance(splats, _form_weight(config) * relief.sum(dim=1))
     palette = None
     if config.color != "free":
         palette = build_palette(colors)
         splats = initial_colors(splats, mask, views, colors, seed=config.seed)
     matte = splats.shN.masked_fill(mask[:, None, None], 0)
     return _Goal(pictures, colors, palette), replace(splats, shN=matte)
+
+
+def _form_weight(config: StyleConfig, factor: float = 1.0) -> float:
+    """The form to add to colours: what was removed of it with the pattern, times a factor."""
+    return factor * config.form * config.pattern_removed
 
 
 def _pictures(object: Paintable, views: Sequence[ObjectView]) -> list[Tensor]:

@@ -96,5 +96,5 @@ def stylize_live(
         under.splats, task
     )
     target = task.target(family(under)).to(context.splats)
-    for state in paint_steps(context, target):
+    for state in paint_steps(context, target, preview=True):
         yield Live(state, scene, under, place, task, target, context.precision_name)
