@@ -22,8 +22,8 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.one_line import counted
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features.vgg import Vgg
-from stylesplat.stylization.features.weights import load_vgg
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.weights import load_weights
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "scripts"))  # still_life is there
 ABOVE = Path(__file__).resolve().parents[2:]  # of the repository, which may be a worktree
@@ -64,11 +64,11 @@ def trained_scene(name: str, *, downscale: float, gaussians: int, seconds: float
     return folder
 
 
-def style_network(depth: int = 3) -> Vgg:
+def style_network(depth: int = 3) -> FeatureNetwork:
     """The development copy of VGG19; exits with a reason where it is absent."""
     if not VGG19.is_file():
         raise SystemExit(f"This benchmark needs the weights {VGG19}, which are not here.")
-    return load_vgg("vgg19", VGG19, depth=depth)
+    return load_weights("vgg19", VGG19, depth=depth)
 
 
 def step(

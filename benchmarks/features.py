@@ -38,7 +38,6 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
 from stylesplat.stylization.features.network import Convolution, FeatureNetwork, fastest_dtype
-from stylesplat.stylization.features.vgg import Vgg
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
 from stylesplat.stylization.matching import nearest_rows
 from stylesplat.stylization.optimize import paint_steps
@@ -70,7 +69,7 @@ class Bench:
 
     weights: Path
     compact: FeatureNetwork
-    vgg19: Vgg
+    vgg19: FeatureNetwork
     to_vgg19: Sequence[Tensor]
     scene: ss.Scene
     paintings: dict[str, Tensor]
@@ -209,7 +208,7 @@ def speed(bench: Bench) -> str:
     return table(["", "compact", "VGG19", "times faster"], rows)
 
 
-def _to_conv3_4(vgg19: Vgg, dtype: torch.dtype) -> Callable[[Tensor], Tensor]:
+def _to_conv3_4(vgg19: FeatureNetwork, dtype: torch.dtype) -> Callable[[Tensor], Tensor]:
     """VGG19 with one more convolution than the features need."""
     tensors = load_file(VGG19)
     last = Convolution(tensors["conv3_4.weight"], tensors["conv3_4.bias"])

@@ -25,17 +25,15 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
-from stylesplat.stylization.features.compact import (
-    CELLS,
-    CONTRAST,
+from stylesplat.stylization.features.network import (
+    COMPACT_CELLS,
     DEPTHS,
     FOLD,
-    GREY,
     Compact,
-    compact_from,
+    FeatureNetwork,
+    fastest_dtype,
 )
-from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
-from stylesplat.stylization.features.weights import PACKAGED, load_vgg
+from stylesplat.stylization.features.weights import PACKAGED, compact_from, load_weights
 from training_pictures import SIZE, training_pictures
 
 WIDTHS = (32, 64, 128)  # filters of a layer, block by block
@@ -117,7 +115,7 @@ def teacher_rows(network: FeatureNetwork, pictures: Float[Tensor, "B S S 3"]) ->
 
 def compared(feats: Float[Tensor, "B H W D"], block: int) -> Float[Tensor, "P D"]:
     """Some of a block's features, away from the border, one a row."""
-    margin = EDGE // CELLS[block - 1].stride
+    margin = EDGE // COMPACT_CELLS[block - 1].stride
     inner = slice(margin, -margin, STEPS_ASIDE[block - 1])
     return feats[:, inner, inner].float().flatten(0, 2)
 
@@ -147,7 +145,7 @@ def first_weights(generator: torch.Generator) -> dict[str, Tensor]:
     """Random weights, the matrices as [out, in * k * k] with the inputs last."""
     params, inputs = {}, 3 * FOLD**2
     outputs = (DIRECTIONS[0] * FOLD**2, *DIRECTIONS[1:])
-    for block, (width, depth) in enumerate(zip(WIDTHS, DEPTHS, strict=True)):
+    for block, (width, depth) in enumerate(zip(WIDTHS, DEPTHS["compact"], strict=True)):
         shapes = {}
         for layer in range(depth):
             shapes[f"conv{layer + 1}"] = (width, 9 * inputs, 2.0)
@@ -205,8 +203,8 @@ def part(
 
 def loss_of(student: Compact, batch: Batch) -> tuple[Tensor, float]:
     """The loss, and the mean cosine of block 3."""
-    x = CONTRAST * (batch.pictures - GREY)
-    found = student.blocks_of(x.permute(0, 3, 1, 2).to(student.dtype), BLOCKS)
+    x = (batch.pictures - student.mean) / student.std
+    found = student.features(x.permute(0, 3, 1, 2).to(student.dtype), BLOCKS)
     total, cosine = torch.zeros(()), torch.zeros(())
     for i, feats in enumerate(found):
         own, target, energy = (
@@ -272,7 +270,7 @@ def main(options: Options) -> None:
     generator = torch.Generator().manual_seed(options.seed)
     pictures = training_pictures(options.pictures, options.seed)
     dtype = fastest_dtype(torch.device(options.device).type)
-    vgg19 = load_vgg("vgg19", options.teacher).to(options.device, dtype)
+    vgg19 = load_weights("vgg19", options.teacher).to(options.device, dtype)
     batches = parts(pictures, options, generator)
     teacher = find_teacher(vgg19, batches)
     params = first_weights(generator)

@@ -14,8 +14,7 @@ from stylesplat.evaluation import style
 from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.vgg import Vgg
+from stylesplat.stylization.features.network import FeatureNetwork, Vgg
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.paint import Painted, paint_context, paint_objects
 from stylesplat.stylization.style_image import style_features

@@ -13,7 +13,7 @@ from safetensors.torch import save
 from stylesplat.errors import StyleSplatError
 from stylesplat.models.safetensors_http import fetch_tensors
 from stylesplat.stylization.features import weights
-from stylesplat.stylization.features.weights import load_vgg
+from stylesplat.stylization.features.weights import load_weights
 
 
 @dataclass
@@ -90,10 +90,10 @@ def test_first_use_downloads_and_later_ones_do_not(
     said: list[str],
 ):
     monkeypatch.setattr(weights, "HUB_URL", server.url)
-    first = load_vgg("vgg16", depth=1)
+    first = load_weights("vgg16", depth=1)
     requests = len(server.sent)
     assert f"Downloading vgg16's convolutions from {server.url}" in said.pop()
-    again = load_vgg("vgg16", depth=1)
+    again = load_weights("vgg16", depth=1)
     assert len(server.sent) == requests
     assert said == []
     assert torch.equal(first.blocks[0][1].weight, tensors()["features.2.weight"].float())
@@ -105,7 +105,7 @@ def test_first_use_downloads_and_later_ones_do_not(
 def test_offline(no_cache: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(weights, "HUB_URL", "http://127.0.0.1:1/model.safetensors")
     with pytest.raises(StyleSplatError, match=r"Cannot download .* `--weights FILE`") as error:
-        load_vgg("vgg19")
+        load_weights("vgg19")
     assert "\n" not in str(error.value)
     assert not (no_cache / "stylesplat").exists()
 

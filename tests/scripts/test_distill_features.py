@@ -5,9 +5,8 @@ import pytest
 import torch
 
 import distill_features as distill
-from stylesplat.stylization.features.compact import compact_from
-from stylesplat.stylization.features.network import Convolution
-from stylesplat.stylization.features.vgg import Vgg, layer_widths
+from stylesplat.stylization.features.network import Convolution, Vgg, layer_widths
+from stylesplat.stylization.features.weights import compact_from
 from training_pictures import SIZE, training_pictures
 
 OPTIONS = distill.Options(teacher=Path(), steps=20, batch=1, crop=96)

@@ -1,4 +1,4 @@
-"""The compressed search finds what the exhaustive one finds, or something as good."""
+"""The loss, and the compressed search, which finds what the exhaustive one finds, or as good."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,14 @@ from stylesplat.stylization.matching import (
     cosine_distance,
     largest_columns,
     nearest_rows,
+    nnfm_loss,
 )
+
+EXACT = 1e-6  # a few roundings of float32
+
+
+def rows(count: int, seed: int, width: int = 8) -> torch.Tensor:
+    return torch.randn(count, width, generator=torch.Generator().manual_seed(seed))
 
 
 def features(count: int, width: int = 96, *, seed: int, rank: int = 200) -> torch.Tensor:
@@ -20,6 +27,24 @@ def features(count: int, width: int = 96, *, seed: int, rank: int = 200) -> torc
     layer = torch.randn(rank, width, generator=torch.Generator().manual_seed(99))
     spectrum = 1 / torch.arange(1, rank + 1).sqrt()
     return (torch.randn(count, rank, generator=generator) * spectrum @ layer + 0.2).relu()
+
+
+def test_the_loss_is_the_distance_to_the_most_similar_row():
+    feats, style = rows(20, 0), rows(30, 1)
+    cosines = torch.cosine_similarity(feats[:, None], style[None], dim=-1)
+    loss = nnfm_loss(feats, style)
+    torch.testing.assert_close(loss, (1 - cosines.amax(dim=1)).mean())
+    assert torch.equal(nearest_rows(feats, normalize(style)), cosines.argmax(dim=1))
+    assert nnfm_loss(feats, feats) == pytest.approx(0, abs=EXACT)
+    assert nnfm_loss(feats[:1], -feats[:1]) == pytest.approx(2, abs=EXACT)
+    longer = style.flip(0) * torch.linspace(0.1, 9, 30)[:, None]
+    torch.testing.assert_close(loss, nnfm_loss(3 * feats, longer))
+    assert loss <= nnfm_loss(feats, style[:10]) + EXACT
+
+
+def test_gradient():
+    feats, style = rows(4, 0).double().requires_grad_(), rows(5, 1).double()
+    assert torch.autograd.gradcheck(lambda x: nnfm_loss(x, style), feats)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
@@ -44,28 +69,26 @@ def test_features_find_themselves(styles: int):
     order = torch.randperm(styles, generator=torch.Generator().manual_seed(0))
     index = build_index(style, torch.float32)
     assert torch.equal(index.nearest(5 * style[order]), order), "lengths do not matter"
+    assert index.nearest(style[:0]).shape == (0,)
 
 
 def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
-    feats, index = features(50, seed=3), build_index(features(70, seed=4), torch.float32)
-    whole = index.nearest(feats)
+    feats, style = features(50, seed=3), normalize(features(70, seed=4))
+    index = build_index(style, torch.float32)
+    whole = index.nearest(feats), nearest_rows(feats, style)
     monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 7 * 80)
-    assert torch.equal(index.nearest(feats), whole)
-
-
-def test_no_features_have_no_matches():
-    index = build_index(features(70, seed=4), torch.float32)
-    assert index.nearest(features(0, seed=3)).shape == (0,)
+    assert torch.equal(index.nearest(feats), whole[0])
+    assert torch.equal(nearest_rows(feats, style), whole[1])
 
 
 @pytest.mark.parametrize(("stride", "count"), [(16, 16), (16, 5), (80, 71), (48, 4), (16, 2)])
 def test_largest_columns_are_topks(stride: int, count: int):
-    rows = np.random.default_rng(0).normal(size=(30, stride)).astype(np.float32)
-    rows[:, count:] = 99  # beyond the count, never to be taken
-    rows[0] = -rows[0] - 200
+    numbers = np.random.default_rng(0).normal(size=(30, stride)).astype(np.float32)
+    numbers[:, count:] = 99  # beyond the count, never to be taken
+    numbers[0] = -numbers[0] - 200
     found = np.full((30, 4), 0, np.int64)
-    largest_columns(rows.ravel(), stride, count, found)
+    largest_columns(numbers.ravel(), stride, count, found)
     several = min(4, count)
-    expected = torch.from_numpy(rows[:, :count]).topk(several).indices.numpy()
+    expected = torch.from_numpy(numbers[:, :count]).topk(several).indices.numpy()
     assert np.array_equal(found[:, :several], expected)
     assert found.max() < count

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from itertools import accumulate, pairwise
@@ -11,13 +11,21 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import MAX_INTENSITY, check_intensity
+from stylesplat.errors import StyleSplatError, brief
+from stylesplat.scene.arguments import MAX_FORM, MAX_INTENSITY
 
 LAYERS = range(1, 5)  # layer groups that every VGG has
-MOST_STEPS = 10**6  # a day on a CPU
-MAX_SEED = 10**18  # torch takes somewhat larger ones
-LARGEST = 1e4  # of any setting: more is a slip of the keyboard
+LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of the keyboard
+    "steps": (1, 10**6),  # a day on a CPU
+    "scale": (0.001, 10_000),
+    "rotate": (-1e4, 10_000),
+    "intensity": (0, MAX_INTENSITY),
+    "form": (0, MAX_FORM),
+    "content": (0, 10_000),
+    "object_size": (1, 10_000),
+    "lr": (1e-9, 10_000),
+    "seed": (-(10**18), 10**18),  # torch takes somewhat larger ones
+}
 
 Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
@@ -117,30 +125,15 @@ class StyleConfig:
     full, at the photos' size, in a quarter of the views, at a constant rate."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "scale", "lr", "object_size"):
+        for name, (least, most) in LIMITS.items():
             value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise StyleSplatError(f"Cannot stylise with {name} {value}: it must exceed 0.")
-        if not self.content >= 0:
-            raise StyleSplatError(f"Cannot stylise with content {self.content}: use 0 or more.")
-        for name in ("scale", "lr", "content", "rotate", "object_size"):
-            if not abs(getattr(self, name) or 0) <= LARGEST:
+            if value is not None and not least <= value <= most:
                 raise StyleSplatError(
-                    f"Cannot stylise with {name} {getattr(self, name)}: use {LARGEST:g} at most."
+                    f"Cannot stylise with {name} {value}: use {least:,} to {most:,}."
                 )
-        if self.all_steps > MOST_STEPS or abs(self.seed) > MAX_SEED:
-            raise StyleSplatError(
-                f"Cannot stylise with steps {self.steps} and seed {self.seed}: use {MOST_STEPS:g} "
-                f"and {MAX_SEED:.0e} at most."
-            )
         if not self.layers or not set(self.layers) <= set(LAYERS):
             raise StyleSplatError(
                 f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
-            )
-        check_intensity(self.intensity)
-        if not 0 <= self.form <= MAX_INTENSITY:
-            raise StyleSplatError(
-                f"Cannot stylise with form {self.form}: use 0 to {MAX_INTENSITY:g}."
             )
 
     @property
@@ -225,7 +218,6 @@ WORDS = {
     dict: "KEY: VALUE",
     list: "a list",
 }
-MAX_SHOWN = 80  # characters of a value in a message
 
 
 def plain_settings(config: StyleConfig) -> dict[str, Any]:
@@ -251,15 +243,13 @@ def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict
     fit = {}
     for key, value in entry.items():
         if key not in hints:
-            raise StyleSplatError(f"there is no key {key!r}. {_suggestion(key, hints)}")
+            near = get_close_matches(str(key), hints, n=1)
+            remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(hints)}."
+            raise StyleSplatError(f"there is no key {key!r}. {remedy}")
         try:
             fit[key] = msgspec.convert(value, hints[key])
-            if isinstance(fit[key], float) and not math.isfinite(fit[key]):
-                raise msgspec.ValidationError
         except msgspec.ValidationError as error:
-            shown = json.dumps(value, ensure_ascii=False, default=str)
-            if len(shown) > MAX_SHOWN:
-                shown = f"{shown[:MAX_SHOWN]}..."
+            shown = brief(json.dumps(value, ensure_ascii=False, default=str))
             expected = _described(hints[key])
             raise StyleSplatError(f"{key} must be {expected}, not {shown}.") from error
     return fit
@@ -275,8 +265,3 @@ def _described(hint: Any) -> str:
         count = "" if arguments[-1] is ... else f" of {len(arguments)}"
         return f"a list{count}, each {_described(arguments[0])}"
     return WORDS[kind or hint]
-
-
-def _suggestion(key: str, known: Iterable[str]) -> str:
-    near = get_close_matches(str(key), known, n=1)
-    return f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(known)}."

@@ -1,7 +1,6 @@
 """The schema of recipes: which objects are repainted, with what settings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -61,20 +60,6 @@ OWN = {  # and of one
 }
 
 
-@dataclass(frozen=True)
-class Base:
-    """What the objects of a recipe have in common."""
-
-    config: StyleConfig
-    """Settings, which those of an object precede."""
-    preset: Preset
-    """What these started from."""
-    shared: Mapping[str, Any]
-    """What else it says of all objects."""
-    folder: Path
-    """Where it lies."""
-
-
 @check_arguments
 def read_recipe(
     path: Path | str, *, preset: Preset = "default", defaults: StyleConfig | None = None
@@ -100,17 +85,15 @@ def read_recipe(
         content = parse_yaml(read_bytes(path, most=MAX_YAML))
         if not isinstance(content, dict):
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")
-        settings, others = _sorted_out(content, SHARED)
-        if "preset" in others:
-            preset, defaults = others["preset"], None
-        config = with_settings(defaults or PRESETS[preset], settings)
-        base = Base(config, preset, others, path.parent)
-        objects = []
-        for name, entry in _named_entries(others.get("objects")):
+        settings, own, shared = _settings_and_others(content, SHARED)
+        if "preset" in shared:
+            preset, defaults = shared["preset"], None
+        config = with_settings(defaults or PRESETS[preset], settings | own)
+        objects, entries = [], _named_entries(shared.get("objects"))
+        for name, entry in entries:
             with within(name):
-                objects.append(_styled_object(name, entry, base))
-        old = any("upon" in entry for _, entry in _named_entries(others.get("objects")))
-        if others.get("gone") or old:
+                objects.append(_styled_object(name, entry, config, preset, shared, path.parent))
+        if shared.get("gone") or any("upon" in entry for _, entry in entries):
             say(
                 f"{path} is of an earlier version: which objects it says were there while others "
                 "were painted (`gone`, `upon`) is ignored."
@@ -140,17 +123,17 @@ def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
         )
 
 
-def _sorted_out(
+def _settings_and_others(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The settings in an entry, those under `settings` included, and what it has of `keys`."""
-    fit = convert_settings(_without_retired(entry), {**SETTINGS, **keys})
-    others = {key: fit.pop(key) for key in keys if key in fit}
-    return convert_settings(_without_retired(others.get("settings", {})), SETTINGS) | fit, others
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """The settings under `settings`, those of the entry itself, and what it has of `keys`."""
+    own = convert_settings(_without_retired(entry), SETTINGS | keys)
+    others = {key: own.pop(key) for key in keys if key in own}
+    inner = convert_settings(_without_retired(others.get("settings", {})), SETTINGS)
+    return inner, own, others
 
 
 def _without_retired(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """An entry without settings that older versions had, which the user is told."""
     retired = [key for key in RETIRED if key in entry]
     if retired:
         say(f"{', '.join(retired)}: older recipes have this; it is no setting now and is ignored.")
@@ -161,18 +144,14 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
     """The entries of `objects` by name, be they a mapping or the list of a recipe.json."""
     if not objects:
         raise StyleSplatError("it names no objects. Add `objects:` with NAME: {style: IMAGE}.")
-    if isinstance(objects, dict):
-        pairs = list(objects.items())
-    else:
-        pairs = [_named_entry(entry) for entry in objects]
-    names = set()
+    pairs = [*objects.items()] if isinstance(objects, dict) else [*map(_named_entry, objects)]
+    names = [name for name, _ in pairs]
     for name, entry in pairs:
         check_name_or_id(name)
         if not isinstance(entry, dict):
             raise StyleSplatError(f"{name} must be KEY: VALUE. Write {name}: {{style: IMAGE}}.")
-        if name in names:
+        if names.count(name) > 1:
             raise StyleSplatError(f"{name} is listed twice. Keep one of them.")
-        names.add(name)
     return pairs
 
 
@@ -182,33 +161,45 @@ def _named_entry(entry: Any) -> tuple[str, dict[str, Any]]:
     return str(entry["name"]), {key: value for key, value in entry.items() if key != "name"}
 
 
-def _styled_object(name: str, entry: dict[str, Any], base: Base) -> StyledObject:
-    told = (
-        convert_settings({"intensity": entry["intensity"]}, SETTINGS)
-        if "intensity" in entry
-        else {}
-    )
+def _styled_object(
+    name: str,
+    entry: dict[str, Any],
+    config: StyleConfig,
+    preset: Preset,
+    shared: Mapping[str, Any],
+    folder: Path,
+) -> StyledObject:
+    """An object of a recipe.
+
+    Args:
+        name: What it is called.
+        entry: What the recipe says of it.
+        config: Settings that those of the entry precede.
+        preset: What these started from.
+        shared: What the recipe says of all objects.
+        folder: Where the recipe lies.
+    """
     if None in (as_tuple(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
-    settings, own = _sorted_out(entry, OWN)
-    recorded = "features" in own  # by us, so what is not under `settings` is now
-    if recorded:
-        settings.pop("intensity", None)
-        settings |= {k: v for k, v in own.get("settings", {}).items() if k == "intensity"}
-    files, digests = as_tuple(own.get("style")), as_tuple(own.get("sha256"))
-    config = with_settings(base.config, settings)
-    style = Style(*_pictures(files, digests, base.folder), config=config, preset=base.preset)
-    network = own if "features" in own else base.shared
-    if own.get("form") is not None:
-        check_form(own["form"])
+    settings, own, others = _settings_and_others(entry, OWN)
+    intensity = own.get("intensity")
+    network = shared
+    if "features" in others:
+        network = others
+        own.pop("intensity", None)  # of the recipe of a scene: that of now, not of the painting
+    if others.get("form") is not None:
+        check_form(others["form"])
+    files, digests = as_tuple(others.get("style")), as_tuple(others.get("sha256"))
+    config = with_settings(config, settings | own)
+    weights = network.get("weights")
     return StyledObject(
         name=name,
-        style=style,
+        style=Style(*_pictures(files, digests, folder), config=config, preset=preset),
         features=network.get("features"),
-        weights=_weights(network, base.folder),
-        intensity=told.get("intensity"),
-        form=own.get("form"),
-        precision=own.get("precision"),
+        weights=Source(folder / weights, network.get("weights_sha256")) if weights else None,
+        intensity=intensity,
+        form=others.get("form"),
+        precision=others.get("precision"),
     )
 
 
@@ -234,9 +225,3 @@ def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) ->
                 "Put the picture back, or remove sha256."
             )
     return pictures
-
-
-def _weights(entry: Mapping[str, Any], folder: Path) -> Source | None:
-    """The network's file that an entry names; whoever loads it checks that it is the same."""
-    file = entry.get("weights")
-    return Source(folder / file, entry.get("weights_sha256")) if file else None

@@ -52,21 +52,19 @@ def read_style(
         StyleSplatError: If the file is no picture or animated, colours are out of range, the
             region does not lie in it, or less than 32 pixels remain of a side.
     """
-    name = "the tensor" if isinstance(picture, Tensor) else str(picture)
-    if not math.isfinite(rotate):
-        raise StyleSplatError(f"Cannot turn {name} by {rotate} degrees. Pass a number of degrees.")
-    if isinstance(picture, Tensor):
-        pixels = _colors_of(picture)
-    else:
+    name, is_file = str(picture), not isinstance(picture, Tensor)
+    if is_file:
         _require_one_frame(Path(picture))
         pixels = read_image(Path(picture)).numpy()
+    else:
+        name, pixels = "the style tensor", _colors_of(picture)
     if region is not None:
         height, width = pixels.shape[:2]
-        if not isinstance(picture, Tensor):
+        if is_file:
             width, height = image_sizes(Path(picture), reduced=False)[1]
         pixels = _crop(pixels, region, (width, height), name)
-    pixels = _shrink(pixels, name)
-    colors = torch.from_numpy(np.ascontiguousarray(_turn(pixels, rotate, name)))
+    pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))
+    colors = torch.from_numpy(pixels)
     return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
 
 
@@ -99,25 +97,20 @@ def _require_one_frame(path: Path) -> None:
 
 def _colors_of(tensor: Tensor) -> Pixels:
     """The colours of a tensor, checked: bytes, or floats in 0..1."""
-    if tensor.ndim != 3 or tensor.shape[2] != 3:
+    colors = tensor.detach().cpu()
+    is_levels = colors.dtype == torch.uint8
+    colors = colors if is_levels else colors.float()
+    if colors.ndim != 3 or colors.shape[2] != 3:
         raise StyleSplatError(
-            f"A style tensor has the shape [H, W, 3], this one has {[*tensor.shape]}. Move its "
+            f"A style tensor has the shape [H, W, 3], this one has {[*colors.shape]}. Move its "
             "colour channels to the end."
         )
-    _require_side(tensor.shape[1], tensor.shape[0], "The style tensor")
-    if tensor.dtype == torch.uint8:
-        return tensor.cpu().numpy()
-    colors = tensor.detach().to("cpu", torch.float32)
-    if not (tensor.is_floating_point() and colors.isfinite().all()):
-        raise StyleSplatError(
-            f"A style tensor holds finite floats in 0..1 or bytes, this one has {tensor.dtype} "
-            "and may hold NaN or infinity. Pass its colours in 0..1."
-        )
+    _require_side(colors.shape[1], colors.shape[0], "The style tensor")
     low, high = float(colors.min()), float(colors.max())
-    if low < 0 or high > 1:
+    if not (is_levels or (tensor.is_floating_point() and 0 <= low <= high <= 1)):
         raise StyleSplatError(
-            f"A style tensor holds floats in 0..1, this one reaches from {low:g} to {high:g}. "
-            "Divide it by 255, clamp it, or pass bytes."
+            f"A style tensor holds bytes or floats in 0..1, this one has {tensor.dtype} from "
+            f"{low:g} to {high:g}. Divide it by 255, clamp it, or pass bytes."
         )
     return colors.numpy()
 
@@ -136,10 +129,11 @@ def _crop(
     x0, y0, x1, y1 = region
     width, height = size
     name = f"The region {x0},{y0},{x1},{y1} of {name}"
-    if x0 >= x1 or y0 >= y1:
-        raise StyleSplatError(f"{name} is empty. Pass x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
-    if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
-        raise StyleSplatError(f"{name} reaches outside. Stay within 0,0,{width},{height}.")
+    if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+        raise StyleSplatError(
+            f"{name} is empty or reaches outside. Pass x0,y0,x1,y1 within 0,0,{width},{height}, "
+            "with x0 < x1 and y0 < y1."
+        )
     _require_side(x1 - x0, y1 - y0, name)
     shrunk = round(width / pixels.shape[1])  # 2 for the largest JPEGs
     return pixels[y0 // shrunk : -(-y1 // shrunk), x0 // shrunk : -(-x1 // shrunk)]
@@ -147,10 +141,9 @@ def _crop(
 
 def _shrink(pixels: Pixels, name: str) -> Pixels:
     height, width = pixels.shape[:2]
-    factor = MAX_SIDE / max(width, height)
-    if factor >= 1:
+    if max(width, height) <= MAX_SIDE:
         return pixels
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    size = _fitted_size(width, height, float(MAX_SIDE))
     _require_side(*size, f"Scaled down to {MAX_SIDE} pixels of length, {name}")
     say(f"{name}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
     return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
@@ -159,20 +152,19 @@ def _shrink(pixels: Pixels, name: str) -> Pixels:
 def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
     if degrees % 90 == 0:
         return np.rot90(pixels, int(degrees // 90) % 4)
+    if not math.isfinite(degrees):
+        raise StyleSplatError(f"Cannot turn {name} by {degrees} degrees. Pass a number of degrees.")
     height, width = pixels.shape[:2]
     inner_width, inner_height = (int(s) for s in inscribed_rectangle(width, height, degrees))
     _require_side(inner_width, inner_height, f"Turned by {degrees}, what is left of {name}")
-    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    back = np.array([[cos, -sin], [sin, cos]])  # y points down
     # Centres of pixels lie at +0.5
-    center = np.array([width - 1, height - 1]) / 2
-    inner_center = np.array([inner_width - 1, inner_height - 1]) / 2
-    T_to_source = np.column_stack([back, center - back @ inner_center])
+    T_to_turned = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
+    T_to_turned[:, 2] += (inner_width - width) / 2, (inner_height - height) / 2
     return cv2.warpAffine(
         np.ascontiguousarray(pixels),
-        T_to_source,
+        T_to_turned,
         (inner_width, inner_height),
-        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        flags=cv2.INTER_CUBIC,
         borderMode=cv2.BORDER_REPLICATE,
     )
 
@@ -212,19 +204,23 @@ def check_size(
     style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
 ) -> None:
     """Raise a StyleSplatError if the style image has no whole feature; see `style_features`."""
-    needed = _least_side(network, blocks)
-    height, width = style.shape[:2]
-    _require_features((width, height), needed, "it is", "Choose a larger picture.")
-    size = _fitted_size(width, height, length)
-    _require_features(size, needed, "for this object it becomes", "Raise the style scale.")
+    if not has_features(style, network, blocks, length=length):
+        height, width = style.shape[:2]
+        fitted = "x".join(map(str, _fitted_size(width, height, length)))
+        raise StyleSplatError(
+            f"Cannot take the style from this picture of {width}x{height} pixels: for this object "
+            f"it becomes {fitted}, and its features span {_least_side(network, blocks)}. Choose a "
+            "larger picture, or raise the style scale."
+        )
 
 
 def has_features(
     style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
 ) -> bool:
-    """Whether the style image has a whole feature if it is resized; see `style_features`."""
+    """Whether the style image, and that of this length, have a whole feature."""
     height, width = style.shape[:2]
-    return min(_fitted_size(width, height, length)) >= _least_side(network, blocks)
+    sides = height, width, *_fitted_size(width, height, length)
+    return min(sides) >= _least_side(network, blocks)
 
 
 def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
@@ -244,15 +240,6 @@ def _least_side(network: FeatureNetwork, blocks: Sequence[int]) -> int:
 def _fitted_size(width: int, height: int, length: float) -> tuple[int, int]:
     factor = length / max(height, width)
     return max(1, round(width * factor)), max(1, round(height * factor))
-
-
-def _require_features(size: tuple[int, int], needed: int, what: str, remedy: str) -> None:
-    width, height = size
-    if min(height, width) < needed:
-        raise StyleSplatError(
-            f"Cannot take the style from this picture: {what} {width}x{height} pixels, and its "
-            f"features span {needed}. {remedy}"
-        )
 
 
 def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor, "H W 3"]:

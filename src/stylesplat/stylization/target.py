@@ -101,44 +101,16 @@ def paint_context(
     )
 
 
-def check_targets(targets: Sequence[PaintTarget]) -> None:
-    """Raise a StyleSplatError if these objects cannot be painted in one scene."""
-    if not targets:
-        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
-    for target in targets:
-        count = int(target.mask.sum())
-        if count < MIN_GAUSSIANS:
-            raise StyleSplatError(
-                f"Cannot stylise {target.name}: it has {count} Gaussians, too few for a texture "
-                f"(at least {MIN_GAUSSIANS}). Pick more of it."
-            )
-    names = set[str]()
-    for target in targets:
-        if target.name in names:
-            raise StyleSplatError(
-                f"{target.name} was given twice. Give it once; several pictures make one style: "
-                f"{target.name}=a.jpg,b.jpg."
-            )
-        names.add(target.name)
-
-
-@dataclass(frozen=True)
-class PaintTask:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PaintTask(StyledObject):
     """An object of a recipe with all that painting it takes."""
 
-    name: str
-    """A name, or a label id."""
-    style: Style
+    features: Network
+    """The network whose features are matched."""
     images: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, cropped and turned."""
     mask: Bool[Tensor, " N"]
     """The object's rows of the base."""
-    features: Network
-    """The network whose features are matched."""
-    weights: Source | None
-    """The network's file; None for the default one."""
-    precision: Precision | None
-    """Of the features; None takes the fastest."""
 
     def target(self, family: Int[Tensor, " M"]) -> PaintTarget:
         """The target among Gaussians that belong to these rows of the base."""
@@ -168,40 +140,51 @@ def paint_tasks(
         StyleSplatError: If the scene lacks an object, one is too small, a picture is unfit, or the
             weights are meant for several networks.
     """
-    if not recipe.objects:
-        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
-    networks = {features or _network(each) for each in recipe.objects}
+    masks = find_objects(scene, [each.name for each in recipe.objects])
+    count, tasks = len(scene.unpainted), list[PaintTask]()
+    for each in recipe.objects:
+        own = each.features or each.style.network
+        changed = {
+            "features": features or own,
+            "weights": each.weights if features in (None, own) else None,  # it is of its own
+            "images": each.style.read(),
+            "mask": masks[each.name][:count].cpu(),
+        }
+        if weights:
+            changed["weights"] = Source(Path(weights))
+        tasks.append(PaintTask(**vars(each) | changed))
+    networks = sorted({task.features for task in tasks})
     if weights and len(networks) > 1:
         raise StyleSplatError(
-            f"{weights} is the file of one network, but the recipe has "
-            f"{' and '.join(sorted(networks))}. Pass --features too, or write `weights:` into the "
-            "recipe's objects."
+            f"{weights} is the file of one network, but the recipe has {' and '.join(networks)}. "
+            "Pass --features too, or write `weights:` into the recipe's objects."
         )
-    masks = find_objects(scene, [each.name for each in recipe.objects])
-    count, painted = len(scene.unpainted), list(scene.painted_objects)
-    tasks = [
-        PaintTask(
-            name=each.name,
-            style=each.style,
-            images=each.style.read(),
-            mask=masks[each.name][:count].cpu(),
-            features=features or _network(each),
-            weights=_weights(each, features, weights),
-            precision=each.precision,
-        )
-        for each in recipe.objects
-    ]
-    check_targets([PaintTarget(each.name, each.mask, (), each.style.config) for each in tasks])
-    order = {name: place for place, name in enumerate(painted)}
-    return sorted(tasks, key=lambda task: order.get(task.name, len(order)))
+    check_targets(tasks)
+    painted = [*scene.painted_objects, *(task.name for task in tasks)]
+    return sorted(tasks, key=lambda task: painted.index(task.name))
+
+
+def check_targets(targets: Sequence[PaintTarget | PaintTask]) -> None:
+    """Raise a StyleSplatError if these objects cannot be painted in one scene."""
+    if not targets:
+        raise StyleSplatError("Nothing to stylise: name at least one object and its style.")
+    names = [target.name for target in targets]
+    for target in targets:
+        count = int(target.mask.sum())
+        if count < MIN_GAUSSIANS:
+            raise StyleSplatError(
+                f"Cannot stylise {target.name}: it has {count} Gaussians, too few for a texture "
+                f"(at least {MIN_GAUSSIANS}). Pick more of it."
+            )
+        if names.count(target.name) > 1:
+            raise StyleSplatError(
+                f"{target.name} was given twice. Give it once; several pictures make one style: "
+                f"{target.name}=a.jpg,b.jpg."
+            )
 
 
 def load_network(
-    styles: Sequence[Style],
-    features: str,
-    weights: Source | None,
-    *,
-    download: bool = True,
+    styles: Sequence[Style], features: str, weights: Source | None, *, download: bool = True
 ) -> FeatureNetwork:
     """Load a network as deep as some styles need it.
 
@@ -217,16 +200,3 @@ def load_network(
     check_choice(features, "feature network", get_args(Network))
     depth = max(max(style.config.layers) for style in styles)
     return load_weights(cast("Network", features), path, depth=depth, download=download)
-
-
-def _network(each: StyledObject) -> Network:
-    return each.features or each.style.network
-
-
-def _weights(
-    each: StyledObject, features: Network | None, weights: Path | str | None
-) -> Source | None:
-    if weights:
-        return Source(Path(weights))
-    other = features is not None and features != _network(each)
-    return None if other else each.weights  # the recipe's file is of its own network

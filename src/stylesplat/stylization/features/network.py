@@ -1,17 +1,33 @@
-"""What stylisation asks of a feature network, whichever it is."""
+"""Feature networks: VGG, cut after the layers that style transfer needs, and a slim student of it.
 
+The student ships with the package. It works at half the picture's resolution from the start. Its
+features are VGG19's in their principal directions: cosines and distances are the same there, with a
+third of the numbers. `scripts/distill_features.py` trained it; `compact.md` says how good it is.
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Protocol, runtime_checkable
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from llvmlite.binding import get_host_cpu_features
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 
+LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
+WIDTHS = (64, 128, 256, 512, 512)  # filters of a convolution of VGG, block by block
+DEPTHS = {  # convolutions of a block (Simonyan & Zisserman 2014)
+    "vgg16": (2, 2, 3, 3, 3),
+    "vgg19": (2, 2, 4, 4, 4),
+    "compact": (1, 2, 3),  # they see as far as VGG19's do
+}
+FOLD = 2  # pixels along x and y that become channels of one in the compact network
+COMPACT_GREY, COMPACT_CONTRAST = 0.5, 0.25  # its mean and standard deviation of colours
 FAST_BFLOAT16 = ("amx-bf16", "avx512bf16")
 """Instructions with which VGG's convolutions are faster in bfloat16 than in float32.
 
@@ -30,9 +46,11 @@ class Convolution:
     """A convolution, its output as large as its input."""
 
     weight: Float[Tensor, "out in k k"]
-    """Filters; the first layer's inputs are red, green, blue."""
     bias: Float[Tensor, " out"]
-    """One number per filter."""
+
+    def __call__(self, x: Float[Tensor, "B in H W"]) -> Float[Tensor, "B out H W"]:
+        """Convolve images."""
+        return F.conv2d(x, self.weight, self.bias, padding="same")
 
     def to(self, device: torch.device | str, dtype: torch.dtype) -> "Convolution":
         """The same convolution on another device and in another precision."""
@@ -60,9 +78,25 @@ class Cells:
         return slice(first, max(first, last + 1))
 
 
-@runtime_checkable
-class FeatureNetwork(Protocol):
+# A block-1 feature depends on the 6 pixels around its pair of pixels, the first or second of which
+# it is: 2 before and 3 behind, or 3 before and 2 behind.
+COMPACT_CELLS = (Cells(stride=1, size=7, before=3), Cells(2, 14, 6), Cells(4, 40, 18))
+
+
+@dataclass(frozen=True)
+class FeatureNetwork(ABC):
     """Turns images into features, block by block, each at half the resolution of the last."""
+
+    unpooled: ClassVar[int] = 1
+    """How many blocks have no 2x2 maximum pooling before them."""
+    blocks: tuple[tuple[Convolution, ...], ...]
+    """Block 1 first; the last may be cut short."""
+    mean: Float[Tensor, " 3"]
+    """Colour in 0..1 that the first layer sees as zero."""
+    std: Float[Tensor, " 3"]
+    """Difference of colour that the first layer sees as one."""
+    heads: tuple[Convolution, ...] = ()
+    """Linear functions of the layers of each block; without them features are these layers."""
 
     def __call__(
         self, image: Float[Tensor, "H W 3"], blocks: Sequence[int] = (3,)
@@ -79,36 +113,101 @@ class FeatureNetwork(Protocol):
         Raises:
             StyleSplatError: If the network has no such block.
         """
-        ...
+        strides = [self.cells(block).stride for block in blocks]
+        if not blocks:
+            raise StyleSplatError("Features of no block were asked for. Name at least one.")
+        height, width = image.shape[:2]
+        x = ((image - self.mean) / self.std).permute(2, 0, 1)[None]  # channels-last in memory
+        found = zip(self.features(x.to(self.dtype), blocks), strides, strict=True)
+        return tuple(
+            feats[0, :, : height // stride, : width // stride].permute(1, 2, 0)
+            for feats, stride in found
+        )
+
+    def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
+        """The features [B,D,_,_] of images whose colours are normalised already."""
+        outputs = {}
+        for number, block in enumerate(self.blocks[: max(blocks)], start=1):
+            if number > self.unpooled:
+                x = F.max_pool2d(x, 2)
+            layers = []
+            for conv in block:
+                x = F.relu_(conv(x))
+                layers.append(x)
+            if number in blocks:
+                joined = torch.cat(layers[:LAYERS_PER_BLOCK], dim=1)
+                outputs[number] = self.heads[number - 1](joined) if self.heads else joined
+        return [outputs[number] for number in blocks]
 
     def cells(self, block: int) -> Cells:
         """Where the features of a block, counted from 1, lie in the image."""
-        ...
+        if not 1 <= block <= self.depth:
+            raise StyleSplatError(
+                f"Features of block {block} were asked for, the network has blocks 1 to "
+                f"{self.depth}. Choose among those, or load deeper weights."
+            )
+        return self._cells(block)
 
     @property
     def depth(self) -> int:
         """How many blocks it has."""
-        ...
+        return len(self.blocks)
 
     @property
     def dtype(self) -> torch.dtype:
         """The precision of the convolutions."""
-        ...
+        return self.blocks[0][0].weight.dtype
 
     def to(
         self, device: torch.device | str, dtype: torch.dtype = torch.float32
     ) -> "FeatureNetwork":
         """The same network on another device and in another precision."""
-        ...
-
-
-def check_blocks(blocks: Sequence[int], count: int) -> None:
-    """Raise a StyleSplatError unless all blocks are among the first `count`."""
-    if not blocks or min(blocks) < 1 or max(blocks) > count:
-        raise StyleSplatError(
-            f"Features of blocks {tuple(blocks)} were asked for, the network has blocks 1 to "
-            f"{count}. Choose among those, or load deeper weights."
+        return replace(
+            self,
+            blocks=tuple(tuple(conv.to(device, dtype) for conv in block) for block in self.blocks),
+            mean=self.mean.to(device),
+            std=self.std.to(device),
+            heads=tuple(head.to(device, dtype) for head in self.heads),
         )
+
+    @abstractmethod
+    def _cells(self, block: int) -> Cells: ...
+
+
+class Vgg(FeatureNetwork):
+    """Features are the ReLU outputs of a block's first three layers, concatenated."""
+
+    def _cells(self, block: int) -> Cells:
+        size, before = 1, 0
+        for number, convs in enumerate(self.blocks[:block], start=1):
+            stride = 2 ** (number - 1)
+            size += stride // 2  # the pooling before this block
+            depth = len(convs) if number < block else len(convs[:LAYERS_PER_BLOCK])
+            size, before = size + 2 * stride * depth, before + stride * depth
+        return Cells(stride=2 ** (block - 1), size=size, before=before)
+
+
+class Compact(FeatureNetwork):
+    """It sees 2x2 pixels as one from the start, which the head of block 1 takes apart again."""
+
+    unpooled: ClassVar[int] = 2
+
+    def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
+        """As VGG19's, in their principal directions."""
+        x = F.pad(x, (0, x.shape[3] % FOLD, 0, x.shape[2] % FOLD))
+        x = F.pixel_unshuffle(x, FOLD).contiguous(memory_format=torch.channels_last)
+        pairs = zip(blocks, super().features(x, blocks), strict=True)
+        return [F.pixel_shuffle(feats, FOLD) if n == 1 else feats for n, feats in pairs]
+
+    def _cells(self, block: int) -> Cells:
+        return COMPACT_CELLS[block - 1]
+
+
+def layer_widths(network: str, depth: int) -> tuple[tuple[int, ...], ...]:
+    """The number of filters of each convolution of VGG down to the features of block `depth`."""
+    blocks = [(width,) * count for width, count in zip(WIDTHS, DEPTHS[network], strict=False)]
+    *whole, last = blocks[:depth]
+    return (*whole, last[:LAYERS_PER_BLOCK])
 
 
 @cache

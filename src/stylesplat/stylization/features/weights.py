@@ -5,8 +5,8 @@ import pickle
 import re
 import struct
 import zipfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -18,12 +18,17 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.models.safetensors_http import fetch_tensors
 from stylesplat.progress import say
 from stylesplat.stylization.config import Network
-from stylesplat.stylization.features.compact import compact_from
-from stylesplat.stylization.features.network import Convolution, FeatureNetwork
-from stylesplat.stylization.features.vgg import Vgg, layer_widths
-
-VggNetwork = Literal["vgg16", "vgg19"]
-Preprocessing = Literal["torchvision", "caffe-rgb", "caffe-bgr"]
+from stylesplat.stylization.features.network import (
+    COMPACT_CONTRAST,
+    COMPACT_GREY,
+    DEPTHS,
+    FOLD,
+    Compact,
+    Convolution,
+    FeatureNetwork,
+    Vgg,
+    layer_widths,
+)
 
 HUB_URL = "https://huggingface.co/timm/{network}.tv_in1k/resolve/main/model.safetensors"
 TORCHVISION_FILES = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
@@ -45,6 +50,8 @@ UNREADABLE = (
     OSError,
     RuntimeError,
     ValueError,
+    AttributeError,
+    TypeError,
 )
 
 
@@ -55,104 +62,90 @@ def load_weights(
 
     Args:
         network: Which one; `compact` ships with the package.
-        path: Its file; by default the package's own, and for VGG as `load_vgg` says.
+        path: A .safetensors, .pth or .pt file. Of VGG it holds at least the convolutions, named as
+            in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`), whose
+            first layer expects colours in 0..255, blue first, unless the file's metadata say
+            otherwise. By default the package's own; of VGG what torchvision or we have cached, or
+            else a download of a few megabytes, announced on stderr.
         depth: The deepest block of features that is needed.
         download: Whether to, if there is no file of VGG.
 
     Raises:
-        StyleSplatError: As `load_vgg` does.
+        StyleSplatError: If the file is missing, unreadable or of another network, if there is none
+            and it cannot or must not be downloaded, or if the network is not that deep.
     """
+    most = len(DEPTHS[network])
+    if not 1 <= depth <= most:
+        remedy = " Use --features vgg16." if network == "compact" else ""
+        raise StyleSplatError(
+            f"Block {depth} of {network} was asked for, it has blocks 1 to {most}.{remedy}"
+        )
     if network == "compact":
-        return _load_compact(Path(path) if path is not None else PACKAGED, depth)
-    return load_vgg(network, path, depth=depth, download=download)
-
-
-def load_vgg(
-    network: VggNetwork,
-    path: Path | str | None = None,
-    *,
-    depth: int = 3,
-    preprocessing: Preprocessing | None = None,
-    download: bool = True,
-) -> Vgg:
-    """Load VGG's convolutions as deep as needed.
-
-    Args:
-        network: Which one.
-        path: A .safetensors, .pth or .pt file that holds at least the convolutions, named as
-            in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`). By
-            default what torchvision or we have cached, or else a download of a few megabytes,
-            announced on stderr.
-        depth: The deepest block of features that is needed.
-        preprocessing: What the first layer expects: `torchvision`, or colours in 0..255 minus
-            the original mean in either order. By default the file's metadata decide, or else
-            the layers' names: the original order is blue first.
-        download: Whether to, if there is no file.
-
-    Raises:
-        StyleSplatError: If the file is missing, unreadable or of another network, or if there
-            is none and it cannot or must not be downloaded.
-    """
-    layer_widths(network, depth)  # refuses a depth that the network does not have
+        path = Path(path or PACKAGED)
+        return compact_from(_read(path)[0], path)
     path = Path(path) if path is not None else _cached(network, depth, download)
     tensors, metadata = _read(path)
-    blocks = _assemble(tensors, network, depth, path)
-    if preprocessing is None:
-        preprocessing = _told(tensors, metadata)
-    if preprocessing == "torchvision":
+    blocks = _vgg_blocks(tensors, network, depth, path)
+    if not _is_original(tensors, metadata):
         return Vgg(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
-    if preprocessing == "caffe-bgr":
+    if "BGR" in metadata.get("input", "BGR"):  # the original order
         (first, *block), *rest = blocks
-        first = Convolution(first.weight.flip(1), first.bias)
-        blocks = ((first, *block), *rest)
+        blocks = ((Convolution(first.weight.flip(1), first.bias), *block), *rest)
     return Vgg(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
 
 
-def _load_compact(path: Path, depth: int) -> FeatureNetwork:
-    network = compact_from(_read(path)[0], path)
-    if depth > network.depth:
-        raise StyleSplatError(
-            f"Block {depth} of compact was asked for, it has blocks 1 to {network.depth}. "
-            "Use --features vgg16."
-        )
-    return network
+def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> Compact:
+    """Assemble the network from tensors named `block1.conv1.weight`, `block1.head.bias` and so on.
 
-
-def cache_folder() -> Path:
-    """Where downloads are kept: `$XDG_CACHE_HOME/stylesplat`, by default in `~/.cache`.
+    Args:
+        tensors: With float16 or float32 numbers.
+        source: Where they come from, for messages.
 
     Raises:
-        StyleSplatError: If the user has no home.
+        StyleSplatError: If one is missing or does not fit the one before.
     """
+    blocks, heads, inputs = [], [], 3 * FOLD**2
+    for number, depth in enumerate(DEPTHS["compact"], start=1):
+        convs = []
+        for layer in range(1, depth + 1):
+            names = [f"block{number}.conv{layer}"]
+            convs.append(_convolution(tensors, names, (None, inputs, 3, 3), source))
+            inputs = len(convs[-1].bias)
+        blocks.append(tuple(convs))
+        width = sum(len(conv.bias) for conv in convs)
+        names = [f"block{number}.head"]
+        heads.append(_convolution(tensors, names, (None, width, 1, 1), source))
+    mean, std = torch.full((3,), COMPACT_GREY), torch.full((3,), COMPACT_CONTRAST)
+    return Compact(tuple(blocks), mean, std, tuple(heads))
+
+
+def _cached(network: Network, depth: int, download: bool) -> Path:
+    """A file of VGG that is on this machine, after a download if need be."""
+    torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
+    if torchvision.is_file():
+        return torchvision
     try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
     except RuntimeError as error:
         raise StyleSplatError(
             "There is no home folder to keep weights in. Set XDG_CACHE_HOME, or pass --weights."
         ) from error
-
-
-def _cached(network: VggNetwork, depth: int, download: bool) -> Path:
-    """A file of the network that is there, or that is there now."""
-    torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
-    if torchvision.is_file():
-        return torchvision
-    path = cache_folder() / f"{network}_to_block{depth}.safetensors"
+    path = folder / f"{network}_to_block{depth}.safetensors"
     if not path.is_file():
         if not download:
             raise StyleSplatError(
-                f"There is no file of {network}'s weights in {path.parent}. Style an object with "
+                f"There is no file of {network}'s weights in {folder}. Style an object with "
                 f"`--features {network}` to have it downloaded."
             )
         _download(network, depth, path)
     return path
 
 
-def _download(network: VggNetwork, depth: int, path: Path) -> None:
+def _download(network: Network, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
     say(f"Downloading {network}'s convolutions from {url} to {path}.")
     widths = layer_widths(network, depth)
-    layers = [_names(widths, b, i)[0] for b in range(depth) for i in range(len(widths[b]))]
+    layers = [_names(network, b, i)[0] for b in range(depth) for i in range(len(widths[b]))]
     names = [f"{layer}.{part}" for layer in layers for part in ("weight", "bias")]
     try:
         tensors = fetch_tensors(url, names, title=network)
@@ -164,51 +157,47 @@ def _download(network: VggNetwork, depth: int, path: Path) -> None:
         save_file(tensors, temporary, metadata={"architecture": network.upper()})
 
 
-def _names(widths: tuple[tuple[int, ...], ...], block: int, layer: int) -> tuple[str, str]:
-    """Torchvision's and the original name of a layer, all counted from 0."""
-    before = sum(2 * len(b) + 1 for b in widths[:block])  # convolutions, ReLUs and a pooling
-    return f"features.{before + 2 * layer}", f"conv{block + 1}_{layer + 1}"
-
-
 def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The tensors of convolutions in a file, and its metadata."""
-    tensors, metadata = _stored(path)
+    metadata = {}
+    try:
+        if path.suffix == ".safetensors":
+            with safe_open(path, "pt") as file:
+                names = filter(CONVOLUTION.fullmatch, file.keys())
+                tensors = {name: file.get_tensor(name).float() for name in names}
+                metadata = file.metadata() or {}
+        else:
+            content = torch.load(path, map_location="cpu", weights_only=True)
+            tensors = {n: content[n].float() for n in filter(CONVOLUTION.fullmatch, content)}
+    except FileNotFoundError as error:
+        raise StyleSplatError(f"There is no weights file {path}. Check the name.") from error
+    except UNREADABLE as error:
+        raise StyleSplatError(
+            f"Cannot read the weights file {path}. Pass a whole .safetensors or .pth file."
+        ) from error
     for name, tensor in tensors.items():
         if not tensor.isfinite().all():
             raise StyleSplatError(f"{name} in {path} is not finite. Copy the weights again.")
     return tensors, metadata
 
 
-def _stored(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """The same, unchecked."""
-    try:
-        if path.suffix == ".safetensors":
-            with safe_open(path, "pt") as file:
-                names = filter(CONVOLUTION.fullmatch, file.keys())
-                return {n: file.get_tensor(n).float() for n in names}, file.metadata() or {}
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        names = filter(CONVOLUTION.fullmatch, content)
-        return {n: content[n].float() for n in names}, {}
-    except FileNotFoundError as error:
-        raise StyleSplatError(f"There is no weights file {path}. Check the name.") from error
-    except (*UNREADABLE, AttributeError, TypeError) as error:
-        raise StyleSplatError(
-            f"Cannot read the weights file {path}. Pass a whole .safetensors or .pth file."
-        ) from error
+def _names(network: Network, block: int, layer: int) -> list[str]:
+    """Torchvision's and the original name of a layer of VGG, both counted from 0."""
+    before = sum(2 * depth + 1 for depth in DEPTHS[network][:block])  # with ReLUs and a pooling
+    return [f"features.{before + 2 * layer}", f"conv{block + 1}_{layer + 1}"]
 
 
-def _assemble(
-    tensors: dict[str, Tensor], network: VggNetwork, depth: int, path: Path
+def _vgg_blocks(
+    tensors: Mapping[str, Tensor], network: Network, depth: int, path: Path
 ) -> tuple[tuple[Convolution, ...], ...]:
     for other, marks in MARKS.items():
         if other != network and any(mark in tensors for mark in marks):
             raise StyleSplatError(f"{path} holds {other}, not {network}. Use --features {other}.")
-    widths = layer_widths(network, depth)
     inputs, blocks = 3, []
-    for block, outputs in enumerate(widths):
+    for block, widths in enumerate(layer_widths(network, depth)):
         convs = []
-        for layer, width in enumerate(outputs):
-            names = _names(widths, block, layer)
+        for layer, width in enumerate(widths):
+            names = _names(network, block, layer)
             convs.append(_convolution(tensors, names, (width, inputs, 3, 3), path))
             inputs = width
         blocks.append(tuple(convs))
@@ -216,26 +205,28 @@ def _assemble(
 
 
 def _convolution(
-    tensors: dict[str, Tensor], names: tuple[str, str], shape: tuple[int, ...], path: Path
+    tensors: Mapping[str, Tensor],
+    names: Sequence[str],
+    shape: tuple[int | None, int, int, int],
+    source: Path | str,
 ) -> Convolution:
+    """The convolution under one of some names, of any number of filters where that is None."""
     for name in names:
         weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
-        if weight is not None and bias is not None:
-            if weight.shape == shape and bias.shape == shape[:1]:
-                return Convolution(weight.contiguous(memory_format=torch.channels_last), bias)
-            raise StyleSplatError(
-                f"{path} holds another network: {name}.weight should have the shape "
-                f"{list(shape)}, it has {list(weight.shape)}. Choose the network with --features."
-            )
+        if weight is None or bias is None:
+            continue
+        expected = (len(bias), *shape[1:])
+        if weight.shape == expected and shape[0] in (None, len(bias)) and bias.ndim == 1:
+            weight = weight.float().contiguous(memory_format=torch.channels_last)
+            return Convolution(weight, bias.float())
+    wanted = [side for side in shape if side is not None]
     raise StyleSplatError(
-        f"{path} lacks {names[0]}.weight (or {names[1]}.weight) of the shape {list(shape)} and "
-        f"its bias. Pass a file of the network chosen with --features, or choose fewer blocks."
+        f"{source} holds another network, or not all of it: {' or '.join(names)} is missing or "
+        f"does not have the shape {wanted}. Choose the network of the file with --features, or "
+        "leave out --weights."
     )
 
 
-def _told(tensors: dict[str, Tensor], metadata: dict[str, str]) -> Preprocessing:
-    """The preprocessing that a file says it needs."""
-    expected = metadata.get("input", "")
-    if "255" in expected:
-        return "caffe-bgr" if "BGR" in expected else "caffe-rgb"
-    return "caffe-bgr" if any(name.startswith("conv") for name in tensors) else "torchvision"
+def _is_original(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> bool:
+    """Whether the first layer of VGG expects colours in 0..255 minus the mean."""
+    return "255" in metadata.get("input", "") or any(name.startswith("conv") for name in tensors)
