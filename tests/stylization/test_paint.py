@@ -20,7 +20,7 @@ from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import PRESETS, Precision
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.optimize import paint_steps
+from stylesplat.stylization.optimize import PREVIEW_STEPS, paint_steps
 from stylesplat.stylization.paint import (
     Painted,
     layer_of,
@@ -258,21 +258,22 @@ def test_the_verb(job: PaintTarget, network: FeatureNetwork, tmp_path: Path):
 def test_states_lead_to_the_same(job: PaintTarget, network: FeatureNetwork):
     job = with_settings(job, quality="normal")
     context = paint_context(SCENE, CAMERAS, network)
-    live = paint_steps(context, job)
+    live = paint_steps(context, job, preview=True)
     early = list(islice(live, 5))
     assert [state.step for state in early] == [1, 2, 3, 4, 5]
     kept = early[-1].splats.sh0.clone()
     late = list(live)  # goes on
-    assert [state.step for state in late] == list(range(6, 13))
-    assert all(state.steps == 12 and math.isfinite(state.nnfm) for state in early + late)
+    total = PREVIEW_STEPS + 12
+    assert [state.step for state in late] == list(range(6, total + 1))
+    assert all(state.steps == total and math.isfinite(state.nnfm) for state in early + late)
     layer = layer_of(late[-1], job, torch.arange(len(SCENE)))
     assert same(compose(SCENE, [layer]), painted([job], network).splats)
     assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
     assert not torch.equal(early[-2].splats.sh0, kept)
-    assert len(early[0].splats) == len(early[0].parents) == len(SCENE), "coarse steps come first"
+    assert len(early[0].splats) == len(early[0].parents) == len(SCENE), "the preview comes first"
     assert len(late[-1].splats) == len(late[-1].parents) > len(SCENE)
     assert same(early[0].base, SCENE)
-    again = next(paint_steps(context, job))
+    again = next(paint_steps(context, job, preview=True))
     assert same(again.splats, early[0].splats), "who starts again gets the same"
 
 

@@ -10,19 +10,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.metrics.lab import distinct, lab_from_rgb, nearest_colors, thinned
+from stylesplat.metrics.lab import LUMA, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.rendering.sh import SH_C0
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
 VARIATION = 0.15  # deviation of the colours that `vary_colors` adds, of 1
+LUMA_VARIATION = 0.5  # share of its luminance to keep: all of it makes patches of light on faces
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
 PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern
-SHADING = (
-    0.6  # of the object's large shapes of light to keep: with all, its dark side shows nothing else
-)
+SHADING = 0.6  # of the object's light to keep: with all of it the dark side shows nothing else
 LEAST_DEVIATION = 0.5  # pixels of a blur's deviation; less blurs nothing
 HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
@@ -92,6 +91,8 @@ def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splat
     size = (means.quantile(0.95, dim=0) - means.quantile(0.05, dim=0)).norm()
     waves = directions.to(means) * (2 * math.pi / (WAVELENGTH * size))
     pattern = torch.cos(means @ waves.T + phases.to(means)) @ mixture.to(means)
+    luma = pattern @ pattern.new_tensor(LUMA)
+    pattern = pattern - (1 - LUMA_VARIATION) * luma[:, None]
     sh0 = splats.sh0.clone()
     sh0[mask] += VARIATION / SH_C0 * pattern[:, None]
     return replace(splats, sh0=sh0)

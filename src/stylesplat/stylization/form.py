@@ -30,9 +30,9 @@ SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compa
 EVEN, UNEVEN = 0.75, 0.88
 TINY = 1e-6  # energy of a band that the object hardly has
 NEAR = 0.04  # deviation of the window of a local correlation, in lengths
-FAINT = 0.01  # of 1: detail of less contrast counts less
+FAINT = 0.01  # of 1: detail of less contrast is not seen
 ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
-FLAT_WEIGHT = 0.05  # weight of pixels where nothing stands out: paint stays calm there
+RARE = 0.05  # share of an object: less form than that counts less
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,11 @@ def measure_form(
     bands = luminance_bands(image, mask, length)
     for band, typical in zip(bands, survey.energies, strict=True):
         energy = smooth(band.square(), mask, ENERGY_DEVIATION * length)
-        weight = (1 - SALIENT * typical / energy.clamp(min=TINY)).clamp(min=0) * mask
+        least = SALIENT * typical + FAINT**2
+        weight = (1 - least / energy.clamp(min=least)) * mask
         detail = weight * band
         details.append(detail)
-        weights.append((weight + FLAT_WEIGHT) * mask)
+        weights.append(weight)
     return Form(details, weights, survey.shares)
 
 
@@ -123,7 +124,7 @@ def form_distance(
     ):
         norms = blur(band.square(), near) * blur(detail.square(), near)
         correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
-        total = total + share * (weight * (1 - correlation)).sum() / weight.sum()
+        total = total + share * (weight * (1 - correlation)).sum() / (weight + RARE * mask).sum()
     return total
 
 
