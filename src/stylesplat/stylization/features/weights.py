@@ -1,15 +1,12 @@
 """Where a feature network comes from: the package, a file, a cache or a download."""
 
 import os
-import pickle
 import re
-import struct
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -40,19 +37,6 @@ MARKS = {  # layers that the other network does not have
     "vgg16": ("features.17.weight",),
     "vgg19": ("features.16.weight", "conv3_4.weight"),
 }
-UNREADABLE = (
-    SafetensorError,
-    pickle.UnpicklingError,
-    zipfile.BadZipFile,
-    struct.error,
-    EOFError,
-    LookupError,
-    OSError,
-    RuntimeError,
-    ValueError,
-    AttributeError,
-    TypeError,
-)
 
 
 def load_weights(
@@ -86,9 +70,10 @@ def load_weights(
     path = Path(path) if path is not None else _cached(network, depth, download)
     tensors, metadata = _read(path)
     blocks = _vgg_blocks(tensors, network, depth, path)
-    if not _is_original(tensors, metadata):
+    is_original = any(name.startswith("conv") for name in tensors)
+    if not (is_original or "255" in metadata.get("input", "")):
         return Vgg(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
-    if "BGR" in metadata.get("input", "BGR"):  # the original order
+    if "BGR" in metadata.get("input", "BGR"):
         (first, *block), *rest = blocks
         blocks = ((Convolution(first.weight.flip(1), first.bias), *block), *rest)
     return Vgg(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
@@ -144,9 +129,12 @@ def _cached(network: Network, depth: int, download: bool) -> Path:
 def _download(network: Network, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
     say(f"Downloading {network}'s convolutions from {url} to {path}.")
-    widths = layer_widths(network, depth)
-    layers = [_names(network, b, i)[0] for b in range(depth) for i in range(len(widths[b]))]
-    names = [f"{layer}.{part}" for layer in layers for part in ("weight", "bias")]
+    names = [
+        f"{_names(network, block, layer)[0]}.{part}"
+        for block, widths in enumerate(layer_widths(network, depth))
+        for layer in range(len(widths))
+        for part in ("weight", "bias")
+    ]
     try:
         tensors = fetch_tensors(url, names, title=network)
     except StyleSplatError as error:
@@ -171,7 +159,7 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             tensors = {n: content[n].float() for n in filter(CONVOLUTION.fullmatch, content)}
     except FileNotFoundError as error:
         raise StyleSplatError(f"There is no weights file {path}. Check the name.") from error
-    except UNREADABLE as error:
+    except Exception as error:  # of safetensors, zip, pickle, or a file of something else
         raise StyleSplatError(
             f"Cannot read the weights file {path}. Pass a whole .safetensors or .pth file."
         ) from error
@@ -225,8 +213,3 @@ def _convolution(
         f"does not have the shape {wanted}. Choose the network of the file with --features, or "
         "leave out --weights."
     )
-
-
-def _is_original(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> bool:
-    """Whether the first layer of VGG expects colours in 0..255 minus the mean."""
-    return "255" in metadata.get("input", "") or any(name.startswith("conv") for name in tensors)
