@@ -314,7 +314,7 @@ def test_jobs_that_clash(job: PaintTarget, network: FeatureNetwork):
 
 def test_small_styles(job: PaintTarget, network: FeatureNetwork):
     small = replace(job, styles=(*job.styles, torch.rand(8, 90, 3)))
-    with pytest.raises(StyleSplatError, match="it is 90x8 pixels"):
+    with pytest.raises(StyleSplatError, match="of 90x8 pixels"):
         painted([small], network)
 
 
