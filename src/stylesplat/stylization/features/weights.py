@@ -1,6 +1,5 @@
 """Where a feature network comes from: the package, a file, a cache or a download."""
 
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -49,8 +48,8 @@ def load_weights(
         path: A .safetensors, .pth or .pt file. Of VGG it holds at least the convolutions, named as
             in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`), whose
             first layer expects colours in 0..255, blue first, unless the file's metadata say
-            otherwise. By default the package's own; of VGG what torchvision or we have cached, or
-            else a download of a few megabytes, announced on stderr.
+            otherwise. By default the package's own; of VGG what is in torch's cache, or else a
+            download of a few megabytes into it, announced on stderr.
         depth: The deepest block of features that is needed.
         download: Whether to, if there is no file of VGG.
 
@@ -105,25 +104,18 @@ def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> Compact:
 
 
 def _cached(network: Network, depth: int, download: bool) -> Path:
-    """A file of VGG that is on this machine, after a download if need be."""
-    torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
-    if torchvision.is_file():
-        return torchvision
-    try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
-    except RuntimeError as error:
-        raise StyleSplatError(
-            "There is no home folder to keep weights in. Set XDG_CACHE_HOME, or pass --weights."
-        ) from error
+    """A file of VGG in torch's cache, after a download if need be."""
+    folder = Path(torch.hub.get_dir()) / "checkpoints"
+    whole = folder / TORCHVISION_FILES[network]
     path = folder / f"{network}_to_block{depth}.safetensors"
-    if not path.is_file():
-        if not download:
-            raise StyleSplatError(
-                f"There is no file of {network}'s weights in {folder}. Style an object with "
-                f"`--features {network}` to have it downloaded."
-            )
+    if not (whole.is_file() or path.is_file() or download):
+        raise StyleSplatError(
+            f"There is no file of {network}'s weights in {folder}. Style an object with "
+            f"`--features {network}` to have it downloaded."
+        )
+    if not (whole.is_file() or path.is_file()):
         _download(network, depth, path)
-    return path
+    return whole if whole.is_file() else path
 
 
 def _download(network: Network, depth: int, path: Path) -> None:
