@@ -20,7 +20,6 @@ from torch.nn import functional as F
 from stylesplat.errors import StyleSplatError
 
 LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
-WIDTHS = (64, 128, 256, 512, 512)  # filters of a convolution of VGG, block by block
 DEPTHS = {  # convolutions of a block (Simonyan & Zisserman 2014)
     "vgg16": (2, 2, 3, 3, 3),
     "vgg19": (2, 2, 4, 4, 4),
@@ -182,13 +181,6 @@ class Compact(FeatureNetwork):
 
     def _cells(self, block: int) -> Cells:
         return COMPACT_CELLS[block - 1]
-
-
-def layer_widths(network: str, depth: int) -> tuple[tuple[int, ...], ...]:
-    """The number of filters of each convolution of VGG down to the features of block `depth`."""
-    blocks = [(width,) * count for width, count in zip(WIDTHS, DEPTHS[network], strict=False)]
-    *whole, last = blocks[:depth]
-    return (*whole, last[:LAYERS_PER_BLOCK])
 
 
 @cache

@@ -19,11 +19,11 @@ from stylesplat.stylization.features.network import (
     COMPACT_GREY,
     DEPTHS,
     FOLD,
+    LAYERS_PER_BLOCK,
     Compact,
     Convolution,
     FeatureNetwork,
     Vgg,
-    layer_widths,
 )
 
 HUB_URL = "https://huggingface.co/timm/{network}.tv_in1k/resolve/main/model.safetensors"
@@ -68,7 +68,10 @@ def load_weights(
         return compact_from(_read(path)[0], path)
     path = Path(path) if path is not None else _cached(network, depth, download)
     tensors, metadata = _read(path)
-    blocks = _vgg_blocks(tensors, network, depth, path)
+    for other, marks in MARKS.items():
+        if other != network and any(mark in tensors for mark in marks):
+            raise StyleSplatError(f"{path} holds {other}, not {network}. Use --features {other}.")
+    blocks = _blocks(tensors, _vgg_names(network, depth), 3, path)
     is_original = any(name.startswith("conv") for name in tensors)
     if not (is_original or "255" in metadata.get("input", "")):
         return Vgg(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
@@ -88,19 +91,16 @@ def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> Compact:
     Raises:
         StyleSplatError: If one is missing or does not fit the one before.
     """
-    blocks, heads, inputs = [], [], 3 * FOLD**2
-    for number, depth in enumerate(DEPTHS["compact"], start=1):
-        convs = []
-        for layer in range(1, depth + 1):
-            names = [f"block{number}.conv{layer}"]
-            convs.append(_convolution(tensors, names, (None, inputs, 3, 3), source))
-            inputs = len(convs[-1].bias)
-        blocks.append(tuple(convs))
+    names = [
+        [[f"block{block}.conv{layer + 1}"] for layer in range(count)]
+        for block, count in enumerate(DEPTHS["compact"], start=1)
+    ]
+    blocks, heads = _blocks(tensors, names, 3 * FOLD**2, source), []
+    for number, convs in enumerate(blocks, start=1):
         width = sum(len(conv.bias) for conv in convs)
-        names = [f"block{number}.head"]
-        heads.append(_convolution(tensors, names, (None, width, 1, 1), source))
+        heads.append(_convolution(tensors, [f"block{number}.head"], (width, 1, 1), source))
     mean, std = torch.full((3,), COMPACT_GREY), torch.full((3,), COMPACT_CONTRAST)
-    return Compact(tuple(blocks), mean, std, tuple(heads))
+    return Compact(blocks, mean, std, tuple(heads))
 
 
 def _cached(network: Network, depth: int, download: bool) -> Path:
@@ -121,12 +121,8 @@ def _cached(network: Network, depth: int, download: bool) -> Path:
 def _download(network: Network, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
     say(f"Downloading {network}'s convolutions from {url} to {path}.")
-    names = [
-        f"{_names(network, block, layer)[0]}.{part}"
-        for block, widths in enumerate(layer_widths(network, depth))
-        for layer in range(len(widths))
-        for part in ("weight", "bias")
-    ]
+    layers = [names[0] for block in _vgg_names(network, depth) for names in block]
+    names = [f"{layer}.{part}" for layer in layers for part in ("weight", "bias")]
     try:
         tensors = fetch_tensors(url, names, title=network)
     except StyleSplatError as error:
@@ -161,25 +157,29 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     return tensors, metadata
 
 
-def _names(network: Network, block: int, layer: int) -> list[str]:
-    """Torchvision's and the original name of a layer of VGG, both counted from 0."""
-    before = sum(2 * depth + 1 for depth in DEPTHS[network][:block])  # with ReLUs and a pooling
-    return [f"features.{before + 2 * layer}", f"conv{block + 1}_{layer + 1}"]
+def _vgg_names(network: Network, depth: int) -> list[list[list[str]]]:
+    """Torchvision's and the original name of each layer of VGG that is needed, by blocks."""
+    blocks, before = [], 0
+    for block, count in enumerate(DEPTHS[network][:depth], start=1):
+        numbers = range(count if block < depth else min(count, LAYERS_PER_BLOCK))
+        blocks.append([[f"features.{before + 2 * n}", f"conv{block}_{n + 1}"] for n in numbers])
+        before += 2 * count + 1  # with ReLUs and a pooling
+    return blocks
 
 
-def _vgg_blocks(
-    tensors: Mapping[str, Tensor], network: Network, depth: int, path: Path
+def _blocks(
+    tensors: Mapping[str, Tensor],
+    names: Sequence[Sequence[Sequence[str]]],
+    inputs: int,
+    source: Path | str,
 ) -> tuple[tuple[Convolution, ...], ...]:
-    for other, marks in MARKS.items():
-        if other != network and any(mark in tensors for mark in marks):
-            raise StyleSplatError(f"{path} holds {other}, not {network}. Use --features {other}.")
-    inputs, blocks = 3, []
-    for block, widths in enumerate(layer_widths(network, depth)):
+    """The blocks of a network of so many inputs, given the possible names of each layer."""
+    blocks = []
+    for layers in names:
         convs = []
-        for layer, width in enumerate(widths):
-            names = _names(network, block, layer)
-            convs.append(_convolution(tensors, names, (width, inputs, 3, 3), path))
-            inputs = width
+        for each in layers:
+            convs.append(_convolution(tensors, each, (inputs, 3, 3), source))
+            inputs = len(convs[-1].bias)
         blocks.append(tuple(convs))
     return tuple(blocks)
 
@@ -187,21 +187,19 @@ def _vgg_blocks(
 def _convolution(
     tensors: Mapping[str, Tensor],
     names: Sequence[str],
-    shape: tuple[int | None, int, int, int],
+    shape: tuple[int, int, int],
     source: Path | str,
 ) -> Convolution:
-    """The convolution under one of some names, of any number of filters where that is None."""
+    """The convolution under one of some names, of any number of filters of this shape."""
     for name in names:
         weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
         if weight is None or bias is None:
             continue
-        expected = (len(bias), *shape[1:])
-        if weight.shape == expected and shape[0] in (None, len(bias)) and bias.ndim == 1:
+        if weight.shape == (len(bias), *shape) and bias.ndim == 1:
             weight = weight.float().contiguous(memory_format=torch.channels_last)
             return Convolution(weight, bias.float())
-    wanted = [side for side in shape if side is not None]
     raise StyleSplatError(
         f"{source} holds another network, or not all of it: {' or '.join(names)} is missing or "
-        f"does not have the shape {wanted}. Choose the network of the file with --features, or "
-        "leave out --weights."
+        f"its filters do not have the shape {[*shape]}. Choose the network of the file with "
+        "--features, or leave out --weights."
     )
