@@ -112,7 +112,7 @@ def _settings_and_others(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """The settings under `settings`, those of the entry itself, and what it has of `keys`."""
-    own = convert_settings(_without_retired(entry), SETTINGS | keys)
+    own = convert_settings(_without_retired(entry), {**SETTINGS, **keys})
     others = {key: own.pop(key) for key in keys if key in own}
     inner = convert_settings(_without_retired(others.get("settings", {})), SETTINGS)
     return inner, own, others

@@ -102,7 +102,7 @@ def _colors_of(tensor: Tensor) -> Pixels:
             f"A style tensor has the shape [H, W, 3], this one has {[*colors.shape]}. Move its "
             "colour channels to the end."
         )
-    _require_side(*colors.shape[1::-1], "The style tensor")
+    _require_side(colors.shape[1], colors.shape[0], "The style tensor")
     low, high = float(colors.min()), float(colors.max())
     if not (is_levels or (tensor.is_floating_point() and 0 <= low <= high <= 1)):
         raise StyleSplatError(
