@@ -1,7 +1,5 @@
 """What the benchmarks share: scenes, clocks, memory and tables."""
 
-import ctypes
-import gc
 import math
 import platform
 import re
@@ -17,8 +15,6 @@ import numba
 import torch
 
 import stylesplat as ss
-from stylesplat.rendering.render import Backend, rasterize
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.one_line import counted
 from stylesplat.scene.splats import Splats
@@ -46,15 +42,6 @@ def capture(name: str, downscale: float = 1.0, *, identities: bool = True) -> Ca
     return loaded if identities else replace(loaded, label_maps=None)
 
 
-def trained_fox(gaussians: int = 50_000, seconds: float = 60.0) -> Splats:
-    """Fox with identities, trained once at half size and kept in `benchmarks/out`."""
-    folder = OUT / f"fox_{gaussians}"
-    if not folder.exists():
-        fox = capture("fox", 2)
-        ss.save(ss.train(fox, max_seconds=seconds, max_gaussians=gaussians), folder)
-    return ss.open(folder).splats
-
-
 def trained_scene(name: str, *, downscale: float, gaussians: int, seconds: float = 200.0) -> Path:
     """A real scene with its objects, trained once and kept in `benchmarks/out`."""
     folder = OUT / f"{name}_{downscale:g}_{gaussians}"
@@ -69,29 +56,6 @@ def style_network(depth: int = 3) -> FeatureNetwork:
     if not VGG19.is_file():
         raise SystemExit(f"This benchmark needs the weights {VGG19}, which are not here.")
     return load_weights("vgg19", VGG19, depth=depth)
-
-
-def step(
-    splats: Splats,
-    camera: Cameras,
-    *,
-    identities: bool = False,
-    all_gradients: bool = True,
-    poses: bool = False,
-    backend: Backend = "auto",
-) -> None:
-    """Render with 3 or 19 channels and fill the gradients of all parameters, or of poses, too."""
-    leaves = {name: t.detach().requires_grad_() for name, t in splats.tensors().items()}
-    attached = replace(splats, **leaves)
-    viewmats = camera.viewmats.detach().requires_grad_(poses)
-    image, _, _ = rasterize(
-        attached,
-        replace(camera, viewmats=viewmats),
-        features=attached.identities if identities else None,
-        features_move_geometry=all_gradients,
-        backend=backend,
-    )
-    image.backward(torch.ones_like(image))
 
 
 def resized(splats: Splats, count: int) -> Splats:
@@ -139,17 +103,6 @@ def processor_seconds() -> float:
     """What all threads of this process have taken so far."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime
-
-
-def memory_now() -> int:
-    """Resident bytes of this process."""
-    return _status("VmRSS")
-
-
-def release_memory() -> None:
-    """Give freed memory back to the system, so that the next peak is one's own (glibc)."""
-    gc.collect()
-    ctypes.CDLL(None).malloc_trim(0)
 
 
 def peak_memory(work: Callable[[], object]) -> int:

@@ -37,7 +37,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
-from stylesplat.stylization.features.network import Convolution, FeatureNetwork, fastest_dtype
+from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
 from stylesplat.stylization.matching import nearest_rows
 from stylesplat.stylization.optimize import paint_steps
@@ -189,7 +189,6 @@ def speed(bench: Bench) -> str:
     forwards = {
         "compact": lambda image: ready[0](image)[0],
         "vgg19": lambda image: ready[1](image)[0],
-        "to conv3_4": _to_conv3_4(bench.vgg19, dtype),
     }
     times = {title: _backward_ms(forward, images[0]) for title, forward in forwards.items()}
     runs: tuple[tuple[Network, Path], ...] = (
@@ -202,28 +201,9 @@ def speed(bench: Bench) -> str:
     precision = str(dtype).removeprefix("torch.")
     rows = [
         _ratio(f"to conv3_3, {size}, {precision}, ms", times["compact"], times["vgg19"]),
-        _ratio(f"to conv3_4, {size}, {precision}, ms", times["compact"], times["to conv3_4"]),
         _ratio("stylize fox, 300 steps, s", seconds["compact"], seconds["vgg19"]),
     ]
     return table(["", "compact", "VGG19", "times faster"], rows)
-
-
-def _to_conv3_4(vgg19: FeatureNetwork, dtype: torch.dtype) -> Callable[[Tensor], Tensor]:
-    """VGG19 with one more convolution than the features need."""
-    tensors = load_file(VGG19)
-    last = Convolution(tensors["conv3_4.weight"], tensors["conv3_4.bias"])
-    *before, third = vgg19.blocks
-    blocks = replace(vgg19, blocks=(*before, (*third, last))).to("cpu", dtype).blocks
-
-    def forward(image: Tensor) -> Tensor:
-        x = ((image - vgg19.mean) / vgg19.std).permute(2, 0, 1)[None].to(dtype)
-        for number, block in enumerate(blocks):
-            x = F.max_pool2d(x, 2) if number else x
-            for conv in block:
-                x = F.relu_(F.conv2d(x, conv.weight, conv.bias, padding=1))
-        return x
-
-    return forward
 
 
 def _backward_ms(forward: Callable[[Tensor], Tensor], image: Tensor) -> float:

@@ -5,8 +5,7 @@
 For each scene (`demo`, which is made here, or the folder of one that `stylesplat train` made) the
 figures of the paper: in its form, with measurements that it does not give. What is computed is
 kept in DIR, a file for each part; the same command goes on where it stopped. It ends with a page,
-DIR/index.html, and with DIR/paper.md and its pictures; `--docs docs` writes these two
-there as well.
+DIR/paper.md, and its pictures; `--docs docs` writes these there as well.
 """
 
 import shutil
@@ -20,7 +19,7 @@ import tyro
 from paper_figures import figure1, figure2, figure3, figure5, figure6, figure7, official, segmenting
 from paper_figures.book import Book, work_through
 from paper_figures.foreword import Run, foreword
-from paper_figures.story import Figure, html_page, markdown_page
+from paper_figures.story import Figure, markdown_page
 from paper_figures.subject import EFFORTS, open_subject
 
 from stylesplat.io.atomic import atomic_path
@@ -44,8 +43,6 @@ class Options:
     """quick takes 60 steps, and makes our own paintings as drafts; medium 100, and makes ours as
     users get them; full the paper's 500 on larger frames, all of Figure 6, and trains anew for each
     set of label maps."""
-    quick: bool = False
-    """The same as --effort quick."""
     whole_grid: bool = False
     """All of Figure 6's settings also where the effort takes the lines through its middle."""
     figures: tuple[str, ...] = tuple(FIGURES)
@@ -72,14 +69,13 @@ def main(options: Options) -> None:
             _compute(run)
         runs.append(run)
         _write(options, sorted(figures, key=lambda figure: figure.name), runs)
-    print(options.output / "index.html")
+    print(options.output / "paper.md")
 
 
 def _opened(given: str, options: Options, figures: Sequence[Figure]) -> Run:
     """A scene with what is computed of it, or will be."""
     folder = options.output / (given if given == "demo" else Path(given).name)
-    effort = "quick" if options.quick else options.effort
-    settings = {"effort": effort, "features": options.features}
+    settings = {"effort": options.effort, "features": options.features}
     book = Book(folder, None if options.only_page else settings)
     effort = EFFORTS[book.settings["effort"]]
     effort = replace(effort, whole_grid=effort.whole_grid or options.whole_grid)
@@ -97,21 +93,17 @@ def _compute(run: Run) -> None:
 
 
 def _write(options: Options, figures: Sequence[Figure], runs: Sequence[Run]) -> None:
-    """The page, and the Markdown with its pictures."""
+    """Write the page and its pictures."""
     chapters = [
         (run.subject.name, [(f, blocks) for f in figures if (blocks := f.told(run.results))])
         for run in runs
     ]
     intro = foreword(runs)
-    _put(options.output / "index.html", html_page(TITLE, intro, chapters))
     for folder in filter(None, (options.output, options.docs)):
         shutil.rmtree(folder / "paper", ignore_errors=True)
-        _put(folder / "paper.md", markdown_page(TITLE, intro, chapters, folder / "paper"))
-
-
-def _put(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        text = markdown_page(TITLE, intro, chapters, folder / "paper")
+        with atomic_path(folder / "paper.md") as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

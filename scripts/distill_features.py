@@ -29,7 +29,6 @@ from stylesplat.stylization.features.network import (
     COMPACT_CELLS,
     DEPTHS,
     FOLD,
-    Compact,
     FeatureNetwork,
     fastest_dtype,
 )
@@ -201,7 +200,7 @@ def part(
     return image
 
 
-def loss_of(student: Compact, batch: Batch) -> tuple[Tensor, float]:
+def loss_of(student: FeatureNetwork, batch: Batch) -> tuple[Tensor, float]:
     """The loss, and the mean cosine of block 3."""
     x = (batch.pictures - student.mean) / student.std
     found = student.features(x.permute(0, 3, 1, 2).to(student.dtype), BLOCKS)

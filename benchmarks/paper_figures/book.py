@@ -1,4 +1,4 @@
-"""Results in files: what is there is not computed again; and how long the rest will take."""
+"""Results in files: what is there is not computed again."""
 
 import hashlib
 import time
@@ -16,7 +16,6 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import write_image
 from stylesplat.io.json_files import read_json, write_json
 
-FEW = 3  # parts whose times tell nothing yet
 VERSION = 2  # raise it when the same settings give other numbers
 
 Picture = Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
@@ -129,29 +128,11 @@ class Book:
 
 
 def work_through(book: Book, cells: Sequence[Cell]) -> Iterator[str]:
-    """Compute what is not there, and say before each how long all will take.
-
-    A cell is taken to need what others of its figure took, or else what all did on average.
-    """
-    known = {f: [r.seconds for r in rs.values()] for f, rs in book.results(cells).items()}
+    """Compute what is not there, and name each part before."""
     rest = [cell for cell in cells if not book.has(cell)]
-    for number, cell in enumerate(rest):
-        left = _left(rest[number:], known)
-        about = f", about {left / 60:.0f} min left" if left is not None else ""
-        yield f"{cell.figure}, {cell.key}: {number + 1} of {len(rest)}{about}"
-        start = time.perf_counter()
+    for number, cell in enumerate(rest, start=1):
+        yield f"{cell.figure}, {cell.key}: {number} of {len(rest)}"
         book.keep(cell)
-        known.setdefault(cell.figure, []).append(time.perf_counter() - start)
-
-
-def _left(rest: Sequence[Cell], known: Mapping[str, Sequence[float]]) -> float | None:
-    """Seconds; None while hardly anything is known."""
-    every = [seconds for several in known.values() for seconds in several]
-    if len(every) < FEW:
-        return None
-    means = {figure: sum(several) / len(several) for figure, several in known.items()}
-    usual = sum(every) / len(every)
-    return sum(means.get(cell.figure, usual) for cell in rest)
 
 
 def _spelled(key: str) -> str:

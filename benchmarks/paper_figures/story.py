@@ -1,8 +1,7 @@
-"""What a figure says: text, lists, tables and pictures, as HTML and as Markdown."""
+"""What a figure says: text, lists, tables and pictures, as Markdown."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +9,8 @@ from bench import table
 from PIL import Image
 
 from paper_figures.book import Cell, Results
-from paper_figures.pictures import grid, picture, strip
+from paper_figures.pictures import grid, strip
 from paper_figures.subject import Subject
-from stylesplat.figures.html_page import figure_html, page_style, picture_url, table_html
 
 QUALITY = 72  # of JPEG in docs
 OURS = "demo"  # the scene that is made here
@@ -89,45 +87,8 @@ Chapters = Sequence[tuple[str, Sequence[tuple[Figure, Sequence[Block]]]]]
 """By scene, its figures."""
 
 
-def html_page(title: str, intro: Sequence[Block], chapters: Chapters) -> str:
-    """One page that needs no other file."""
-    wide = "body { max-width: 1300px; } .row { flex-wrap: nowrap; overflow-x: auto; }"
-    parts = [
-        '<!doctype html><html lang="en"><meta charset="utf-8">',
-        f"<title>{escape(title)}</title><style>{page_style()}{wide}</style>",
-        f"<h1>{escape(title)}</h1>",
-        *map(_html, intro),
-    ]
-    for scene, figures in chapters:
-        for figure, blocks in figures:
-            parts.append(f"<section><h2>{escape(f'{figure.title} ({scene})')}</h2>")
-            parts += [
-                f"<p>The paper: {escape(figure.claim)}</p>",
-                *map(_html, blocks),
-                "</section>",
-            ]
-    return "\n".join([*parts, "</html>"])
-
-
-def _html(block: Block) -> str:
-    match block:
-        case Text(text):
-            return f"<p>{escape(text)}</p>"
-        case Heading(text):
-            return f"<h2>{escape(text)}</h2>"
-        case Points(lines):
-            return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
-        case Table(heads, rows):
-            return table_html(heads, rows)
-        case Grid(caption, rows):
-            figures = [figure_html(picture_url(grid(rows)), caption)]
-        case Row(pictures):
-            figures = [figure_html(picture_url(picture(p)), name) for name, p in pictures.items()]
-    return f'<div class="row">{"".join(figures)}</div>'
-
-
 def markdown_page(title: str, intro: Sequence[Block], chapters: Chapters, pictures: Path) -> str:
-    """The same as Markdown, and small pictures in a folder beside it, none of them others' own."""
+    """A page, and small pictures in a folder beside it, none of them photos of others."""
     pictures.mkdir(parents=True, exist_ok=True)
     parts = [f"# {title}", *(_markdown(block, pictures, "intro") for block in intro)]
     for scene, figures in chapters:

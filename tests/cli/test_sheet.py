@@ -107,7 +107,7 @@ def test_settings_start_from_the_preset():
     [
         (["--style", "3={style}", "--style", "7={style}"], "one object, got 3 and 7"),
         (["--style", "3={style}", "--vary", "sclae=1"], "no option of `stylize` to vary, 'sclae'"),
-        (["--style", "3={style}", "--vary", "scale=big"], 'size must be a number, not "big"'),
+        (["--style", "3={style}", "--vary", "scale=big"], 'size cannot be "big"'),
         (["--style", "3={style}", "--pick", "2,1"], "no cell '2,1'. Use 1,1"),
         (["--style", "3={style}", "--vary", "scale"], "KEY=VALUE"),
         (["--style", "3={style}", "--vary", "scale=1,,2"], "no valid YAML"),

@@ -69,8 +69,7 @@ def server() -> Iterator[Server]:
 
 @pytest.fixture
 def no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     return tmp_path
 
 
@@ -98,7 +97,7 @@ def test_first_use_downloads_and_later_ones_do_not(
     assert said == []
     assert torch.equal(first.blocks[0][1].weight, tensors()["features.2.weight"].float())
     assert torch.equal(first.blocks[0][1].weight, again.blocks[0][1].weight)
-    cached = [p.name for p in (no_cache / "stylesplat").iterdir()]
+    cached = [p.name for p in (no_cache / "hub" / "checkpoints").iterdir()]
     assert cached == ["vgg16_to_block1.safetensors"]
 
 
@@ -107,7 +106,7 @@ def test_offline(no_cache: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(StyleSplatError, match=r"Cannot download .* `--weights FILE`") as error:
         load_weights("vgg19")
     assert "\n" not in str(error.value)
-    assert not (no_cache / "stylesplat").exists()
+    assert not (no_cache / "hub").exists()
 
 
 HEADER = json.dumps({"x": {"dtype": "I64", "shape": [1], "data_offsets": [0, 8]}}).encode()

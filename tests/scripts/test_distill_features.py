@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import distill_features as distill
-from stylesplat.stylization.features.network import Convolution, Vgg, layer_widths
+from stylesplat.stylization.features.network import Convolution, Vgg
 from stylesplat.stylization.features.weights import compact_from
 from training_pictures import SIZE, training_pictures
 
@@ -21,7 +21,7 @@ def pictures() -> torch.Tensor:
 def teacher(pictures: torch.Tensor) -> distill.Teacher:
     """VGG19's shape with random filters."""
     generator, inputs, blocks = torch.Generator().manual_seed(0), 3, []
-    for widths in layer_widths("vgg19", 3):
+    for widths in ((64,) * 2, (128,) * 2, (256,) * 3):
         convs = []
         for width in widths:
             weight = torch.randn(width, inputs, 3, 3, generator=generator) * (2 / 9 / inputs) ** 0.5

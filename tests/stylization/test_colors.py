@@ -1,12 +1,69 @@
+"""Colours: mapped in closed form, led back to a painting's, and freed of an object's pattern."""
+
 from dataclasses import replace
 
+import pytest
 import torch
 
+from balls import (
+    CAMERAS,
+    COUNT,
+    FAST,
+    LIGHT,
+    PICKED,
+    SPLATS,
+    WAYS,
+    assert_same_splats,
+    ball,
+    dense_ball,
+)
+from balls import STRIPED_SCENE as SCENE
 from scenes import random_splats
-from stylesplat.rendering.sh import SH_C0, sh_colors
-from stylesplat.stylization.colors import NOISE, VARIATION, color_map, map_colors, vary_colors
+from stylesplat.evaluation.statistics import TOLERANCE, off_palette
+from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
+from stylesplat.rendering.sh import SH_C0, sh0_from_rgb, sh_colors
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.colors import (
+    NEAR,
+    LUMA_VARIATION,
+    NOISE,
+    SHADING,
+    VARIATION,
+    blur_colors,
+    build_palette,
+    color_map,
+    map_colors,
+    object_colors,
+    project_to_palette,
+    remove_pattern,
+    vary_colors,
+)
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.paint import paint
+from stylesplat.stylization.views import ObjectView, crop_views, find_boxes
 
 NOISE_BIAS = 0.05  # the source's variances, 0.04 to 0.09, are raised by NOISE
+GREY = torch.linspace(0, 1, 2000)[:, None].expand(2000, 3)
+PATTERN = 0.25  # of the dense ball's colours, up and down
+GENERATOR = torch.Generator().manual_seed(1)
+PATTERNED = dense_ball(
+    LIGHT + PATTERN * (2 * torch.randint(2, (COUNT, 1), generator=GENERATOR) - 1)
+)
+LENGTH = 24.0  # pixels of the dense ball in its views
+MEMORY = {"params": [1e9, 0.0], "ids": ["linear", "rasterised"]}
+
+
+@pytest.fixture(scope="module", **MEMORY)
+def views(request: pytest.FixtureRequest, network: FeatureNetwork) -> list[ObjectView]:
+    boxes, cells = find_boxes(SPLATS, CAMERAS[:4], ball(0)), [network.cells(2)]
+    return crop_views(SPLATS, boxes, ball(0), cells, zoom=2.0, max_memory=request.param)
+
+
+@pytest.fixture(scope="module", **MEMORY)
+def dense_views(request: pytest.FixtureRequest, network: FeatureNetwork) -> list[ObjectView]:
+    splats, cells = dense_ball(LIGHT), [network.cells(2)]
+    boxes = find_boxes(splats, CAMERAS, PICKED)
+    return crop_views(splats, boxes, PICKED, cells, zoom=1.0, max_memory=request.param)
 
 
 def colors(count: int, seed: int) -> torch.Tensor:
@@ -67,3 +124,102 @@ def test_colors_are_mapped_from_wherever_they_are_seen():
     torch.testing.assert_close(after[picked], before[picked] @ matrix.T + offset)
     assert torch.equal(mapped.sh0[~picked], splats.sh0[~picked])
     assert torch.equal(mapped.shN[~picked], splats.shN[~picked])
+
+
+def test_a_painting_leaves_its_own_colors_alone():
+    style = torch.rand(5000, 3, generator=torch.Generator().manual_seed(0))
+    near = build_palette(style)
+    assert (near.offset(style) == 0).float().mean() > 0.99  # cubes at the edge are cut off
+
+
+def test_the_way_back_ends_near_the_painting_and_no_nearer():
+    far = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9], [0.2, 0.9, 0.4]])
+    ends = lab_from_rgb(far + build_palette(GREY).offset(far))
+    grey = lab_from_rgb(GREY)
+    away = (ends - grey[nearest_colors(ends, grey)]).norm(dim=1)
+    # the way is straight in RGB, the distance is told in Lab
+    assert ((away > NEAR / 2) & (away < TOLERANCE)).all(), away
+
+
+def test_the_distance_pulls_only_what_is_far():
+    rgb = [[0.9, 0.1, 0.1], [0.5, 0.5, 0.5], [0.1, 0.1, 0.9]]
+    image = torch.tensor([rgb], requires_grad=True)
+    near, mask = build_palette(GREY), torch.tensor([[True, True, False]])
+    distance = near.distance(image, mask)
+    distance.backward()
+    assert image.grad is not None
+    far, grey, others = image.grad[0]
+    assert far[0] > 0 > far[1] and (grey == 0).all() and (others == 0).all()
+    expected = near.offset(image[0, :1]).square().sum() / 2
+    torch.testing.assert_close(distance.detach(), expected)
+
+
+def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
+    picked = ball(0)
+    before = off_palette(object_colors(SPLATS, views), GREY)
+    settled = project_to_palette(SPLATS, picked, views, build_palette(GREY))
+    after = off_palette(object_colors(settled, views), GREY)
+    assert before > 0.9 and after < 0.5 * before
+    assert torch.equal(settled.sh0[~picked], SPLATS.sh0[~picked])
+    assert torch.equal(settled.shN, SPLATS.shN)
+
+
+def test_what_is_on_the_palette_stays_to_the_bit(views: list[ObjectView]):
+    every = torch.cartesian_prod(*[torch.linspace(0, 1, 24)] * 3)
+    settled = project_to_palette(SPLATS, ball(0), views, build_palette(every))
+    torch.testing.assert_close(settled.sh0, SPLATS.sh0, atol=1e-5, rtol=0)  # there and back
+
+
+def test_a_grey_painting_gives_a_grey_object(network: FeatureNetwork):
+    grey = torch.rand(40, 48, 1, generator=torch.Generator().manual_seed(0)).expand(40, 48, 3)
+    picked = ball(0)
+    config = replace(FAST, steps=40)
+    styled = paint(SCENE, CAMERAS, picked, grey, config=config, network=network)
+    own = (styled.sh0 != SCENE.sh0).any(dim=2)[:, 0]
+    assert own.sum() > 0.5 * picked.sum()
+    pairs = [each.sh0[own, 0] * SH_C0 + 0.5 for each in (styled, SCENE)]
+    hues = [colors.amax(dim=1) - colors.amin(dim=1) for colors in pairs]
+    assert hues[0].mean() < 0.1 < hues[1].mean()
+
+
+def rgb(splats: Splats) -> torch.Tensor:
+    return 0.5 + (splats.sh0[PICKED, 0] - sh0_from_rgb(torch.full((1, 3), 0.5))) * 0.28209479
+
+
+def test_the_pattern_goes_and_a_part_of_the_light_stays(dense_views: list[ObjectView]):
+    shown = WAYS[:, 2] > -0.3  # no camera looks from below
+    calm = rgb(remove_pattern(PATTERNED, PICKED, dense_views, LENGTH, 1.0))
+    assert (calm - SHADING * LIGHT)[shown].std() < 0.3 * PATTERN
+    centred = [values[shown, :1] - values[shown, :1].mean() for values in (LIGHT, calm)]
+    assert float(torch.linalg.lstsq(*centred).solution) == pytest.approx(SHADING, abs=0.25)
+
+
+def test_a_share_takes_that_much_away(dense_views: list[ObjectView]):
+    splats = PATTERNED
+    none, half, full = (
+        remove_pattern(splats, PICKED, dense_views, LENGTH, share) for share in (0.0, 0.5, 1.0)
+    )
+    assert_same_splats(none, splats)
+    torch.testing.assert_close(half.sh0, (splats.sh0 + full.sh0) / 2)
+
+
+def test_only_colours_of_the_picked_change(dense_views: list[ObjectView]):
+    splats = PATTERNED
+    bands = 0.1 * torch.randn(len(splats), 3, 3, generator=torch.Generator().manual_seed(1))
+    splats = replace(splats, shN=bands)
+    calm = remove_pattern(splats, PICKED, dense_views, LENGTH, 1.0)
+    assert torch.equal(splats.sh0[~PICKED], calm.sh0[~PICKED])
+    assert calm.sh0[PICKED].std() < splats.sh0[PICKED].std()
+    assert_same_splats(replace(calm, sh0=splats.sh0), splats)
+
+
+def test_blurring_leaves_what_small_renders_show(dense_views: list[ObjectView]):
+    """Gaussians smaller than their pixels lose their noise; light stays, and so does the rest."""
+    splats = PATTERNED
+    shown = WAYS[:, 2] > 0
+    full = blur_colors(splats, PICKED, dense_views)
+    assert (rgb(full) - LIGHT)[shown].std() < 0.4 * PATTERN
+    slope = torch.linalg.lstsq(LIGHT[shown, :1] - 0.5, rgb(full)[shown, :1] - 0.5).solution
+    assert float(slope) == pytest.approx(1, abs=0.2)
+    assert_same_splats(replace(full, sh0=splats.sh0), splats)
+    assert torch.equal(full.sh0[~PICKED], splats.sh0[~PICKED])

@@ -110,7 +110,7 @@ def test_no_larger_rectangle_lies_inside(size: tuple[int, int], degrees: float):
     assert width * cos + height * sin <= size[0] + 1e-9
     assert width * sin + height * cos <= size[1] + 1e-9
     assert width * height == pytest.approx(best, rel=1e-4)  # the grid's step
-    assert inscribed_rectangle(*size[::-1], degrees) == pytest.approx((height, width))
+    assert inscribed_rectangle(size[1], size[0], degrees) == pytest.approx((height, width))
 
 
 def test_a_region_is_of_the_upright_picture(tmp_path: Path):

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from itertools import accumulate, pairwise
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -209,15 +208,6 @@ NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
 
 SETTINGS = {field.name: get_type_hints(StyleConfig)[field.name] for field in fields(StyleConfig)}
 """The names and types of all settings."""
-WORDS = {
-    int: "a whole number",
-    float: "a number",
-    str: "text",
-    bool: "true or false",
-    NoneType: "null",
-    dict: "KEY: VALUE",
-    list: "a list",
-}
 
 
 def plain_settings(config: StyleConfig) -> dict[str, Any]:
@@ -250,18 +240,10 @@ def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict
             fit[key] = msgspec.convert(value, hints[key])
         except msgspec.ValidationError as error:
             shown = brief(json.dumps(value, ensure_ascii=False, default=str))
-            expected = _described(hints[key])
-            raise StyleSplatError(f"{key} must be {expected}, not {shown}.") from error
+            parts = (hints[key], *get_args(hints[key]))
+            choices = [
+                word for each in parts if get_origin(each) is Literal for word in get_args(each)
+            ]
+            remedy = f" Use {' or '.join(choices)}." if choices else ""
+            raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
     return fit
-
-
-def _described(hint: Any) -> str:
-    kind, arguments = get_origin(hint), get_args(hint)
-    if kind in (Union, UnionType):
-        return " or ".join(map(_described, arguments))
-    if kind is Literal:
-        return " or ".join(map(json.dumps, arguments))
-    if kind is tuple:
-        count = "" if arguments[-1] is ... else f" of {len(arguments)}"
-        return f"a list{count}, each {_described(arguments[0])}"
-    return WORDS[kind or hint]

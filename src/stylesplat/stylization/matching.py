@@ -67,7 +67,10 @@ class StyleIndex:
         rows = max(1, SIMILARITIES_AT_ONCE // self.compressed.shape[1])
         found = []
         for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
-            candidates = _largest(query @ self.compressed, len(self.directions))
+            candidates = torch.zeros(len(chunk), CANDIDATES, dtype=torch.long)
+            similarities = (query @ self.compressed).flatten().numpy()
+            columns = self.compressed.shape[1]
+            largest_columns(similarities, columns, len(self.directions), candidates.numpy())
             few = self.directions.index_select(0, candidates.flatten())
             few = few.view(*candidates.shape, feats.shape[1])
             exact = torch.einsum("pd,pkd->pk", chunk, few)
@@ -94,13 +97,6 @@ def nearest_rows(
     rows = max(1, SIMILARITIES_AT_ONCE // len(directions))
     columns = directions.T.to(feats.dtype)
     return torch.cat([(chunk @ columns).argmax(dim=1) for chunk in feats.split(rows)])
-
-
-def _largest(similarities: Float[Tensor, "P R"], count: int) -> Int[Tensor, "P K"]:
-    """The columns of the `CANDIDATES` largest of the first `count` numbers of each row."""
-    found = np.zeros((len(similarities), CANDIDATES), np.int64)
-    largest_columns(similarities.view(-1).numpy(), similarities.shape[1], count, found)
-    return torch.from_numpy(found)
 
 
 @no_type_check

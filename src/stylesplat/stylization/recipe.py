@@ -1,6 +1,7 @@
 """The schema of recipes: which objects are repainted, with what settings."""
 
 from collections.abc import Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,17 +37,8 @@ SHARED = {  # what else a recipe may say of all objects
     "objects": dict | list | None,
     "gone": list | None,
 }
-RETIRED = (  # settings of older recipes
-    "canvas",
-    "final_lr",
-    "hard",
-    "max_growth",
-    "pattern",
-    "smoothness",
-    "texture",
-    "view_dependence",
-    "view_share",
-)
+RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}
+RETIRED |= {"view_dependence", "view_share"}  # settings of older recipes
 OWN = {  # and of one
     "style": str | tuple[str, ...],
     "sha256": str | tuple[str, ...] | None,
@@ -86,13 +78,13 @@ def read_recipe(
         if not isinstance(content, dict):
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")
         settings, own, shared = _settings_and_others(content, SHARED)
-        if "preset" in shared:
-            preset, defaults = shared["preset"], None
-        config = with_settings(defaults or PRESETS[preset], settings | own)
+        config = defaults if defaults and "preset" not in shared else None
+        shared = {"preset": preset, **shared}
+        config = with_settings(config or PRESETS[shared["preset"]], settings | own)
         objects, entries = [], _named_entries(shared.get("objects"))
         for name, entry in entries:
             with within(name):
-                objects.append(_styled_object(name, entry, config, preset, shared, path.parent))
+                objects.append(_styled_object(name, entry, config, shared, path.parent))
         if shared.get("gone") or any("upon" in entry for _, entry in entries):
             say(
                 f"{path} is of an earlier version: which objects it says were there while others "
@@ -104,13 +96,7 @@ def read_recipe(
 def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
     """A setting, or the preset, and the values it is to take in turn.
 
-    Raises:
-        StyleSplatError: If the text is no `KEY=VALUE,VALUE`, or does not name a setting and what
-            it can be.
-
     Example:
-        >>> parse_variation("scale=1,2.5")
-        ('scale', (1.0, 2.5))
         >>> parse_variation("layers=[3],[2,3]")
         ('layers', ((3,), (2, 3)))
     """
@@ -118,23 +104,22 @@ def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
     if not (key and values.strip()):
         raise StyleSplatError(f"Expected KEY=VALUE,VALUE, got {text!r}. KEY is a setting.")
     with within(f"Cannot vary {text}"):
-        return key, tuple(
-            convert_settings({key: value}, VARIED)[key] for value in parse_yaml(f"[{values}]")
-        )
+        values = parse_yaml(f"[{values}]")
+        return key, tuple(convert_settings({key: value}, VARIED)[key] for value in values)
 
 
 def _settings_and_others(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """The settings under `settings`, those of the entry itself, and what it has of `keys`."""
-    own = convert_settings(_without_retired(entry), SETTINGS | keys)
+    own = convert_settings(_without_retired(entry), {**SETTINGS, **keys})
     others = {key: own.pop(key) for key in keys if key in own}
     inner = convert_settings(_without_retired(others.get("settings", {})), SETTINGS)
     return inner, own, others
 
 
 def _without_retired(entry: Mapping[str, Any]) -> dict[str, Any]:
-    retired = [key for key in RETIRED if key in entry]
+    retired = [key for key in entry if key in RETIRED]
     if retired:
         say(f"{', '.join(retired)}: older recipes have this; it is no setting now and is ignored.")
     return {key: value for key, value in entry.items() if key not in retired}
@@ -144,7 +129,13 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
     """The entries of `objects` by name, be they a mapping or the list of a recipe.json."""
     if not objects:
         raise StyleSplatError("it names no objects. Add `objects:` with NAME: {style: IMAGE}.")
-    pairs = [*objects.items()] if isinstance(objects, dict) else [*map(_named_entry, objects)]
+    if isinstance(objects, list):
+        if not all(isinstance(entry, dict) and entry.get("name") for entry in objects):
+            raise StyleSplatError("each of the list `objects` must have a name and a style.")
+        entries = [dict(entry) for entry in objects]
+        pairs = [(str(entry.pop("name")), entry) for entry in entries]
+    else:
+        pairs = [*objects.items()]
     names = [name for name, _ in pairs]
     for name, entry in pairs:
         check_name_or_id(name)
@@ -155,30 +146,9 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
     return pairs
 
 
-def _named_entry(entry: Any) -> tuple[str, dict[str, Any]]:
-    if not isinstance(entry, dict) or not entry.get("name"):
-        raise StyleSplatError("each of the list `objects` must have a name and a style.")
-    return str(entry["name"]), {key: value for key, value in entry.items() if key != "name"}
-
-
 def _styled_object(
-    name: str,
-    entry: dict[str, Any],
-    config: StyleConfig,
-    preset: Preset,
-    shared: Mapping[str, Any],
-    folder: Path,
+    name: str, entry: dict[str, Any], config: StyleConfig, shared: Mapping[str, Any], folder: Path
 ) -> StyledObject:
-    """An object of a recipe.
-
-    Args:
-        name: What it is called.
-        entry: What the recipe says of it.
-        config: Settings that those of the entry precede.
-        preset: What these started from.
-        shared: What the recipe says of all objects.
-        folder: Where the recipe lies.
-    """
     if None in (as_tuple(entry.get("style")) or (None,)):  # colours that were never a file
         entry = {key: value for key, value in entry.items() if key != "style"}
     settings, own, others = _settings_and_others(entry, OWN)
@@ -189,12 +159,11 @@ def _styled_object(
         own.pop("intensity", None)  # of the recipe of a scene: that of now, not of the painting
     if others.get("form") is not None:
         check_form(others["form"])
-    files, digests = as_tuple(others.get("style")), as_tuple(others.get("sha256"))
-    config = with_settings(config, settings | own)
-    weights = network.get("weights")
+    pictures = _pictures(as_tuple(others.get("style")), as_tuple(others.get("sha256")), folder)
+    config, weights = with_settings(config, settings | own), network.get("weights")
     return StyledObject(
         name=name,
-        style=Style(*_pictures(files, digests, folder), config=config, preset=preset),
+        style=Style(*pictures, config=config, preset=shared["preset"]),
         features=network.get("features"),
         weights=Source(folder / weights, network.get("weights_sha256")) if weights else None,
         intensity=intensity,
@@ -211,15 +180,14 @@ def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) ->
             else "it was painted with colours that were never a file. Save them, add `style: FILE`."
         )
     pictures = [folder / file for file in files]
-    for picture in pictures:
+    if digests and len(digests) != len(pictures):
+        raise StyleSplatError(f"sha256 must have {len(pictures)} digests, not {len(digests)}.")
+    for picture, expected in zip_longest(pictures, digests):
         if not picture.is_file():
             raise StyleSplatError(
                 f"there is no picture {picture}. Paths are relative to the recipe's folder."
             )
-    if digests and len(digests) != len(pictures):
-        raise StyleSplatError(f"sha256 must have {len(pictures)} digests, not {len(digests)}.")
-    for picture, expected in zip(pictures, digests, strict=False):
-        if digest(picture) != expected:
+        if expected and digest(picture) != expected:
             raise StyleSplatError(
                 f"{picture} is another picture than the recipe's: its digest differs. "
                 "Put the picture back, or remove sha256."

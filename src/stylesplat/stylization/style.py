@@ -39,9 +39,8 @@ class Style:
     pictures: tuple[Picture, ...]
     """Each place of the object takes the best match of all."""
     config: StyleConfig
-    """Settings."""
     preset: str
-    """What they start from, which also tells the network."""
+    """What the settings start from, which also tells the network."""
 
     def __init__(
         self,
@@ -76,11 +75,7 @@ class Style:
         return one_line(self, some(map(_title, self.pictures)), *changed)
 
     def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
-        """The pictures as they are to be used: cropped and turned.
-
-        Raises:
-            StyleSplatError: If one is missing, unreadable, too small, or of colours out of range.
-        """
+        """The pictures, cropped and turned; raises as `read_style` does."""
         turned = {"rotate": self.config.rotate, "region": self.config.region}
         return tuple(read_style(picture, **turned) for picture in self.pictures)
 
@@ -101,10 +96,8 @@ class StyledObject:
     name: str
     """A name that `select` gave, or a label id."""
     style: Style
-    """What it is to look like."""
     features: Network | None = None
-    """The network whose features are matched; None leaves it to whoever uses the recipe, or to
-    the style's preset."""
+    """The network whose features are matched; None leaves it to the verb or the style's preset."""
     weights: Source | None = None
     """The network's file; None for its own."""
     intensity: float | None = None
@@ -112,7 +105,7 @@ class StyledObject:
     form: float | None = None
     """How much form it is to show in the end; None for the style's."""
     precision: Precision | None = None
-    """In which features are computed; None takes what is fastest on the machine."""
+    """Of the features; None takes what is fastest on the machine."""
 
     def __repr__(self) -> str:
         intensity = None if self.intensity is None else f"intensity={self.intensity:g}"
@@ -132,33 +125,24 @@ class Recipe:
         return one_line(self, *(f"{n}: {p}" for n, p in zip(names, pictures, strict=True)))
 
 
-def as_recipe(
-    styles: "Mapping[str, Style | Picture | Sequence[Picture]] | Recipe",
-) -> Recipe:
-    """Objects and their styles, as they are easily written, as a recipe."""
+def as_recipe(styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe) -> Recipe:
+    """Objects and their styles or pictures as a recipe with the default settings."""
     if isinstance(styles, Recipe):
         return styles
-    return Recipe(tuple(StyledObject(str(n), as_style(style)) for n, style in styles.items()))
-
-
-def as_style(style: Style | Picture | Sequence[Picture]) -> Style:
-    """A picture, or several, as a style with the default settings."""
-    if isinstance(style, Style):
-        return style
-    return Style(style) if isinstance(style, Path | str | Tensor) else Style(*style)
+    objects = []
+    for name, style in styles.items():
+        pictures = (style,) if isinstance(style, Path | str | Tensor) else style
+        style = pictures if isinstance(pictures, Style) else Style(*pictures)
+        objects.append(StyledObject(str(name), style))
+    return Recipe(tuple(objects))
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file.
-
-    Raises:
-        StyleSplatError: If it cannot be read.
-    """
+    """The SHA-256 of a file."""
     return sha256(read_bytes(path)).hexdigest()
 
 
 def _title(picture: Picture) -> str:
-    """A picture in a word."""
     return "a picture" if isinstance(picture, Tensor) else Path(picture).name
 
 

@@ -52,17 +52,14 @@ def read_style(
         StyleSplatError: If the file is no picture or animated, colours are out of range, the
             region does not lie in it, or less than 32 pixels remain of a side.
     """
-    name, is_file = str(picture), not isinstance(picture, Tensor)
-    if is_file:
-        _require_one_frame(Path(picture))
-        pixels = read_image(Path(picture)).numpy()
-    else:
+    if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
+        size = pixels.shape[1::-1]
+    else:
+        name, pixels = str(picture), _decoded(Path(picture))
+        size = image_sizes(Path(picture), reduced=False)[1]
     if region is not None:
-        height, width = pixels.shape[:2]
-        if is_file:
-            width, height = image_sizes(Path(picture), reduced=False)[1]
-        pixels = _crop(pixels, region, (width, height), name)
+        pixels = _crop(pixels, region, size, name)
     pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))
     colors = torch.from_numpy(pixels)
     return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
@@ -83,8 +80,7 @@ def inscribed_rectangle(width: int, height: int, degrees: float) -> tuple[float,
     return (width * cos - height * sin) / double, (height * cos - width * sin) / double
 
 
-def _require_one_frame(path: Path) -> None:
-    """Look at the file's header, before its pixels are decoded."""
+def _decoded(path: Path) -> Pixels:
     with open_image(path) as image:
         frames, size = getattr(image, "n_frames", 1), image.size
     if frames > 1:
@@ -93,6 +89,7 @@ def _require_one_frame(path: Path) -> None:
             "Save one frame as a picture of its own."
         )
     _require_side(*size, f"The picture {path}")
+    return read_image(path).numpy()
 
 
 def _colors_of(tensor: Tensor) -> Pixels:
@@ -126,8 +123,7 @@ def _require_side(width: int, height: int, what: str) -> None:
 def _crop(
     pixels: Pixels, region: tuple[int, int, int, int], size: tuple[int, int], name: str
 ) -> Pixels:
-    x0, y0, x1, y1 = region
-    width, height = size
+    (x0, y0, x1, y1), (width, height) = region, size
     name = f"The region {x0},{y0},{x1},{y1} of {name}"
     if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
         raise StyleSplatError(
@@ -173,31 +169,18 @@ def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
 def style_features(
     style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
 ) -> tuple[Float[Tensor, "_ _"], ...]:
-    """Features of a style image resized to `length` pixels along its longer side.
+    """For each block the features, one per row, of a style image of this longer side in pixels.
 
     Features that see past the border are left out, so its padding is in no style.
-
-    Args:
-        style: Colours in 0..1, of any size and shape.
-        network: The feature network.
-        blocks: Which blocks of it.
-        length: In pixels.
-
-    Returns:
-        For each block the features, one per row.
 
     Raises:
         StyleSplatError: If the style image is smaller than what one feature depends on.
     """
     check_size(style, network, blocks, length=length)
-    cells = [network.cells(block) for block in blocks]
     resized = resize(style, length)
-    feats = network(resized, blocks)
-    rows = []
-    for c, image in zip(cells, feats, strict=True):
-        inside = image[c.inside(resized.shape[0]), c.inside(resized.shape[1])]
-        rows.append(inside.reshape(-1, image.shape[-1]))
-    return tuple(rows)
+    height, width = resized.shape[:2]
+    pairs = zip(map(network.cells, blocks), network(resized, blocks), strict=True)
+    return tuple(f[c.inside(height), c.inside(width)].flatten(0, 1) for c, f in pairs)
 
 
 def check_size(
@@ -243,14 +226,10 @@ def _fitted_size(width: int, height: int, length: float) -> tuple[int, int]:
 
 
 def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor, "H W 3"]:
-    """A style image for strokes larger than usual: finer ones are joined into crisp large ones.
+    """A style image for a larger scale than usual: fine strokes are joined into crisp large ones.
 
     A coherence-enhancing shock filter (Weickert 2003): across the flow of the strokes, bright
     ridges and dark ones grow until they meet.
-
-    Args:
-        picture: Colours in 0..1.
-        scale: Of the style; up to the usual one nothing changes.
     """
     if scale <= USUAL_SCALE:
         return picture
@@ -273,15 +252,9 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
 def style_parts(
     picture: Float[Tensor, "H W 3"], length: float, generator: torch.Generator
 ) -> list[tuple[Float[Tensor, "_ _ 3"], float]]:
-    """A style image, or random parts of one that is to be very large.
+    """A style image, or random parts of one whose longer side is to have very many pixels.
 
-    Args:
-        picture: Colours in 0..1.
-        length: The longer side that it is to have, in pixels.
-        generator: Draws the parts.
-
-    Returns:
-        The parts, and the share of the longer side that each has.
+    With each comes its share of that side.
     """
     if length <= LARGEST:
         return [(picture, 1.0)]

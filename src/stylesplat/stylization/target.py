@@ -16,7 +16,7 @@ from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_objects
-from stylesplat.stylization.config import Network, Precision, StyleConfig
+from stylesplat.stylization.config import DEFAULT_NETWORK, Network, Precision, StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
@@ -32,7 +32,6 @@ class PaintTarget:
     name: str
     """What messages and metrics call it."""
     mask: Bool[Tensor, " N"]
-    """Its Gaussians."""
     styles: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, colours in 0..1; each feature takes the best match of all."""
     config: StyleConfig
@@ -54,7 +53,7 @@ class PaintContext:
     all_cameras: Cameras
     """These and the held-out ones: nothing but the object may change in them."""
     network: FeatureNetwork
-    """The network whose features are matched, in float32."""
+    """In float32."""
     precision: torch.dtype
     """Of the features while optimising."""
     max_memory: float
@@ -84,9 +83,6 @@ def paint_context(
         held_out: More views in which nothing but the object may change.
         max_memory: GiB that linear views may take; other views are rasterised in every step.
         precision: Of the features; by default what is fastest on this machine.
-
-    Raises:
-        StyleSplatError: If `max_memory` is negative.
     """
     if not max_memory >= 0:
         raise StyleSplatError(f"Cannot keep views in {max_memory} GiB. Pass 0 or more.")
@@ -105,8 +101,7 @@ def paint_context(
 class PaintTask(StyledObject):
     """An object of a recipe with all that painting it takes."""
 
-    features: Network
-    """The network whose features are matched."""
+    features: Network = DEFAULT_NETWORK
     images: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, cropped and turned."""
     mask: Bool[Tensor, " N"]

@@ -8,11 +8,11 @@ from torchvision.models import vgg
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.features.network import (
+    DEPTHS,
     Convolution,
     FeatureNetwork,
     Vgg,
     fastest_dtype,
-    layer_widths,
 )
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
 
@@ -61,7 +61,8 @@ def test_layers_are_those_of_torchvision(name: str, block: int):
         modules = vgg.make_layers(config[: config.index(512) + 3 if block == 4 else 10])
     convs = (m for m in modules if isinstance(m, torch.nn.Conv2d))
     frozen = (Convolution(m.weight.detach(), m.bias.detach()) for m in convs if m.bias is not None)
-    blocks = tuple(tuple(next(frozen) for _ in widths) for widths in layer_widths(name, block))
+    depths = [*DEPTHS[name][: block - 1], min(DEPTHS[name][block - 1], 3)]
+    blocks = tuple(tuple(next(frozen) for _ in range(depth)) for depth in depths)
     network = Vgg(blocks, torch.tensor([0.4, 0.5, 0.6]), torch.tensor([0.2, 0.3, 0.4]))
     image = picture(17, 26)
 
@@ -75,11 +76,9 @@ def test_layers_are_those_of_torchvision(name: str, block: int):
 
 
 def test_the_default_features_are_the_papers():
-    zeros = [[torch.zeros(w) for w in widths] for widths in layer_widths("vgg19", 3)]
-    blocks = tuple(tuple(Convolution(torch.zeros(len(b), 1, 3, 3), b) for b in bs) for bs in zeros)
-    cells = Vgg(blocks, torch.zeros(3), torch.ones(3)).cells(3)
-    assert (cells.stride, cells.size) == (4, 40)
-    assert sum(layer_widths("vgg19", 3)[-1]) == 768
+    conv = Convolution(torch.zeros(1, 1, 3, 3), torch.zeros(1))
+    vgg16 = Vgg(tuple((conv,) * depth for depth in (2, 2, 3)), torch.zeros(3), torch.ones(3))
+    assert (vgg16.cells(3).stride, vgg16.cells(3).size) == (4, 40)
 
 
 @pytest.mark.parametrize("size", [(40, 48), (41, 47), (42, 45)])

@@ -20,7 +20,6 @@ from torch.nn import functional as F
 from stylesplat.errors import StyleSplatError
 
 LAYERS_PER_BLOCK = 3  # ReLU outputs of a block that are concatenated (ARF); blocks 1, 2 have two
-WIDTHS = (64, 128, 256, 512, 512)  # filters of a convolution of VGG, block by block
 DEPTHS = {  # convolutions of a block (Simonyan & Zisserman 2014)
     "vgg16": (2, 2, 3, 3, 3),
     "vgg19": (2, 2, 4, 4, 4),
@@ -28,17 +27,9 @@ DEPTHS = {  # convolutions of a block (Simonyan & Zisserman 2014)
 }
 FOLD = 2  # pixels along x and y that become channels of one in the compact network
 COMPACT_GREY, COMPACT_CONTRAST = 0.5, 0.25  # its mean and standard deviation of colours
+# Instructions with which convolutions are faster in bfloat16 than in float32: 128 channels on 48x48
+# pixels took 2.6 ms in float32 and 8.2 ms in bfloat16 by AVX-512, 2.5 and 1.3 ms with its BF16
 FAST_BFLOAT16 = ("amx-bf16", "avx512bf16")
-"""Instructions with which VGG's convolutions are faster in bfloat16 than in float32.
-
-A convolution of 128 channels on 48x48 pixels took, in float32 and in bfloat16 (one thread):
-
-    AVX2                5.6 ms   24.1 ms
-    AVX-512             2.6 ms    8.2 ms
-    AVX-512 with BF16   2.5 ms    1.3 ms
-
-and AMX was five times as fast as float32.
-"""
 
 
 @dataclass(frozen=True)
@@ -59,15 +50,12 @@ class Convolution:
 
 @dataclass(frozen=True)
 class Cells:
-    """Where the features of a block lie in the image: cell `i` sees `[i * stride - before, +size)`.
-
-    The receptive field is the same in x and y.
-    """
+    """Where features lie in the image: cell `i` sees `[i * stride - before, +size)`."""
 
     stride: int
     """Pixels from one feature to the next."""
     size: int
-    """Pixels that a feature depends on at most, its receptive field."""
+    """Pixels of its receptive field."""
     before: int
     """How many of them lie before pixel `i * stride`."""
 
@@ -101,28 +89,20 @@ class FeatureNetwork(ABC):
     def __call__(
         self, image: Float[Tensor, "H W 3"], blocks: Sequence[int] = (3,)
     ) -> tuple[Float[Tensor, "_ _ _"], ...]:
-        """The features of an image, its colours in 0..1.
+        """For each block, counted from 1, an image of features, in the network's precision.
 
         Args:
-            image: May exceed 0..1, as renders do.
-            blocks: Which blocks, counted from 1.
-
-        Returns:
-            For each block an image of features, in the network's precision.
+            image: Colours in 0..1, which they may exceed, as renders do.
+            blocks: Which blocks.
 
         Raises:
             StyleSplatError: If the network has no such block.
         """
-        strides = [self.cells(block).stride for block in blocks]
-        if not blocks:
-            raise StyleSplatError("Features of no block were asked for. Name at least one.")
         height, width = image.shape[:2]
+        strides = [self.cells(block).stride for block in blocks]
         x = ((image - self.mean) / self.std).permute(2, 0, 1)[None]  # channels-last in memory
         found = zip(self.features(x.to(self.dtype), blocks), strides, strict=True)
-        return tuple(
-            feats[0, :, : height // stride, : width // stride].permute(1, 2, 0)
-            for feats, stride in found
-        )
+        return tuple(f[0, :, : height // s, : width // s].permute(1, 2, 0) for f, s in found)
 
     def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
         """The features [B,D,_,_] of images whose colours are normalised already."""
@@ -201,13 +181,6 @@ class Compact(FeatureNetwork):
 
     def _cells(self, block: int) -> Cells:
         return COMPACT_CELLS[block - 1]
-
-
-def layer_widths(network: str, depth: int) -> tuple[tuple[int, ...], ...]:
-    """The number of filters of each convolution of VGG down to the features of block `depth`."""
-    blocks = [(width,) * count for width, count in zip(WIDTHS, DEPTHS[network], strict=False)]
-    *whole, last = blocks[:depth]
-    return (*whole, last[:LAYERS_PER_BLOCK])
 
 
 @cache

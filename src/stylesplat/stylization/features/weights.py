@@ -1,15 +1,11 @@
 """Where a feature network comes from: the package, a file, a cache or a download."""
 
-import os
-import pickle
 import re
-import struct
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -23,11 +19,11 @@ from stylesplat.stylization.features.network import (
     COMPACT_GREY,
     DEPTHS,
     FOLD,
+    LAYERS_PER_BLOCK,
     Compact,
     Convolution,
     FeatureNetwork,
     Vgg,
-    layer_widths,
 )
 
 HUB_URL = "https://huggingface.co/timm/{network}.tv_in1k/resolve/main/model.safetensors"
@@ -40,19 +36,6 @@ MARKS = {  # layers that the other network does not have
     "vgg16": ("features.17.weight",),
     "vgg19": ("features.16.weight", "conv3_4.weight"),
 }
-UNREADABLE = (
-    SafetensorError,
-    pickle.UnpicklingError,
-    zipfile.BadZipFile,
-    struct.error,
-    EOFError,
-    LookupError,
-    OSError,
-    RuntimeError,
-    ValueError,
-    AttributeError,
-    TypeError,
-)
 
 
 def load_weights(
@@ -65,8 +48,8 @@ def load_weights(
         path: A .safetensors, .pth or .pt file. Of VGG it holds at least the convolutions, named as
             in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`), whose
             first layer expects colours in 0..255, blue first, unless the file's metadata say
-            otherwise. By default the package's own; of VGG what torchvision or we have cached, or
-            else a download of a few megabytes, announced on stderr.
+            otherwise. By default the package's own; of VGG what is in torch's cache, or else a
+            download of a few megabytes into it, announced on stderr.
         depth: The deepest block of features that is needed.
         download: Whether to, if there is no file of VGG.
 
@@ -85,10 +68,14 @@ def load_weights(
         return compact_from(_read(path)[0], path)
     path = Path(path) if path is not None else _cached(network, depth, download)
     tensors, metadata = _read(path)
-    blocks = _vgg_blocks(tensors, network, depth, path)
-    if not _is_original(tensors, metadata):
+    for other, marks in MARKS.items():
+        if other != network and any(mark in tensors for mark in marks):
+            raise StyleSplatError(f"{path} holds {other}, not {network}. Use --features {other}.")
+    blocks = _blocks(tensors, _vgg_names(network, depth), 3, path)
+    is_original = any(name.startswith("conv") for name in tensors)
+    if not (is_original or "255" in metadata.get("input", "")):
         return Vgg(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
-    if "BGR" in metadata.get("input", "BGR"):  # the original order
+    if "BGR" in metadata.get("input", "BGR"):
         (first, *block), *rest = blocks
         blocks = ((Convolution(first.weight.flip(1), first.bias), *block), *rest)
     return Vgg(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
@@ -104,48 +91,37 @@ def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> Compact:
     Raises:
         StyleSplatError: If one is missing or does not fit the one before.
     """
-    blocks, heads, inputs = [], [], 3 * FOLD**2
-    for number, depth in enumerate(DEPTHS["compact"], start=1):
-        convs = []
-        for layer in range(1, depth + 1):
-            names = [f"block{number}.conv{layer}"]
-            convs.append(_convolution(tensors, names, (None, inputs, 3, 3), source))
-            inputs = len(convs[-1].bias)
-        blocks.append(tuple(convs))
+    names = [
+        [[f"block{block}.conv{layer + 1}"] for layer in range(count)]
+        for block, count in enumerate(DEPTHS["compact"], start=1)
+    ]
+    blocks, heads = _blocks(tensors, names, 3 * FOLD**2, source), []
+    for number, convs in enumerate(blocks, start=1):
         width = sum(len(conv.bias) for conv in convs)
-        names = [f"block{number}.head"]
-        heads.append(_convolution(tensors, names, (None, width, 1, 1), source))
+        heads.append(_convolution(tensors, [f"block{number}.head"], (width, 1, 1), source))
     mean, std = torch.full((3,), COMPACT_GREY), torch.full((3,), COMPACT_CONTRAST)
-    return Compact(tuple(blocks), mean, std, tuple(heads))
+    return Compact(blocks, mean, std, tuple(heads))
 
 
 def _cached(network: Network, depth: int, download: bool) -> Path:
-    """A file of VGG that is on this machine, after a download if need be."""
-    torchvision = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILES[network]
-    if torchvision.is_file():
-        return torchvision
-    try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stylesplat"
-    except RuntimeError as error:
-        raise StyleSplatError(
-            "There is no home folder to keep weights in. Set XDG_CACHE_HOME, or pass --weights."
-        ) from error
+    """A file of VGG in torch's cache, after a download if need be."""
+    folder = Path(torch.hub.get_dir()) / "checkpoints"
+    whole = folder / TORCHVISION_FILES[network]
     path = folder / f"{network}_to_block{depth}.safetensors"
-    if not path.is_file():
-        if not download:
-            raise StyleSplatError(
-                f"There is no file of {network}'s weights in {folder}. Style an object with "
-                f"`--features {network}` to have it downloaded."
-            )
+    if not (whole.is_file() or path.is_file() or download):
+        raise StyleSplatError(
+            f"There is no file of {network}'s weights in {folder}. Style an object with "
+            f"`--features {network}` to have it downloaded."
+        )
+    if not (whole.is_file() or path.is_file()):
         _download(network, depth, path)
-    return path
+    return whole if whole.is_file() else path
 
 
 def _download(network: Network, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
     say(f"Downloading {network}'s convolutions from {url} to {path}.")
-    widths = layer_widths(network, depth)
-    layers = [_names(network, b, i)[0] for b in range(depth) for i in range(len(widths[b]))]
+    layers = [names[0] for block in _vgg_names(network, depth) for names in block]
     names = [f"{layer}.{part}" for layer in layers for part in ("weight", "bias")]
     try:
         tensors = fetch_tensors(url, names, title=network)
@@ -171,7 +147,7 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             tensors = {n: content[n].float() for n in filter(CONVOLUTION.fullmatch, content)}
     except FileNotFoundError as error:
         raise StyleSplatError(f"There is no weights file {path}. Check the name.") from error
-    except UNREADABLE as error:
+    except Exception as error:  # of safetensors, zip, pickle, or a file of something else
         raise StyleSplatError(
             f"Cannot read the weights file {path}. Pass a whole .safetensors or .pth file."
         ) from error
@@ -181,25 +157,29 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     return tensors, metadata
 
 
-def _names(network: Network, block: int, layer: int) -> list[str]:
-    """Torchvision's and the original name of a layer of VGG, both counted from 0."""
-    before = sum(2 * depth + 1 for depth in DEPTHS[network][:block])  # with ReLUs and a pooling
-    return [f"features.{before + 2 * layer}", f"conv{block + 1}_{layer + 1}"]
+def _vgg_names(network: Network, depth: int) -> list[list[list[str]]]:
+    """Torchvision's and the original name of each layer of VGG that is needed, by blocks."""
+    blocks, before = [], 0
+    for block, count in enumerate(DEPTHS[network][:depth], start=1):
+        numbers = range(count if block < depth else min(count, LAYERS_PER_BLOCK))
+        blocks.append([[f"features.{before + 2 * n}", f"conv{block}_{n + 1}"] for n in numbers])
+        before += 2 * count + 1  # with ReLUs and a pooling
+    return blocks
 
 
-def _vgg_blocks(
-    tensors: Mapping[str, Tensor], network: Network, depth: int, path: Path
+def _blocks(
+    tensors: Mapping[str, Tensor],
+    names: Sequence[Sequence[Sequence[str]]],
+    inputs: int,
+    source: Path | str,
 ) -> tuple[tuple[Convolution, ...], ...]:
-    for other, marks in MARKS.items():
-        if other != network and any(mark in tensors for mark in marks):
-            raise StyleSplatError(f"{path} holds {other}, not {network}. Use --features {other}.")
-    inputs, blocks = 3, []
-    for block, widths in enumerate(layer_widths(network, depth)):
+    """The blocks of a network of so many inputs, given the possible names of each layer."""
+    blocks = []
+    for layers in names:
         convs = []
-        for layer, width in enumerate(widths):
-            names = _names(network, block, layer)
-            convs.append(_convolution(tensors, names, (width, inputs, 3, 3), path))
-            inputs = width
+        for each in layers:
+            convs.append(_convolution(tensors, each, (inputs, 3, 3), source))
+            inputs = len(convs[-1].bias)
         blocks.append(tuple(convs))
     return tuple(blocks)
 
@@ -207,26 +187,19 @@ def _vgg_blocks(
 def _convolution(
     tensors: Mapping[str, Tensor],
     names: Sequence[str],
-    shape: tuple[int | None, int, int, int],
+    shape: tuple[int, int, int],
     source: Path | str,
 ) -> Convolution:
-    """The convolution under one of some names, of any number of filters where that is None."""
+    """The convolution under one of some names, of any number of filters of this shape."""
     for name in names:
         weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
         if weight is None or bias is None:
             continue
-        expected = (len(bias), *shape[1:])
-        if weight.shape == expected and shape[0] in (None, len(bias)) and bias.ndim == 1:
+        if weight.shape == (len(bias), *shape) and bias.ndim == 1:
             weight = weight.float().contiguous(memory_format=torch.channels_last)
             return Convolution(weight, bias.float())
-    wanted = [side for side in shape if side is not None]
     raise StyleSplatError(
         f"{source} holds another network, or not all of it: {' or '.join(names)} is missing or "
-        f"does not have the shape {wanted}. Choose the network of the file with --features, or "
-        "leave out --weights."
+        f"its filters do not have the shape {[*shape]}. Choose the network of the file with "
+        "--features, or leave out --weights."
     )
-
-
-def _is_original(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> bool:
-    """Whether the first layer of VGG expects colours in 0..255 minus the mean."""
-    return "255" in metadata.get("input", "") or any(name.startswith("conv") for name in tensors)
