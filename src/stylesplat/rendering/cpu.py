@@ -102,22 +102,21 @@ class _Project(Function):
     def backward(ctx, *v_projected):
         viewmat, *saved = ctx.saved_tensors
         geometry, projected = GeometryRows(*saved[:3]), Projected(*saved[3:])
-        known = (
+        gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
+        moves_view = ctx.needs_input_grad[1]
+        sums = np.zeros((get_num_threads(), 12 if moves_view else 0, LANES))
+        project.project_backward(
             arrays(geometry),
             arrays(ctx.view._replace(viewmat=viewmat)),
             arrays(projected),
             arrays(Projected(*v_projected)),
+            arrays(gradients),
+            sums,
         )
         v_viewmat = None
-        if ctx.needs_input_grad[1]:
-            sums = np.zeros((get_num_threads(), 12, LANES))
-            project.view_backward(*known, sums)
+        if moves_view:
             upper = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
             v_viewmat = torch.nn.functional.pad(upper, (0, 0, 0, 1))  # the last row is fixed
-        if not any(ctx.needs_input_grad[2:]):
-            return None, v_viewmat, None, None, None, None
-        gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
-        project.project_backward(*known, arrays(gradients), get_num_threads())
         return None, v_viewmat, *gradients, None
 
 

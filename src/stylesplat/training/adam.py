@@ -6,7 +6,7 @@ Rows whose Gaussian is invisible in a step keep their value and moments, as in g
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -171,7 +171,6 @@ def _rows(tensor: Tensor) -> np.ndarray:
     return tensor.contiguous().view(len(tensor), -1).numpy()
 
 
-@no_type_check
 @kernel
 def _adam(arrays, kept, grads, chosen, factors):
     param, first, second = arrays

@@ -6,7 +6,6 @@ copies look as it did; noise in proportion to transparency lets Gaussians explor
 
 from functools import cache
 from math import comb, exp
-from typing import no_type_check
 
 import numba
 import torch
@@ -81,7 +80,6 @@ def add_noise_cpu(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> N
     _add_noise(tuple(t.numpy() for t in (*(params[name] for name in names), noise)), rate)
 
 
-@no_type_check
 @kernel
 def _add_noise(arrays, rate):
     means, quats, scales, opacities, noise = arrays

@@ -6,7 +6,7 @@ be read anywhere. Tested against `losses.photometric_reference`.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -52,7 +52,6 @@ def framed(image: Tensor, stride: int) -> np.ndarray:
     return pad(rows, (MARGIN, behind, HALF, HALF)).view(-1).numpy()
 
 
-@no_type_check
 @inner
 def products_down(window, x, y, row, stride, out):
     """Filter x, y, x x, y y and x y along y at one row, into the five rows of `out`."""
@@ -73,7 +72,6 @@ def products_down(window, x, y, row, stride, out):
         vec.store(out, 4 * stride + j, xy)
 
 
-@no_type_check
 @inner
 def down(window, framed, row, stride, out):
     """Filter a framed image along y at one row."""
@@ -85,7 +83,6 @@ def down(window, framed, row, stride, out):
         vec.store(out, j, total)
 
 
-@no_type_check
 @inner
 def across(window, row, start):
     """Filter 16 numbers of a framed row along x."""
@@ -96,7 +93,6 @@ def across(window, row, start):
     return total
 
 
-@no_type_check
 @inner
 def similarity(mean_x, mean_y, xx, yy, xy):
     """SSIM from blurred x, y and products; its gradients by blurred x, x x and x y."""
@@ -112,7 +108,6 @@ def similarity(mean_x, mean_y, xx, yy, xy):
     return value, v_mean - 2 * mean_x * v_xx - mean_y * v_xy, v_xx, v_xy
 
 
-@no_type_check
 @kernel
 def forward(pair, inside, v_maps, totals):
     """Add up each thread's SSIM, absolute and squared error (of x clamped to 0..1) in `totals`.
@@ -152,7 +147,6 @@ def forward(pair, inside, v_maps, totals):
                 totals[thread, k // vec.LANES] += lanes[k]
 
 
-@no_type_check
 @kernel
 def backward(pair, v_maps, factors, v_x, threads):
     """Fill the gradient [H, 3W] of the first image: the filter is its own adjoint."""

@@ -5,7 +5,7 @@ finished (or lies outside the image), which stops the blending; what is left of 
 minus the coverage.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -54,7 +54,6 @@ class Crossing(NamedTuple):
     """Where the pixel is unfinished."""
 
 
-@no_type_check
 @inner
 def aligned(length):
     """An empty float32 array that starts at a cache line: vectors across two lines are slow."""
@@ -63,7 +62,6 @@ def aligned(length):
     return array[start : start + length]
 
 
-@no_type_check
 @inner
 def prefetch_row(rows, number):
     """Ask for all cache lines of a row."""
@@ -72,7 +70,6 @@ def prefetch_row(rows, number):
         vec.prefetch(rows.flat, line)
 
 
-@no_type_check
 @inner
 def cross(row, dx, dy, transmittance):
     """Send the light of some pixels through the Gaussian of a packed row; see `Crossing`.
@@ -91,7 +88,6 @@ def cross(row, dx, dy, transmittance):
     return Crossing(raw, alpha, weight, vec.select(live, after, 0), counts, live)
 
 
-@no_type_check
 @inner
 def list_blocks(lists, tile, rows, entries, counts):
     """Sort a tile's entries by block: `entries` [BLOCKS, room], `counts` [BLOCKS].
@@ -110,7 +106,6 @@ def list_blocks(lists, tile, rows, entries, counts):
             counts[block] += 1
 
 
-@no_type_check
 @inner
 def tile_corner(tile, width):
     """Left column and upper row of a tile of an image of this width."""
@@ -118,14 +113,12 @@ def tile_corner(tile, width):
     return TILE * (tile % tiles_x), TILE * (tile // tiles_x)
 
 
-@no_type_check
 @inner
 def block_corner(corner, block):
     """Left column and upper row of a block, from those of its tile."""
     return corner[0] + BLOCK * (block & 3), corner[1] + BLOCK * (block >> 2)
 
 
-@no_type_check
 @inner
 def block_pixels(x, y):
     """The centres of the pixels of a block."""
@@ -133,7 +126,6 @@ def block_pixels(x, y):
     return vec.columns() + left, vec.rows() + top
 
 
-@no_type_check
 @inner
 def blend_block(channels, rows, ranks, entries, pixels, state):
     """Composite the entries over one block, front to back, until its pixels are finished.
@@ -162,7 +154,6 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
     return looked_at
 
 
-@no_type_check
 @inner
 def open_block(state, columns, rows):
     """Transmittance 1 in the columns and rows inside the image, 0 outside."""
@@ -170,7 +161,6 @@ def open_block(state, columns, rows):
         state[lane] = 1 if (lane & 3) < columns and (lane >> 2) < rows else 0
 
 
-@no_type_check
 @inner
 def close_block(channels, state, block, picture):
     """Write a block's coverage and colours to the picture."""
@@ -183,7 +173,6 @@ def close_block(channels, state, block, picture):
                 image[pixel * len(channels) + c] = state[lane + (c + 1) * PIXELS]
 
 
-@no_type_check
 @kernel
 def blend(channels, rows, lists, picture, threads):
     """Fill the picture.

@@ -1,6 +1,6 @@
 """Gradients of everything that goes into blending, front to back once more."""
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -62,21 +62,18 @@ def split_channels(count: int, geometry: int) -> Channels:
     return Channels(*(vecs.channels(n) for n in (head, count - head, geometry)))
 
 
-@no_type_check
 @serial_kernel
 def gradient_stride(channels):
     """Length of a row of gradients: a multiple of 16 floats."""
     return -(-(MOMENTS + channels) // vec.LANES) * vec.LANES
 
 
-@no_type_check
 @inner
 def block_stride(channels):
     """Length of what `Desk.state` holds of a block."""
     return PIXELS * (len(channels.head) + len(channels.tail) + 2)
 
 
-@no_type_check
 @inner
 def open_desk(channels):
     """Room for a tile's numbers."""
@@ -87,7 +84,6 @@ def open_desk(channels):
     return Desk(aligned(BLOCKS * block_stride(channels)), aligned(BLOCKS * PIXELS), corners)
 
 
-@no_type_check
 @inner
 def open_gradients(channels, state, tile, picture, v_picture):
     """Fill `Desk.state` for a tile, with 0 outside the image."""
@@ -109,7 +105,6 @@ def open_gradients(channels, state, tile, picture, v_picture):
             state[place], state[place + PIXELS] = np.float32(1), rest
 
 
-@no_type_check
 @inlined
 def block_gradients(geometry, row, pixels, block, totals):
     """Add one block's share to a Gaussian's gradients, and take its light from the block.
@@ -137,7 +132,6 @@ def block_gradients(geometry, row, pixels, block, totals):
     return weight, Totals(vecs.add_moments(totals.moments, v_s, pixels[0], pixels[1]), sums)
 
 
-@no_type_check
 @inlined
 def entry_gradients(channels, row, blocks, origin, desk, out):
     """Add a tile's share to a Gaussian's gradients, from the place `out` on; see `blend_backward`.
@@ -172,7 +166,6 @@ def entry_gradients(channels, row, blocks, origin, desk, out):
         vecs.add_lane_sums(out.flat, out.first + vec.LANES, vecs.zeros(NONE), rest)
 
 
-@no_type_check
 @kernel
 def blend_backward(channels, rows, lists, picture, v_picture, out):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
@@ -205,7 +198,6 @@ def blend_backward(channels, rows, lists, picture, v_picture, out):
                 entry_gradients(parts, row, np.int64(masks[entry]), origin, desk, place)
 
 
-@no_type_check
 @kernel
 def collect_gradients(order, rows, partial, v_ellipses):
     """Sum the threads' rows [threads, M, stride] into the gradients of the Gaussians drawn."""

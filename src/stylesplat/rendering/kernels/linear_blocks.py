@@ -5,7 +5,7 @@ Gaussians are kept for the 16 pixels of each block that they touch, as float16, 
 front to back.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -43,7 +43,6 @@ class Kept(NamedTuple):
     """Float16 as uint16, 16 a block."""
 
 
-@no_type_check
 @serial_kernel
 def count_pairs(lists, picked, entries, pairs):
     """Count entries and (entry, block) pairs of picked ranks up, tile by tile [tiles + 1].
@@ -62,7 +61,6 @@ def count_pairs(lists, picked, entries, pairs):
                     pairs[tile + 1] += 1
 
 
-@no_type_check
 @inner
 def pass_block(row, corner, block):
     """Take from a block the light that a Gaussian blocks; what it adds to the pixels."""
@@ -73,7 +71,6 @@ def pass_block(row, corner, block):
     return crossing.weight
 
 
-@no_type_check
 @inner
 def open_tile(light, corner, size):
     """Transmittance 1 in the blocks of a tile, 0 outside the image."""
@@ -83,7 +80,6 @@ def open_tile(light, corner, size):
         open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
 
 
-@no_type_check
 @kernel
 def keep_weights(rows, lists, picked, size, kept, threads):
     """Fill `kept` from lists that `blend` has cut.
@@ -116,7 +112,6 @@ def keep_weights(rows, lists, picked, size, kept, threads):
                         pair += 1
 
 
-@no_type_check
 @inner
 def read_tile(state, image, corner, size):
     """Three channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
@@ -131,7 +126,6 @@ def read_tile(state, image, corner, size):
                 state[(block * 3 + c) * PIXELS + lane] = value
 
 
-@no_type_check
 @inner
 def write_tile(state, image, corner, size):
     """The reverse of `read_tile`."""
@@ -145,7 +139,6 @@ def write_tile(state, image, corner, size):
                     image[(y * width + x) * 3 + c] = state[(block * 3 + c) * PIXELS + lane]
 
 
-@no_type_check
 @kernel
 def render_linear(kept, colors, background, image, size, threads):
     """Fill a flat image with the background and what Gaussians of flat `colors` [M*4] add."""
@@ -169,7 +162,6 @@ def render_linear(kept, colors, background, image, size, threads):
             write_tile(state, image, corner, size)
 
 
-@no_type_check
 @kernel
 def compose_backward(kept, v_image, size, out):
     """Add each thread's gradients of the colours to its own flat rows `out` [threads, M*16]."""

@@ -6,7 +6,7 @@ never look at the others.
 """
 
 from math import ceil, floor, log
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -69,7 +69,6 @@ def depth_order(depths: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return order[: sort_by_depth(depths, radii, order)]
 
 
-@no_type_check
 @serial_kernel
 def sort_by_depth(depths, radii, order):
     """Put what `depth_order` returns into the head of `order`: a stable radix sort.
@@ -100,7 +99,6 @@ def sort_by_depth(depths, radii, order):
     return count
 
 
-@no_type_check
 @kernel
 def pack_rows(order, ellipses, rows):
     """Gather what blending reads of a Gaussian into one row, in depth order.
@@ -121,7 +119,6 @@ def pack_rows(order, ellipses, rows):
             flat[row + ROW_COLORS + c] = colors[i, c]
 
 
-@no_type_check
 @inner
 def side_slopes(row):
     """Slopes of the lines on which a packed row's exponent is greatest, over x and over y.
@@ -133,7 +130,6 @@ def side_slopes(row):
     return lean / row.flat[row.first + 2], lean / row.flat[row.first + 4]
 
 
-@no_type_check
 @inner
 def block_mask(row, slopes, left, top):
     """Bit b is set if the ellipse of a packed row reaches a pixel centre's box in block b.
@@ -156,7 +152,6 @@ def block_mask(row, slopes, left, top):
     return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), threshold))
 
 
-@no_type_check
 @inner
 def tile_span(center, radius, tiles):
     """First tile and the one after the last that an interval of pixels touches."""
@@ -164,7 +159,6 @@ def tile_span(center, radius, tiles):
     return first, min(ceil((center + radius) / TILE), tiles)
 
 
-@no_type_check
 @kernel
 def list_entries(order, rows, radii, grid, starts, entries, counts, written):
     """List the entries chunk by chunk; count those of each chunk and tile, [chunks, tiles].
@@ -196,7 +190,6 @@ def list_entries(order, rows, radii, grid, starts, entries, counts, written):
         written[chunk] = entry - starts[chunk]
 
 
-@no_type_check
 @inner
 def grid_of(size):
     """The tiles of an image of a width and height."""
@@ -204,7 +197,6 @@ def grid_of(size):
     return Grid(-(-width // TILE), -(-height // TILE))
 
 
-@no_type_check
 @serial_kernel
 def entry_bounds(order, rows, radii, size, starts):
     """Fill where each chunk may start to write its entries: the tiles under the bounding boxes."""
@@ -219,7 +211,6 @@ def entry_bounds(order, rows, radii, size, starts):
         starts[chunk + 1] = total
 
 
-@no_type_check
 @kernel
 def scatter_entries(entries, starts, written, places, lists):
     """Move the chunks' entries to their tiles; chunks are in depth order, so lists are too.
@@ -235,7 +226,6 @@ def scatter_entries(entries, starts, written, places, lists):
             places[chunk, tiles[entry]] = place + 1
 
 
-@no_type_check
 @inner
 def count_up(counts, starts):
     """Fill where each tile's list begins [tiles + 1].
@@ -255,7 +245,6 @@ def count_up(counts, starts):
     return places
 
 
-@no_type_check
 @serial_kernel
 def list_tiles(order, rows, radii, size, starts, lists):
     """Fill the lists of all tiles, whose chunks have the room between `starts` for their entries.
