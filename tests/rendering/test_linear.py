@@ -7,9 +7,9 @@ import torch
 
 from scenes import leaf, random_splats, two_cameras
 from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.reference import spherical_harmonics
 from stylesplat.rendering.render import Backend, rasterize
-from stylesplat.rendering.sh import SH_C0, sh_colors
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 
 # Weights are kept as float16: 11 bits, an error of 0.0005 each. A lost entry shows more.
 TOLERANCE = 1e-3
@@ -135,7 +135,7 @@ def test_an_unclamped_image_is_the_references(half: Contributions):
     darker = replace(SPLATS, sh0=SPLATS.sh0 - 4.0 * HALF[:, None, None])
     exact = leaf(darker, torch.float64)
     dirs = exact.means - CAMERA.positions.double()
-    colors = sh_colors(exact.sh_degree, dirs, exact.sh0, exact.shN, clamp=False).detach()
+    colors = spherical_harmonics(exact.sh_degree, dirs, exact.sh0, exact.shN, clamp=False).detach()
     assert (colors[half.gaussians] < 0).all(dim=1).any() and colors.min() < -1
     fixed = half.with_fixed_bands(SPLATS)  # of the same higher bands
     expected = half.image(colors[half.gaussians].float())

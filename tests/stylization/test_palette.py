@@ -9,7 +9,7 @@ from balls import CAMERAS, FAST, SPLATS, ball
 from balls import STRIPED_SCENE as SCENE
 from stylesplat.evaluation.statistics import TOLERANCE, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
-from stylesplat.rendering.sh import SH_C0
+from stylesplat.scene.splats import SH_C0
 from stylesplat.stylization.colors import (
     NEAR,
     build_palette,

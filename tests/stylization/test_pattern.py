@@ -7,8 +7,7 @@ import torch
 
 from balls import CAMERAS, COUNT, LIGHT, PICKED, WAYS, assert_same_splats
 from balls import dense_ball as ball
-from stylesplat.rendering.sh import sh0_from_rgb
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.stylization.colors import blur_colors, remove_pattern
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.views import ObjectView, crop_views, find_boxes

@@ -4,11 +4,10 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import shown
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.training.initialize import (
     MIN_VIEWS,
     commonly_visible_points,

@@ -31,8 +31,8 @@ from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.kernels.vec import LANES, Rows
 from stylesplat.rendering.reference import Info
-from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import sh_bases
 
 CHANNELS = 3, 6, 19  # colours; with some features; with identities: compiled for these alone
 PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 MB a thread
@@ -210,7 +210,7 @@ def spherical_harmonics(
     *,
     clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+    """Colours of Gaussians seen along `dirs`; see `reference.spherical_harmonics`."""
     lowest = sh_colors.ZERO if clamp else sh_colors.UNCLAMPED
     return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 

@@ -22,10 +22,9 @@ from stylesplat.rendering.gaussians import with_matrices_of
 from stylesplat.rendering.kernels import linear_blocks, vec
 from stylesplat.rendering.kernels.linear_blocks import Kept
 from stylesplat.rendering.render import colors_of
-from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 
 GREY = 0.5  # the colour of zero coefficients
 

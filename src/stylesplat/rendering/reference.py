@@ -22,14 +22,35 @@ from stylesplat.rendering.gaussians import (
     View,
     views_of,
 )
-from stylesplat.rendering.sh import sh_colors
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import sh_basis
 
 PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
 
 Info = dict[str, Tensor]
 
-spherical_harmonics = sh_colors
+
+def spherical_harmonics(
+    degree: int,
+    dirs: Float[Tensor, "N 3"],
+    sh0: Float[Tensor, "N 1 3"],
+    shN: Float[Tensor, "N _ 3"],
+    *,
+    clamp: bool = True,
+) -> Float[Tensor, "N 3"]:
+    """Colours of Gaussians seen along `dirs`.
+
+    Args:
+        degree: How many bands to use; `shN` may hold more.
+        dirs: From the camera to the Gaussians, any norm.
+        sh0: Constant band.
+        shN: Higher bands.
+        clamp: Whether colours below 0 become 0, as gsplat has it.
+    """
+    basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
+    sh = torch.cat([sh0, shN], dim=1)[:, : basis.shape[1]]
+    colors = torch.einsum("nk,nkc->nc", basis, sh)
+    return (colors + 0.5).clamp(min=0) if clamp else colors + 0.5
 
 
 def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:

@@ -10,11 +10,10 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import shown
-from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
 
 OPACITY = 0.1  # of every first Gaussian (official)
 NEIGHBORS = 3  # their mean distance is the first radius (official)

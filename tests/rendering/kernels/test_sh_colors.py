@@ -1,10 +1,11 @@
-"""The kernels of spherical harmonics against `sh.sh_colors` and its gradients."""
+"""The kernels of spherical harmonics against `reference.spherical_harmonics` and its gradients."""
 
 import pytest
 import torch
 
 from stylesplat.rendering import cpu
-from stylesplat.rendering.sh import sh_bases, sh_colors
+from stylesplat.rendering.reference import spherical_harmonics
+from stylesplat.scene.splats import sh_bases
 
 
 def inputs_of(count: int, bands: int, dtype: torch.dtype) -> list[torch.Tensor]:
@@ -18,7 +19,7 @@ def inputs_of(count: int, bands: int, dtype: torch.dtype) -> list[torch.Tensor]:
 @pytest.mark.parametrize("degree, bands", [(0, 0), (0, 3), (1, 1), (1, 2), (2, 2), (2, 3), (3, 3)])
 def test_colors_and_gradients_are_the_references(count: int, degree: int, bands: int):
     mine, theirs = (inputs_of(count, bands, t) for t in (torch.float32, torch.float64))
-    colors, expected = cpu.spherical_harmonics(degree, *mine), sh_colors(degree, *theirs)
+    colors, expected = cpu.spherical_harmonics(degree, *mine), spherical_harmonics(degree, *theirs)
     torch.testing.assert_close(colors.double(), expected, atol=1e-5, rtol=0)  # float32
     weights = torch.randn(colors.shape, generator=torch.Generator().manual_seed(9))
     (colors * weights).sum().backward()
