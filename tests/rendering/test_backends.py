@@ -8,7 +8,6 @@ import torch
 
 from scenes import BACKENDS, leaf, random_splats, two_cameras
 from stylesplat.rendering import cpu
-from stylesplat.rendering.kernels import blend_backward
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
@@ -139,16 +138,6 @@ def test_hard_scenes_match_the_reference(backend: Backend, name: str):
     assert_same_gradients(expected[0], actual[0])
 
 
-def test_the_device_of_the_tensors_chooses_the_backend(monkeypatch: pytest.MonkeyPatch):
-    def refuse(*args: object, **options: object):
-        raise RuntimeError("the CPU kernels")
-
-    monkeypatch.setattr(cpu, "rasterize", refuse)
-    with pytest.raises(RuntimeError, match="the CPU kernels"):
-        rasterize(random_splats(3), two_cameras())
-    assert rasterize(random_splats(3), two_cameras(), backend="reference")[0].any()
-
-
 @pytest.mark.parametrize("groups", [1, 2, 5])
 def test_bounded_gradient_rows_add_up_to_the_same(monkeypatch: pytest.MonkeyPatch, groups: int):
     expected = draw(random_splats(), "cpu", torch.float32)[0]
@@ -169,18 +158,6 @@ def test_bounded_gradient_rows_add_up_to_the_same(monkeypatch: pytest.MonkeyPatc
         assert tensor.grad is not None and gradient is not None
         # float32 sums in another order
         assert (gradient - tensor.grad).norm() < 1e-5 * tensor.grad.norm(), name
-
-
-def test_gradient_rows_never_take_more_than_their_bound(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(cpu, "get_num_threads", lambda: 16)
-    monkeypatch.setattr(cpu, "PARTIAL_BYTES", 2**16)
-    stride = blend_backward.gradient_stride(19)
-    for count in (0, 1, 30, 100, 511):
-        rows = cpu.partial_sums(count, stride)
-        assert rows.shape[1:] == (count, stride) and not rows.any()
-        assert rows.nbytes <= 2**16
-        assert len(rows) == 16 or rows.nbytes + 4 * count * stride > 2**16  # no fewer than fit
-    assert len(cpu.partial_sums(10_000, stride)) == 1  # what cannot be divided
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -11,18 +11,16 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 
 import fake_gsplat
-from processes import begun
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Silence, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import TAKEN
-from stylesplat.training import adam, densification, loop
+from stylesplat.training import adam, densification
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import deferred_interrupt, fit, warm_up_training
-from stylesplat.training.state import ALONE, Ranks, Run, State
-from stylesplat.training.step import train_step
+from stylesplat.training.loop import deferred_interrupt, fit
+from stylesplat.training.state import State
 from stylesplat.training.train_config import PRESETS, TrainConfig
 from stylesplat.training.training_views import split_views
 
@@ -108,43 +106,6 @@ def test_photos_of_several_sizes(capture: Capture, config: TrainConfig):
     cameras = replace(capture.cameras, sizes=sizes)
     mixed = replace(capture, cameras=cameras, photos=photos, label_maps=None)
     assert len(trained(mixed, config)) == 400
-
-
-def test_objects_that_only_held_out_photos_show_are_no_classes(
-    capture: Capture, config: TrainConfig, said: list[str]
-):
-    assert capture.label_maps is not None
-    maps = [*capture.label_maps]
-    maps[8] = torch.full((64, 72), 11)
-    named = replace(capture, label_maps=maps, object_names={11: "vase"})
-    splats = trained(named, config, steps=3)
-    assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
-    (line,) = said
-    assert "object 11 (vase)" in line and "--test-every 0" in line
-    every = trained(named, config, steps=3, test_every=0, color_correction="off")
-    assert every.classifier is not None and every.classifier.ids == (0, 3, 7, 11)
-    assert len(said) == 1
-
-
-def test_kernels_are_compiled_before_the_clock_starts(
-    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
-):
-    """They are others for other numbers of photos in a round."""
-    rounds: list[tuple[int, bool]] = []
-
-    def noted(run: Run, state: State) -> tuple[State, torch.Tensor]:
-        rounds.append((len(run.photos(state)), run.every(run.config.identity_every, state.step)))
-        return train_step(run, state)
-
-    monkeypatch.setattr(loop, "train_step", noted)
-    fit(capture, replace(config, steps=9, photos_at_once=3))
-    assert rounds[:2] == [(3, True), (3, False)], "on a copy"
-    assert rounds[2:] == [(3, True), (3, False), (3, True)]
-    rounds.clear()
-    run, state = begun(capture, config, 2, of_photos=True)
-    for ranks in (Ranks(0, 2), ALONE):  # of several processes a round has one step
-        warm_up_training(replace(run, ranks=ranks), state)
-    assert [photos for photos, _ in rounds] == [1, 1, 2, 2]
 
 
 def test_no_kernel_can_crash_where_it_is_interrupted(capture: Capture, config: TrainConfig):

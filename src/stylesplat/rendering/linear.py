@@ -47,6 +47,11 @@ class Contributions:
     """What the higher bands add to the colours from there, if they are fixed."""
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        return self.background.shape[1], self.background.shape[0]
+
+    @property
     def nbytes(self) -> int:
         """Memory that the weights and images take."""
         images = self.background.nbytes + self.coverage.nbytes
@@ -59,9 +64,7 @@ class Contributions:
     def render(self, splats: Splats, *, clamp: bool = True) -> Float[Tensor, "H W 3"]:
         """The image with the colours of these splats, which gradients reach.
 
-        Args:
-            splats: They differ at most in the colours of the picked Gaussians.
-            clamp: Whether colours of these below 0 become 0, as everywhere else.
+        The splats differ from the scene at most in the colours of the picked Gaussians.
         """
         shown = self.gaussians
         if self.bands is not None:
@@ -77,9 +80,7 @@ class Contributions:
     ) -> "Contributions":
         """The same for splats that differ from these at most in `sh0`, which is quicker.
 
-        Args:
-            splats: The splats.
-            varied: Gaussians whose higher bands are not all 0; None if unknown.
+        `varied` are Gaussians whose higher bands are not all 0; None if that is unknown.
         """
         shown, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
         places = torch.arange(len(shown)) if varied is None else varied[shown].nonzero()[:, 0]
@@ -143,15 +144,10 @@ def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
     return kept
 
 
-def _size(view: Contributions) -> tuple[int, int]:
-    height, width, _ = view.background.shape
-    return width, height
-
-
 def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
     partial = cpu.partial_sums(len(view.gaussians), vec.LANES)
     flat = v_image.contiguous().view(-1).numpy()
-    linear_blocks.compose_backward(view.kept, flat, _size(view), partial.flatten(1).numpy())
+    linear_blocks.compose_backward(view.kept, flat, view.size, partial.flatten(1).numpy())
     return partial.sum(dim=0)[:, :3]
 
 
@@ -165,7 +161,7 @@ class _Compose(Function):
             rows.numpy(),
             view.background.view(-1).numpy(),
             image.view(-1).numpy(),
-            _size(view),
+            view.size,
             get_num_threads(),
         )
         ctx.view = view

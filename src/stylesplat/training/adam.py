@@ -76,16 +76,11 @@ def adam_step(
 
 @torch.no_grad()
 def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int = 1) -> None:
-    """Take several steps, one after the other, in one pass through memory.
+    """Take several steps, one after the other, in one pass through memory, in place.
 
-    A step for several photos at once, by the mean of their gradients, takes the rate times the
-    square root of their number, and moments that fade as in as many steps (Zhao et al. 2024, "On
-    Scaling Up 3D Gaussian Splatting Training").
-
-    Args:
-        moments: State of the tensors, updated in place.
-        updates: The steps.
-        photos: The gradients of each are the mean over so many photos.
+    If the gradients are means over several photos, the rate is multiplied by the square root of
+    their number, and moments fade as in as many steps (Zhao et al. 2024, "On Scaling Up 3D Gaussian
+    Splatting Training").
     """
     kept = BETA1**photos, BETA2**photos
     for name, stepped in updates[0].params.items():

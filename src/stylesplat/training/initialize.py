@@ -31,13 +31,8 @@ def first_splats(
 ) -> Splats:
     """One small round Gaussian per point of the capture, or per random point if it has none.
 
-    Args:
-        capture: With points, or cameras that look at the same things.
-        sh_degree: Bands of colour, all 0 beyond the first.
-        max_gaussians: Of more points some are taken at random.
-        generator: Source of randomness.
-        ids: Label ids, background first, for which the Gaussians get random identities and an
-            untrained classifier; without any they get none.
+    Of more than `max_gaussians` points some are taken at random. With label ids, background first,
+    the Gaussians get random identities and an untrained classifier.
 
     Raises:
         StyleSplatError: If there are no points and no space that several cameras see.
@@ -55,7 +50,16 @@ def first_splats(
         sh0=sh0_from_rgb(colors.float() / 255)[:, None],
         shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
     )
-    return _with_identities(splats, ids, generator) if ids else splats
+    if not ids:
+        return splats
+    bound = IDENTITY_SIZE**-0.5  # torch.nn.Linear's
+    classifier = Classifier(
+        weight=bound * (2 * torch.rand(len(ids), IDENTITY_SIZE, generator=generator) - 1),
+        bias=torch.zeros(len(ids)),
+        ids=ids,
+    )
+    identities = torch.randn(n, IDENTITY_SIZE, generator=generator)
+    return replace(splats, identities=identities, classifier=classifier)
 
 
 def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
@@ -105,14 +109,3 @@ def commonly_visible_points(
             "common space. Check the poses, or add points (`ply_file_path` in transforms.json)."
         )
     return seen[:count]
-
-
-def _with_identities(splats: Splats, ids: tuple[int, ...], generator: torch.Generator) -> Splats:
-    bound = IDENTITY_SIZE**-0.5  # torch.nn.Linear's
-    classifier = Classifier(
-        weight=bound * (2 * torch.rand(len(ids), IDENTITY_SIZE, generator=generator) - 1),
-        bias=torch.zeros(len(ids)),
-        ids=ids,
-    )
-    identities = torch.randn(len(splats), IDENTITY_SIZE, generator=generator)
-    return replace(splats, identities=identities, classifier=classifier)

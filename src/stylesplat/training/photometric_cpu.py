@@ -28,21 +28,12 @@ FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vector
 
 
 class Pair(NamedTuple):
-    """Two images in their frames, and what they are filtered with."""
+    """SSIM's window; the render and the photo in their frames, flat; the length of their rows."""
 
     window: np.ndarray
-    """SSIM's."""
     x: np.ndarray
-    """The render, flat."""
     y: np.ndarray
-    """The photo, flat."""
     stride: int
-    """Length of their rows."""
-
-
-def stride_of(numbers: int) -> int:
-    """Length of a framed row: whole vectors and the frame at both ends."""
-    return -(-numbers // vec.LANES) * vec.LANES + FRAME
 
 
 def framed(image: Tensor, stride: int) -> np.ndarray:
@@ -178,7 +169,7 @@ class Photometric(Function):
     @staticmethod
     def forward(ctx, image, target, dssim_weight):
         height, n = len(image), image[0].numel()
-        stride = stride_of(n)
+        stride = -(-n // vec.LANES) * vec.LANES + FRAME  # whole vectors, and the frame
         x, y = framed(image, stride), framed(target, stride)
         inside = np.zeros(stride, np.float32)
         inside[:n] = 1

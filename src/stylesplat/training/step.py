@@ -15,7 +15,7 @@ from stylesplat.training import densification, per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.losses import (
     identity_loss,
-    nearest_rows,
+    nearest_neighbors,
     neighbor_loss,
     photometric_loss,
     split_render,
@@ -145,7 +145,7 @@ def _identity_losses(
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
         sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
-        neighbors = nearest_rows(means, sample, NEIGHBORS)
+        neighbors = nearest_neighbors(means, sample, NEIGHBORS)
         own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss
@@ -208,8 +208,6 @@ def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
 
 def _refine(run: Run, state: State) -> State:
     config, progress = run.config, run.progress(state)
-    if config.object_pixels is not None:
-        densification.limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
     if progress >= config.refine_end:
         return state
     params, moments = densification.relocate_and_grow(

@@ -61,25 +61,6 @@ def count_pairs(lists, picked, entries, pairs):
                     pairs[tile + 1] += 1
 
 
-@inner
-def pass_block(row, corner, block):
-    """Take from a block the light that a Gaussian blocks; what it adds to the pixels."""
-    pixel_x, pixel_y = block_pixels(corner[0], corner[1])
-    before = vec.load(block.flat, block.first)
-    crossing = cross(row, pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1), before)
-    vec.store(block.flat, block.first, crossing.after)
-    return crossing.weight
-
-
-@inner
-def open_tile(light, corner, size):
-    """Transmittance 1 in the blocks of a tile, 0 outside the image."""
-    width, height = size
-    for block in range(BLOCKS):
-        x, y = block_corner(corner, block)
-        open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
-
-
 @kernel
 def keep_weights(rows, lists, picked, size, kept, threads):
     """Fill `kept` from lists that `blend` has cut.
@@ -93,7 +74,9 @@ def keep_weights(rows, lists, picked, size, kept, threads):
         light = aligned(BLOCKS * PIXELS)
         for tile in range(thread, starts.shape[0] - 1, threads):
             corner = tile_corner(tile, width)
-            open_tile(light, corner, (width, height))
+            for block in range(BLOCKS):
+                x, y = block_corner(corner, block)
+                open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
             place, pair = kept_starts[tile], firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 rank, todo = ranks[entry], np.int64(masks[entry])
@@ -105,10 +88,13 @@ def keep_weights(rows, lists, picked, size, kept, threads):
                 while todo != 0:
                     block = vec.lowest_bit(todo)
                     todo &= todo - 1
-                    light_of_block = RowPlace(light, block * PIXELS)
-                    weight = pass_block(row, block_corner(corner, block), light_of_block)
+                    x, y = block_corner(corner, block)
+                    pixel_x, pixel_y = block_pixels(x, y)
+                    dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
+                    crossing = cross(row, dx, dy, vec.load(light, block * PIXELS))
+                    vec.store(light, block * PIXELS, crossing.after)
                     if mine:
-                        vec.store_halves(weights, pair * PIXELS, weight)
+                        vec.store_halves(weights, pair * PIXELS, crossing.weight)
                         pair += 1
 
 

@@ -69,40 +69,23 @@ def span(rows, thread, threads):
 
 @inner
 def read_columns(array, first, count, columns, buffer):
-    """Copy the first columns of up to 16 rows into `buffer`, one after the other."""
+    """The first columns, four at most, of up to 16 rows; `buffer` has room for four vectors.
+
+    Returns:
+        Four vectors, of which those beyond `columns` mean nothing.
+    """
     for lane in range(count):
         for column in range(columns):
             buffer[column * vec.LANES + lane] = array[first + lane, column]
-
-
-@inner
-def read_two(array, first, count, buffer):
-    """Two columns of up to 16 rows from `first` on; `buffer` has room for four."""
-    read_columns(array, first, count, 2, buffer)
-    return vec.load(buffer, 0), vec.load(buffer, vec.LANES)
-
-
-@inner
-def read_three(array, first, count, buffer):
-    """Three columns; see `read_two`."""
-    read_columns(array, first, count, 3, buffer)
-    return vec.load(buffer, 0), vec.load(buffer, vec.LANES), vec.load(buffer, 2 * vec.LANES)
-
-
-@inner
-def read_four(array, first, count, buffer):
-    """Four columns; see `read_two`."""
-    read_columns(array, first, count, 4, buffer)
     x, y = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
     return x, y, vec.load(buffer, 2 * vec.LANES), vec.load(buffer, 3 * vec.LANES)
 
 
 @inner
 def read_gaussian(means, quats, scales, first, count, buffer):
-    """Up to 16 Gaussians; see `read_two`."""
-    mean = read_three(means, first, count, buffer)
-    quat = read_four(quats, first, count, buffer)
-    return Gaussian(mean, quat, read_three(scales, first, count, buffer))
+    mean = read_columns(means, first, count, 3, buffer)[:3]
+    quat = read_columns(quats, first, count, 4, buffer)
+    return Gaussian(mean, quat, read_columns(scales, first, count, 3, buffer)[:3])
 
 
 @inner
@@ -406,13 +389,13 @@ def project_backward(geometry, view, projected, v_projected, out, v_view):
         low, high = span(means.shape[0], thread, threads)
         for first in range(low, high, vec.LANES):
             count = min(vec.LANES, high - first)
-            radius, _ = read_two(radii, first, count, buffer)
+            radius = read_columns(radii, first, count, 1, buffer)[0]
             lanes = Lanes(first, count, vec.greater(radius, 0), buffer)
             gaussian = read_gaussian(means, quats, scales, first, count, buffer)
-            conic = read_three(conics, first, count, buffer)
+            conic = read_columns(conics, first, count, 3, buffer)[:3]
             v_ellipse = Ellipse(
-                read_two(v_means2d, first, count, buffer),
-                read_three(v_conics, first, count, buffer),
+                read_columns(v_means2d, first, count, 2, buffer)[:2],
+                read_columns(v_conics, first, count, 3, buffer)[:3],
             )
             v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
             v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)

@@ -34,13 +34,6 @@ class Ellipses(NamedTuple):
     colors: Tensor
 
 
-class Grid(NamedTuple):
-    """How many tiles an image has in x and y."""
-
-    columns: int
-    rows: int
-
-
 class Entries(NamedTuple):
     """Tiles, and the ranks of Gaussians that reach them, with the blocks that they touch."""
 
@@ -190,23 +183,17 @@ def list_entries(order, rows, radii, grid, starts, entries, counts, written):
         written[chunk] = entry - starts[chunk]
 
 
-@inner
-def grid_of(size):
-    """The tiles of an image of a width and height."""
-    width, height = size
-    return Grid(-(-width // TILE), -(-height // TILE))
-
-
 @serial_kernel
 def entry_bounds(order, rows, radii, size, starts):
     """Fill where each chunk may start to write its entries: the tiles under the bounding boxes."""
-    n, chunks, total, grid = order.shape[0], starts.shape[0] - 1, 0, grid_of(size)
+    n, chunks, total = order.shape[0], starts.shape[0] - 1, 0
+    columns, lines = -(-size[0] // TILE), -(-size[1] // TILE)
     starts[0] = 0
     for chunk in range(chunks):
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             row, i = rank * rows.stride, order[rank]
-            first_x, last_x = tile_span(rows.flat[row], radii[i, 0], grid.columns)
-            first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], grid.rows)
+            first_x, last_x = tile_span(rows.flat[row], radii[i, 0], columns)
+            first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], lines)
             total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
         starts[chunk + 1] = total
 
@@ -226,25 +213,6 @@ def scatter_entries(entries, starts, written, places, lists):
             places[chunk, tiles[entry]] = place + 1
 
 
-@inner
-def count_up(counts, starts):
-    """Fill where each tile's list begins [tiles + 1].
-
-    Returns:
-        Where each chunk's part of it begins, [chunks, tiles].
-    """
-    chunks, tiles = counts.shape
-    places = np.empty_like(counts)
-    place = 0
-    for tile in range(tiles):
-        starts[tile] = place
-        for chunk in range(chunks):
-            places[chunk, tile] = place
-            place += counts[chunk, tile]
-    starts[tiles] = place
-    return places
-
-
 @serial_kernel
 def list_tiles(order, rows, radii, size, starts, lists):
     """Fill the lists of all tiles, whose chunks have the room between `starts` for their entries.
@@ -252,18 +220,22 @@ def list_tiles(order, rows, radii, size, starts, lists):
     Returns:
         How many entries there are.
     """
-    room, grid = starts[-1], grid_of(size)
+    room, chunks = starts[-1], starts.shape[0] - 1
+    grid = -(-size[0] // TILE), -(-size[1] // TILE)
     tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
     entries = Entries(tiles, ranks, np.empty(room, np.uint16))
-    chunks = starts.shape[0] - 1
-    counts, written = (
-        np.zeros((chunks, grid.columns * grid.rows), np.int64),
-        np.zeros(chunks, np.int64),
-    )
+    counts = np.zeros((chunks, grid[0] * grid[1]), np.int64)
+    written = np.zeros(chunks, np.int64)
     list_entries(order, rows, radii, grid, starts, entries, counts, written)
-    places = count_up(counts, lists.starts)
+    places, place = np.empty_like(counts), 0
+    for tile in range(counts.shape[1]):
+        lists.starts[tile] = place
+        for chunk in range(chunks):
+            places[chunk, tile] = place
+            place += counts[chunk, tile]
+    lists.starts[-1] = place
     scatter_entries(entries, starts, written, places, lists)
-    return lists.starts[-1]
+    return place
 
 
 def tile_lists(
