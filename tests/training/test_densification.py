@@ -73,15 +73,9 @@ def test_dead_gaussians_move_to_living_ones():
     assert (torch.sigmoid(params["opacities"]) > DEAD_OPACITY * 0.99).all()
     assert (rows_of(params, splats)[:10] >= 10).all()
     assert not moments.second["means"][:10].any()
-
-
-def test_nothing_to_do_changes_nothing():
-    splats = random_splats(20)
-    splats.opacities.abs_()
-    for count in (20, 10):  # fewer than there are removes none
-        params, moments = refined(splats, count)
-        assert params["means"] is splats.means
-        assert moments.first["means"].all()
+    for count in (40, 30):  # fewer than there are removes none
+        params, moments = refined(splats[10:], count)
+        assert len(params["means"]) == 40
 
 
 def test_refining_keeps_what_a_scene_looks_like():

@@ -118,17 +118,6 @@ def test_labels_of_the_whole_picture_leave_no_doubt():
     assert (share > 0.999).float().mean() > 0.8  # the others hardly show
 
 
-@pytest.mark.parametrize("count", [17, 60, 300])
-def test_codes_of_many_classes_are_far_apart(count: int):
-    codes = class_codes(count)
-    assert torch.equal(class_codes(count), codes)
-    assert torch.allclose(codes.norm(dim=1), torch.ones(count), atol=1e-5)
-    drawn = torch.randn(count, 16, generator=torch.Generator().manual_seed(0))
-    drawn = torch.nn.functional.normalize(drawn, dim=1)
-    closest = [(c @ c.T).fill_diagonal_(-1).max() for c in (codes, drawn)]
-    assert closest[0] < closest[1] - 0.05, "chance alone leaves them closer"
-
-
 def test_known_labels_leave_no_doubt():
     labels = torch.arange(len(PLAIN)) % 4 * 5
     most = class_probabilities(labelled(PLAIN, labels)).max(dim=1)

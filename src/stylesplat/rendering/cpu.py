@@ -131,7 +131,7 @@ class Tiled(NamedTuple):
     """Ranks and masks by tile; blending strikes from them what other Gaussians hide."""
 
 
-class Drawing(NamedTuple):
+class Raster(NamedTuple):
     """Gaussians blended into one image, with what it takes to visit the same pixels again."""
 
     tiled: Tiled
@@ -141,7 +141,9 @@ class Drawing(NamedTuple):
     """Coverage, [H, W, 1]."""
 
 
-def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
+def rasterize_to_pixels(
+    projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]
+) -> Raster:
     """Blend projected Gaussians, without gradients, into an image of a width and height."""
     (width, height), channels = size, colors.shape[1]
     depths, radii = _as_arrays(projected.depths, projected.radii)
@@ -155,7 +157,7 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
     alphas = colors.new_empty(height, width, 1)
     picture = as_picture(image, alphas)
     blend.blend(vecs.channels(channels), rows, lists, picture, get_num_threads())
-    return Drawing(Tiled(order, rows, lists), image, alphas)
+    return Raster(Tiled(order, rows, lists), image, alphas)
 
 
 def reaching(tiled: Tiled) -> Bool[np.ndarray, " R"]:
@@ -175,8 +177,8 @@ def as_picture(image: Tensor, alphas: Tensor) -> Picture:
 
 class _Blend(Function):
     @staticmethod
-    def forward(ctx, drawing, geometry_channels, opacities, colors, *projected):
-        ctx.tiled, image, alphas = drawing
+    def forward(ctx, raster, geometry_channels, opacities, colors, *projected):
+        ctx.tiled, image, alphas = raster
         ctx.geometry_channels, ctx.count = geometry_channels, len(opacities)
         ctx.save_for_backward(image, alphas)
         return image, alphas
@@ -241,8 +243,8 @@ def rasterize(
     images, projections, opacities = [], [], gaussians.opacities
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
-        drawing = draw(projected, opacities, view_colors, cameras.size)
-        images.append(_Blend.apply(drawing, geometry_channels, opacities, view_colors, *projected))
+        raster = rasterize_to_pixels(projected, opacities, view_colors, cameras.size)
+        images.append(_Blend.apply(raster, geometry_channels, opacities, view_colors, *projected))
         projections.append(projected)
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))

@@ -20,7 +20,7 @@ from torch.autograd.function import once_differentiable
 from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import with_matrices_of
 from stylesplat.rendering.kernels import linear_blocks, vec
-from stylesplat.rendering.kernels.linear_blocks import Kept
+from stylesplat.rendering.kernels.linear_blocks import BlockWeights
 from stylesplat.rendering.render import colors_of
 from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.cameras import Cameras
@@ -41,7 +41,7 @@ class Contributions:
     """The opaque share of the picked Gaussians in each pixel: the row sums of the weights."""
     origin: Float[Tensor, "1 3"]
     """The camera's position: colours depend on the direction."""
-    kept: Kept
+    blocks: BlockWeights
     """The weights."""
     bands: Float[Tensor, "M 3"] | None = None
     """What the higher bands add to the colours from there, if they are fixed."""
@@ -55,7 +55,7 @@ class Contributions:
     def nbytes(self) -> int:
         """Memory that the weights and images take."""
         images = self.background.nbytes + self.coverage.nbytes
-        return images + self.gaussians.nbytes + sum(array.nbytes for array in self.kept)
+        return images + self.gaussians.nbytes + sum(array.nbytes for array in self.blocks)
 
     def image(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
         """The image when the Gaussians have these colours, which gradients reach."""
@@ -120,7 +120,7 @@ def contributions(
     colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
     origin = with_matrices_of(splats, camera).positions
     colors[others, :3] = colors_of(splats, near.rows[others], origin)
-    tiled, image, _ = cpu.draw(near.projected, near.opacities, colors, camera.size)
+    tiled, image, _ = cpu.rasterize_to_pixels(near.projected, near.opacities, colors, camera.size)
     drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
     background, coverage = image.split((3, 1), dim=2)
@@ -129,25 +129,25 @@ def contributions(
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
-        kept=_keep(tiled, numbers, camera.size),
+        blocks=_block_weights(tiled, numbers, camera.size),
     )
 
 
-def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
+def _block_weights(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> BlockWeights:
     starts, firsts = np.zeros((2, len(tiled.lists.starts)), np.int64)
     linear_blocks.count_pairs(tiled.lists, numbers, starts, firsts)
     gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
     weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
-    kept = Kept(starts, firsts[:-1].copy(), gaussians, masks, weights)
+    blocks = BlockWeights(starts, firsts[:-1].copy(), gaussians, masks, weights)
     threads = get_num_threads()
-    linear_blocks.keep_weights(tiled.rows, tiled.lists, numbers, size, kept, threads)
-    return kept
+    linear_blocks.store_weights(tiled.rows, tiled.lists, numbers, size, blocks, threads)
+    return blocks
 
 
 def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
     partial = cpu.partial_sums(len(view.gaussians), vec.LANES)
     flat = v_image.contiguous().view(-1).numpy()
-    linear_blocks.compose_backward(view.kept, flat, view.size, partial.flatten(1).numpy())
+    linear_blocks.compose_backward(view.blocks, flat, view.size, partial.flatten(1).numpy())
     return partial.sum(dim=0)[:, :3]
 
 
@@ -157,7 +157,7 @@ class _Compose(Function):
         image = torch.empty_like(view.background)
         rows = torch.nn.functional.pad(colors.detach(), (0, 1)).view(-1)
         linear_blocks.render_linear(
-            view.kept,
+            view.blocks,
             rows.numpy(),
             view.background.view(-1).numpy(),
             image.view(-1).numpy(),

@@ -110,7 +110,7 @@ def visible(near: InView, camera: Cameras) -> InView:
     from stylesplat.rendering import cpu
 
     colors = near.opacities.new_zeros(len(near.rows), 3)
-    tiled = cpu.draw(near.projected, near.opacities, colors, camera.size).tiled
+    tiled = cpu.rasterize_to_pixels(near.projected, near.opacities, colors, camera.size).tiled
     places = np.sort(tiled.order[cpu.reaching(tiled)])
     return near.some(torch.from_numpy(places.astype(np.int64)))
 

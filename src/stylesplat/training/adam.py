@@ -29,11 +29,9 @@ class Moments:
 
     @classmethod
     def zeros(cls, params: dict[str, Tensor]) -> "Moments":
-        """The state before the first step."""
         return cls(*({k: torch.zeros_like(v) for k, v in params.items()} for _ in range(2)))
 
     def clone(self) -> "Moments":
-        """A copy that shares no tensors."""
         first, second = ({k: v.clone() for k, v in t.items()} for t in (self.first, self.second))
         return Moments(first, second)
 
@@ -99,14 +97,12 @@ def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int =
 
 
 class AdamTurn(NamedTuple):
-    """What differs between one step of a tensor and the next."""
+    """One step of one tensor. The moments are divided by the corrections: they started at 0."""
 
     grad: Tensor
     visible: Bool[Tensor, " N"]
-    """The rows to step; others stay as they are."""
     rate: float
     corrections: tuple[float, float]
-    """Both moments are divided by these, because they started at 0."""
 
 
 def adam_cuda(

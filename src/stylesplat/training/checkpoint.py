@@ -27,14 +27,15 @@ CHECKPOINT_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The file of a run, and what it has to contain for the run to continue."""
+    """The file of a run, and what it has to contain for the run to continue.
+
+    `capture` is the fingerprint of the capture; `photos` is how many are trained on.
+    """
 
     path: Path
     config: TrainConfig
     capture: str
-    """Fingerprint of the capture."""
     photos: int = 0
-    """How many photos are trained on."""
 
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:

@@ -80,11 +80,12 @@ def scene_extent(cameras: Cameras) -> float:
 
 
 def _points(capture: Capture, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    colors = None
     if capture.points is not None and len(capture.points) > NEIGHBORS:
-        grey = torch.full((len(capture.points), 3), 128, dtype=torch.uint8)
-        return capture.points.float(), grey if (c := capture.point_colors) is None else c
-    points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
-    return points, torch.full((len(points), 3), 128, dtype=torch.uint8)
+        points, colors = capture.points.float(), capture.point_colors
+    else:
+        points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
+    return points, torch.full_like(points, 128, dtype=torch.uint8) if colors is None else colors
 
 
 def commonly_visible_points(

@@ -24,7 +24,7 @@ from stylesplat.training.checkpoint import (
     require_checkpoint,
 )
 from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.per_photo import first_of_photos
+from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
@@ -165,7 +165,7 @@ def _begin(
         pool=pool,
     )
     if continued is None:
-        state = state.with_photos(first_of_photos(run, capture.points))
+        state = state.with_photos(initial_photo_params(run, capture.points))
     return run, state
 
 

@@ -40,7 +40,7 @@ DARK, BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
 FEWEST = 30  # points by which a photo's gain is estimated
 
 
-def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
+def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
     """The `PER_PHOTO` tensors that a run learns, as it begins; one row per training photo.
 
     Sparse points in the world give the first exposures.
@@ -106,11 +106,14 @@ def photo_gains(points: Float[Tensor, "M 3"], run: Run) -> Float[Tensor, "R 3"]:
     photo, or shine.
     """
     some = points[evenly(range(len(points)), POINTS)].cpu()
-    colors = []
-    for row in track(run.rows, "comparing exposures"):
-        view = run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
-        colors.append(_log_colors(some, view))
-    logs = torch.stack(colors)  # [R, P, 3]
+    logs = torch.stack(
+        [
+            _log_colors(
+                some, run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
+            )
+            for row in track(run.rows, "comparing exposures")
+        ]
+    )  # [R, P, 3]
     counts = (~logs.isnan()).all(dim=-1).sum(dim=1)  # [R]
     gains = torch.zeros(len(logs), 3)
     for _ in range(ROUNDS):

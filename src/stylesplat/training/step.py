@@ -54,14 +54,11 @@ class PhotoGradients(NamedTuple):
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     """Train on the photos of one more round.
 
-    Threads compute the photos' gradients together. Then each photo has its step of Adam in turn:
-    the gradients of the later ones are as old as the round. That costs nothing that can be measured
-    for a few photos (Langford, Smola and Zinkevich 2009, "Slow learners are fast"), and unlike one
-    step for all needs no other rates, as Adam's moments are those of single photos. Then noise
-    moves the means, once per photo.
-
-    Several processes compute the gradients of photos of their own and take one step for the whole
-    round, by the mean of all gradients, so that these are sent once.
+    Threads compute the photos' gradients in parallel. Then Adam takes one step per photo, with
+    gradients that are as old as the round. For a few photos this costs no measurable quality
+    (Langford, Smola and Zinkevich 2009, "Slow learners are fast") and needs no other rates. Noise
+    then moves the means. Several processes take one step for the whole round, by the mean of all
+    their gradients, which are sent once.
 
     Returns:
         The next state, in the same tensors unless Gaussians were moved or added; and the means of
@@ -159,9 +156,9 @@ def take_rows(
 
 
 def average_gradients(run: Run, photos: Sequence[PhotoGradients]) -> PhotoGradients:
-    """The mean gradients of a round over all processes, sent once; uses up those of the photos.
+    """The mean gradients of a round over all processes, sent once; changes those of the photos.
 
-    `PER_PHOTO` tensors have sums, as each row has the gradient of its photo alone.
+    `PER_PHOTO` tensors get sums, because each row has the gradient of its photo alone.
     """
     first, count = photos[0], run.ranks.count * len(photos)
     learned = any(run.every(run.config.identity_every, each.state.step) for each in photos)

@@ -37,7 +37,7 @@ class Patch(NamedTuple):
     rows: int
 
 
-class Crossing(NamedTuple):
+class Composite(NamedTuple):
     """What one Gaussian does to the light of some pixels, a vector or mask each."""
 
     raw: object
@@ -71,8 +71,8 @@ def prefetch_row(rows, number):
 
 
 @inner
-def cross(row, dx, dy, transmittance):
-    """Send the light of some pixels through the Gaussian of a packed row; see `Crossing`.
+def composite(row, dx, dy, transmittance):
+    """Send the light of some pixels through the Gaussian of a packed row; see `Composite`.
 
     `dx` and `dy` are the pixels' places from its centre.
     """
@@ -85,7 +85,7 @@ def cross(row, dx, dy, transmittance):
     after = transmittance - weight
     live = vec.greater(after, MIN_TRANSMITTANCE)
     weight = vec.select(live, weight, 0)
-    return Crossing(raw, alpha, weight, vec.select(live, after, 0), counts, live)
+    return Composite(raw, alpha, weight, vec.select(live, after, 0), counts, live)
 
 
 @inner
@@ -143,11 +143,11 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
         looked_at += 1
         row = RowPlace(rows.flat, ranks[entry] * rows.stride)
         dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
-        crossing = cross(row, dx, dy, transmittance)
-        transmittance = crossing.after
-        coverage = coverage + crossing.weight
-        sums = vecs.add_scaled_row(sums, crossing.weight, row.flat, row.first + ROW_COLORS)
-        if vec.bits(crossing.live) == 0:
+        step = composite(row, dx, dy, transmittance)
+        transmittance = step.after
+        coverage = coverage + step.weight
+        sums = vecs.add_scaled_row(sums, step.weight, row.flat, row.first + ROW_COLORS)
+        if vec.bits(step.live) == 0:
             break
     vec.store(state, 0, coverage)
     vecs.store_vecs(state, PIXELS, sums)

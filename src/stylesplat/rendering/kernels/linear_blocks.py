@@ -1,7 +1,7 @@
-"""What each Gaussian contributes to each pixel, kept, and images made from it.
+"""What each Gaussian contributes to each pixel, stored, and images made from it.
 
 With geometry and opacities frozen an image is linear in the colours. The weights of the picked
-Gaussians are kept for the 16 pixels of each block that they touch, as float16, tile by tile and
+Gaussians are stored for the 16 pixels of each block that they touch, as float16, tile by tile and
 front to back.
 """
 
@@ -17,7 +17,7 @@ from stylesplat.rendering.kernels.blend import (
     aligned,
     block_corner,
     block_pixels,
-    cross,
+    composite,
     open_block,
     tile_corner,
 )
@@ -28,7 +28,7 @@ COLORS = vecs.channels(3)
 NONE = vecs.channels(0)
 
 
-class Kept(NamedTuple):
+class BlockWeights(NamedTuple):
     """The weights of some Gaussians in one image."""
 
     starts: np.ndarray
@@ -62,13 +62,13 @@ def count_pairs(lists, picked, entries, pairs):
 
 
 @kernel
-def keep_weights(rows, lists, picked, size, kept, threads):
-    """Fill `kept` from lists that `blend` has cut.
+def store_weights(rows, lists, picked, size, blocks, threads):
+    """Fill `blocks` from lists that `blend` has cut.
 
     `picked` gives the number of a rank among the picked Gaussians, or -1.
     """
     starts, ranks, masks = lists
-    kept_starts, firsts, gaussians, kept_masks, weights = kept
+    block_starts, firsts, gaussians, block_masks, weights = blocks
     width, height = size
     for thread in numba.prange(threads):
         light = aligned(BLOCKS * PIXELS)
@@ -77,12 +77,12 @@ def keep_weights(rows, lists, picked, size, kept, threads):
             for block in range(BLOCKS):
                 x, y = block_corner(corner, block)
                 open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
-            place, pair = kept_starts[tile], firsts[tile]
+            place, pair = block_starts[tile], firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 rank, todo = ranks[entry], np.int64(masks[entry])
                 mine = picked[rank] >= 0 and todo != 0
                 if mine:
-                    gaussians[place], kept_masks[place] = picked[rank], masks[entry]
+                    gaussians[place], block_masks[place] = picked[rank], masks[entry]
                     place += 1
                 row = RowPlace(rows.flat, rank * rows.stride)
                 while todo != 0:
@@ -91,10 +91,10 @@ def keep_weights(rows, lists, picked, size, kept, threads):
                     x, y = block_corner(corner, block)
                     pixel_x, pixel_y = block_pixels(x, y)
                     dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
-                    crossing = cross(row, dx, dy, vec.load(light, block * PIXELS))
-                    vec.store(light, block * PIXELS, crossing.after)
+                    step = composite(row, dx, dy, vec.load(light, block * PIXELS))
+                    vec.store(light, block * PIXELS, step.after)
                     if mine:
-                        vec.store_halves(weights, pair * PIXELS, crossing.weight)
+                        vec.store_halves(weights, pair * PIXELS, step.weight)
                         pair += 1
 
 
@@ -126,9 +126,9 @@ def write_tile(state, image, corner, size):
 
 
 @kernel
-def render_linear(kept, colors, background, image, size, threads):
+def render_linear(blocks, colors, background, image, size, threads):
     """Fill a flat image with the background and what Gaussians of flat `colors` [M*4] add."""
-    starts, firsts, gaussians, masks, weights = kept
+    starts, firsts, gaussians, masks, weights = blocks
     for thread in numba.prange(threads):
         state = aligned(3 * BLOCKS * PIXELS)
         for tile in range(thread, firsts.shape[0], threads):
@@ -149,9 +149,9 @@ def render_linear(kept, colors, background, image, size, threads):
 
 
 @kernel
-def compose_backward(kept, v_image, size, out):
+def compose_backward(blocks, v_image, size, out):
     """Add each thread's gradients of the colours to its own flat rows `out` [threads, M*16]."""
-    starts, firsts, gaussians, masks, weights = kept
+    starts, firsts, gaussians, masks, weights = blocks
     for thread in numba.prange(out.shape[0]):
         state = aligned(3 * BLOCKS * PIXELS)
         mine = out[thread]
