@@ -106,14 +106,11 @@ def photo_gains(points: Float[Tensor, "M 3"], run: Run) -> Float[Tensor, "R 3"]:
     photo, or shine.
     """
     some = points[evenly(range(len(points)), POINTS)].cpu()
-    logs = torch.stack(
-        [
-            _log_colors(
-                some, run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
-            )
-            for row in track(run.rows, "comparing exposures")
-        ]
-    )  # [R, P, 3]
+    colors = []
+    for row in track(run.rows, "comparing exposures"):
+        factor = run.config.photo_downscale(0.0, run.cameras[row].size)
+        colors.append(_log_colors(some, run.views(row, factor)))
+    logs = torch.stack(colors)  # [R, P, 3]
     counts = (~logs.isnan()).all(dim=-1).sum(dim=1)  # [R]
     gains = torch.zeros(len(logs), 3)
     for _ in range(ROUNDS):

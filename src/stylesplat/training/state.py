@@ -155,7 +155,7 @@ class Run:
         return range(state.step + number, state.step + own * count, count)
 
     def every(self, rounds: int, step: int) -> bool:
-        """Whether a step is in every n-th round; all processes agree, so they send alike tensors."""
+        """Whether a step is in every n-th round; all processes agree on it."""
         first = step - self.ranks.number  # the same step of the first process
         return first // (self.batch * self.ranks.count) % rounds == 0
 

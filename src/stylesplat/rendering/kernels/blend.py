@@ -130,17 +130,15 @@ def block_pixels(x, y):
 def blend_block(channels, rows, ranks, entries, pixels, state):
     """Composite the entries over one block, front to back, until its pixels are finished.
 
-    `state` holds the pixels' transmittance, and takes their coverage and colours.
-
-    Returns:
-        How many entries were looked at.
+    `state` holds the pixels' transmittance, and takes their coverage and colours. Returns how many
+    entries were visited.
     """
     transmittance, coverage = vec.load(state, 0), vec.zero()
     sums = vecs.zeros(channels)
     pixel_x, pixel_y = pixels
-    looked_at = 0
+    visited = 0
     for entry in entries:
-        looked_at += 1
+        visited += 1
         row = RowPlace(rows.flat, ranks[entry] * rows.stride)
         dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
         step = composite(row, dx, dy, transmittance)
@@ -151,7 +149,7 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
             break
     vec.store(state, 0, coverage)
     vecs.store_vecs(state, PIXELS, sums)
-    return looked_at
+    return visited
 
 
 @inner

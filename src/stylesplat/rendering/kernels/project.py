@@ -69,11 +69,7 @@ def span(rows, thread, threads):
 
 @inner
 def read_columns(array, first, count, columns, buffer):
-    """The first columns, four at most, of up to 16 rows; `buffer` has room for four vectors.
-
-    Returns:
-        Four vectors, of which those beyond `columns` mean nothing.
-    """
+    """Four vectors: the first columns of up to 16 rows; those beyond `columns` mean nothing."""
     for lane in range(count):
         for column in range(columns):
             buffer[column * vec.LANES + lane] = array[first + lane, column]
@@ -186,11 +182,10 @@ def clamped_slope(slope, focal, centre, size):
 
 @inner
 def image_axes(gaussian, view):
-    """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`; and their origin.
+    """A Gaussian's axes in pixels, two rows: the perspective Jacobian times `camera_axes`.
 
-    Returns:
-        The two rows, and the slopes in x and y at which the Jacobian was taken; the mean and axes
-        in the camera, the unit quaternion and the rows of its rotation matrix.
+    Then the slopes in x and y at which the Jacobian was taken; the mean and axes in the camera; the
+    unit quaternion and the rows of its rotation matrix.
     """
     viewmat, K, width, height = view
     p = camera_space(gaussian.mean, viewmat)
@@ -330,11 +325,7 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
 
 @inner
 def camera_gradients(gaussian, view, conic, v_ellipse):
-    """Gradients of the rows of `camera_axes` and of the mean in camera coordinates.
-
-    Returns:
-        Both, then the unit quaternion and the rows of its rotation matrix.
-    """
+    """Gradients of `camera_axes` and of the mean in the camera; unit quaternion and rotation."""
     _, K, _, _ = view
     a0, a1, slopes, p, axes, unit, rows = image_axes(gaussian, view)
     g_xx, g_xy, g_yy = covariance_gradient(conic, v_ellipse.conic)

@@ -64,11 +64,7 @@ def depth_order(depths: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 @serial_kernel
 def sort_by_depth(depths, radii, order):
-    """Put what `depth_order` returns into the head of `order`: a stable radix sort.
-
-    Returns:
-        How many have a radius.
-    """
+    """Put what `depth_order` returns into the head of `order`, by radix sort; return the number."""
     found, count = np.empty(order.shape[0], np.int32), 0
     for i in range(depths.shape[0]):
         if radii[i, 0] > 0:
@@ -215,11 +211,7 @@ def scatter_entries(entries, starts, written, places, lists):
 
 @serial_kernel
 def list_tiles(order, rows, radii, size, starts, lists):
-    """Fill the lists of all tiles, whose chunks have the room between `starts` for their entries.
-
-    Returns:
-        How many entries there are.
-    """
+    """Fill the lists of all tiles; each chunk has the room between `starts`. Return the number."""
     room, chunks = starts[-1], starts.shape[0] - 1
     grid = -(-size[0] // TILE), -(-size[1] // TILE)
     tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
