@@ -66,13 +66,15 @@ class Contributions:
 
         The splats differ from the scene at most in the colours of the picked Gaussians.
         """
-        shown = self.gaussians
+        visible = self.gaussians
         if self.bands is not None:
-            sh0 = splats.sh0[:, 0].index_select(0, shown)  # its gradient is quicker than that of []
+            sh0 = splats.sh0[:, 0].index_select(
+                0, visible
+            )  # its gradient is quicker than that of []
             colors = sh0 * SH_C0 + self.bands
             return _Compose.apply(colors.relu() if clamp else colors, self)
-        dirs = splats.means[shown] - self.origin
-        sh = splats.sh0[shown], splats.shN[shown]
+        dirs = splats.means[visible] - self.origin
+        sh = splats.sh0[visible], splats.shN[visible]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=clamp))
 
     def with_fixed_bands(
@@ -82,9 +84,9 @@ class Contributions:
 
         `varied` are Gaussians whose higher bands are not all 0; None if that is unknown.
         """
-        shown, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
-        places = torch.arange(len(shown)) if varied is None else varied[shown].nonzero()[:, 0]
-        rows = shown[places]
+        visible, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
+        places = torch.arange(len(visible)) if varied is None else varied[visible].nonzero()[:, 0]
+        rows = visible[places]
         dirs = splats.means[rows] - self.origin
         sh = torch.zeros_like(splats.sh0[rows]), splats.shN[rows]
         colors = cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=False)

@@ -38,7 +38,7 @@ def spherical_harmonics(
     *,
     clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`.
+    """Colours of Gaussians visible along `dirs`.
 
     Args:
         degree: How many bands to use; `shN` may hold more.
@@ -107,8 +107,8 @@ def project(gaussians: Gaussians, view: View) -> Projected:
     low, high = means2d - radii, means2d + radii
     size = means2d.new_tensor([width, height])
     on_screen = ((high > 0) & (low < size)).all(dim=-1)
-    seen = in_range & on_screen & (opacities >= MIN_ALPHA)
-    radii = torch.where(seen[:, None], radii, 0).to(torch.int32)
+    visible = in_range & on_screen & (opacities >= MIN_ALPHA)
+    radii = torch.where(visible[:, None], radii, 0).to(torch.int32)
     return Projected(means2d, conics, depths, radii)
 
 
@@ -129,8 +129,8 @@ def blend(
 ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
     """Composite one camera's projected Gaussians front to back; see `rasterize`."""
     width, height = size
-    seen = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
-    order = seen[torch.argsort(projected.depths[seen], stable=True)]
+    visible = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
+    order = visible[torch.argsort(projected.depths[visible], stable=True)]
     means2d, conics = projected.means2d[order], projected.conics[order]
     ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d) + 0.5  # [P, 2]

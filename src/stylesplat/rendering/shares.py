@@ -172,7 +172,7 @@ def coverage(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Flo
     """The opaque share of an object in each pixel of one camera; others may hide it."""
     features = picked.to(splats.means)[:, None]
     pixels = None
-    if len(splats) >= LARGE:  # others need not be looked at where it cannot show
+    if len(splats) >= LARGE:  # skip the others where it cannot be visible
         alone = without_looks(splats)[picked.nonzero()[:, 0]]
         pixels = render(alone, camera, sh_degree=0)[1][..., 0] > 0
     image, _ = render(splats, camera, features=features, sh_degree=0, pixels=pixels)

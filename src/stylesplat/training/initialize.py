@@ -103,10 +103,10 @@ def commonly_visible_points(
     views = torch.zeros(len(points))
     for camera in cameras:
         views += shown(points, camera)
-    seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
-    if len(seen) < 100:
+    common = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
+    if len(common) < 100:
         raise StyleSplatError(
             "Cannot start training: the capture has no sparse points, and its cameras look at no "
             "common space. Check the poses, or add points (`ply_file_path` in transforms.json)."
         )
-    return seen[:count]
+    return common[:count]

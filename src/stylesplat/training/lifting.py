@@ -54,10 +54,10 @@ def lift(
             "cameras share a world frame."
         )
     codes, classifier = _decoder(ids)
-    seen = votes.sum(axis=1)
-    confidence = votes.max(axis=1).toarray() / np.maximum(seen, PRIOR)
+    weight = votes.sum(axis=1)
+    confidence = votes.max(axis=1).toarray() / np.maximum(weight, PRIOR)
     coded = votes @ codes.numpy() + PRIOR * codes[ids.index(BACKGROUND)].numpy()
-    identities = coded / (seen + PRIOR)[:, None]
+    identities = coded / (weight + PRIOR)[:, None]
     return _with_identities(splats, classifier, *map(torch.from_numpy, (identities, confidence)))
 
 
@@ -101,10 +101,10 @@ def _with_identities(
 
 
 def _decoder(ids: tuple[int, ...]) -> tuple[Float[Tensor, "K 16"], Classifier]:
-    """The codes of classes, and what tells from an identity how much of each there is in it.
+    """The codes of classes, and the classifier that decodes identities made of them.
 
-    The closer the codes, the sharper: beside a thousand others a Gaussian of one label alone would
-    be as likely any of them.
+    Its logits are larger where codes are close to each other, so that a Gaussian of one label alone
+    is likely that label, however many there are.
     """
     codes = class_codes(len(ids))
     closest = float((codes @ codes.T).fill_diagonal_(-1).max())

@@ -213,7 +213,7 @@ def ellipse(a0, a1):
 
 @inner
 def read_extents(opacities, first, count, buffer):
-    """How many standard deviations out 16 Gaussians are seen; negative for invisible ones."""
+    """How many standard deviations out 16 Gaussians are visible; negative for faint ones."""
     for lane in range(count):
         fade = 2 * log(max(opacities[first + lane], 1e-30) / MIN_ALPHA)
         buffer[lane] = min(MAX_EXTENT, sqrt(fade)) if fade >= 0 else -1
@@ -249,8 +249,8 @@ def project(gaussians, view, out, threads):
                 between(0 - radius_y, v, height + radius_y),
             )
             deep = between(NEAR_PLANE, p[2], FAR_PLANE)
-            seen = vec.both(vec.both(inside, deep), vec.greater_equal(extent, 0))
-            lanes = Lanes(first, count, seen, buffer)
+            visible = vec.both(vec.both(inside, deep), vec.greater_equal(extent, 0))
+            lanes = Lanes(first, count, visible, buffer)
             write_column(means2d, 0, lanes, u)
             write_column(means2d, 1, lanes, v)
             write_three(conics, lanes, conic)
