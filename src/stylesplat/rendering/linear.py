@@ -68,9 +68,7 @@ class Contributions:
         """
         visible = self.gaussians
         if self.bands is not None:
-            sh0 = splats.sh0[:, 0].index_select(
-                0, visible
-            )  # its gradient is quicker than that of []
+            sh0 = splats.sh0[:, 0].index_select(0, visible)  # quicker than []
             colors = sh0 * SH_C0 + self.bands
             return _Compose.apply(colors.relu() if clamp else colors, self)
         dirs = splats.means[visible] - self.origin
