@@ -124,7 +124,9 @@ def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[]
     """What is left of rasterising with projection, order and tile lists stored."""
     gaussians = activated(splats)
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
-    drawn = cpu.rasterize_to_pixels(projected, gaussians.opacities, torch.rand_like(splats.means), camera.size)
+    drawn = cpu.rasterize_to_pixels(
+        projected, gaussians.opacities, torch.rand_like(splats.means), camera.size
+    )
     picture = cpu.as_picture(drawn.image, drawn.alphas)
     v_picture = cpu.as_picture(v_image, torch.zeros_like(drawn.alphas))
     order, rows, lists = drawn.tiled

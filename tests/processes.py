@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import signal
 import subprocess
 import tempfile
 import time
@@ -22,6 +23,7 @@ from stylesplat.cli import main
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
 from stylesplat.training.initialize import first_splats, scene_extent
+from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import Run, State, first_state
 from stylesplat.training.train_config import TrainConfig
@@ -144,6 +146,17 @@ def begun(
     )
     state = first_state(splats)
     return run, state.with_photos(initial_photo_params(run, capture.points)) if of_photos else state
+
+
+def interrupt(capture: Capture, config: TrainConfig, checkpoint: Path, step: int) -> None:
+    """Train to a step, then press Ctrl-C."""
+
+    def stop(state: State, loss: float, psnr: float) -> None:
+        if state.step >= step:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=checkpoint, on_progress=stop)
 
 
 # Job files, and an executor that only pretends to work.

@@ -1,6 +1,5 @@
 """A run continues from its checkpoint only; one that cannot be written costs a line."""
 
-import signal
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from processes import no_room
+from processes import interrupt, no_room
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.capture import Capture, fingerprint
@@ -43,17 +42,6 @@ def some_state(step: int = 4) -> State:
     for name, tensor in begun.moments.first.items():
         tensor += torch.randn(tensor.shape, generator=torch.Generator().manual_seed(len(name)))
     return replace(begun, step=step, seconds=1.5)
-
-
-def interrupt(capture: Capture, config: TrainConfig, path: Path, step: int) -> None:
-    """Train to a step, then press Ctrl-C."""
-
-    def stop(state: State, loss: float, psnr: float) -> None:
-        if state.step >= step:
-            signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(capture, config, checkpoint=path, on_progress=stop)
 
 
 def assert_equal(one: State, other: State) -> None:

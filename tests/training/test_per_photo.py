@@ -1,4 +1,3 @@
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from processes import begun
+from processes import begun, interrupt
 from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
@@ -92,13 +91,7 @@ def test_continued_is_uninterrupted_and_nothing_of_a_photo_is_in_the_splat(
 ):
     config = replace(config, steps=30, color_correction="on", refine_poses=True)
     whole, path = fit(exposed, config), tmp_path / "checkpoint.pt"
-
-    def stop(state: State, loss: float, psnr: float) -> None:
-        if state.step >= 13:
-            signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(exposed, config, checkpoint=path, on_progress=stop)
+    interrupt(exposed, config, path, 13)
     continued = fit(exposed, config, checkpoint=path)
     assert continued.step == 30
     for name, tensor in whole.params.items():
