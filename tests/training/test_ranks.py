@@ -74,22 +74,22 @@ def at_a_time(function, processes: list[tuple[Run, State]]) -> list:
 def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainConfig, batch: int):
     config, photos = replace(config, refine_poses=True), 3 * batch
 
-    def told(run: Run, state: State) -> PhotoGradients:
+    def averaged(run: Run, state: State) -> PhotoGradients:
         return average_gradients(
             run, [compute_gradients(run, state, step) for step in run.photos(state)]
         )
 
-    looks = at_a_time(told, runs(capture, config, 3, batch))
-    assert all((look.photos, look.state.step) == (photos, 0) for look in looks)
+    rounds = at_a_time(averaged, runs(capture, config, 3, batch))
+    assert all((each.photos, each.state.step) == (photos, 0) for each in rounds)
     (run, state), single = runs(capture, config, 1, 1)[0], []
     for step in range(photos):
         single.append(compute_gradients(replace(run, batch=photos), state, step).state)
     for name in ("means", "quats", "scales", "opacities", "sh0", "identities", "weight"):
-        found = [look.state.params[name].grad for look in looks]
+        found = [each.state.params[name].grad for each in rounds]
         expected = torch.stack([each.params[name].grad for each in single]).sum(dim=0)
         assert all(torch.equal(each, found[0]) for each in found), name
         assert (photos * found[0] - expected).norm() <= 1e-6 * expected.norm(), name
-    rows = looks[0].state.params["pose_shifts"].grad
+    rows = rounds[0].state.params["pose_shifts"].grad
     for step, each in enumerate(single):
         assert torch.equal(rows[run.row(step)], each.params["pose_shifts"].grad[run.row(step)])
 
