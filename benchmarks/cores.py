@@ -27,7 +27,7 @@ from bench import capture, machine, table
 
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.training.initialize import scene_extent
-from stylesplat.training.loop import fit, most_at_once
+from stylesplat.training.loop import MOST_AT_ONCE, fit
 from stylesplat.training.state import Ranks, Run, State
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
@@ -77,7 +77,7 @@ def config_of(options: Options, steps: int) -> TrainConfig:
 def ways() -> list[Way]:
     """Those of this machine."""
     cores = numba.get_num_threads()
-    of_each = most_at_once(Ranks(0, cores))
+    of_each = max(1, MOST_AT_ONCE // cores)
     return [
         Way("one thread", 1, 1),
         *(Way(f"{cores} threads, {each} at a time", cores, each) for each in (1, 2, 4)),

@@ -12,13 +12,12 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.io import scene_folder
-from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb
 from stylesplat.selection.identities import render_labels
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style

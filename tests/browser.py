@@ -27,12 +27,11 @@ from balls import CAMERAS, PICKS, SPLATS
 from scenes import layer_towards
 from stylesplat.figures.browser import camera_of
 from stylesplat.io.scene_folder import open, save
-from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.layer import without_identities
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio import StudioServer
 from stylesplat.stylization.config import StyleConfig

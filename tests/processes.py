@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import signal
 import subprocess
 import tempfile
 import time
@@ -22,7 +23,8 @@ from stylesplat.cli import main
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
 from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.per_photo import first_of_photos
+from stylesplat.training.loop import fit
+from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import Run, State, first_state
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import training_views
@@ -143,7 +145,18 @@ def begun(
         ids=ids,
     )
     state = first_state(splats)
-    return run, state.with_photos(first_of_photos(run, capture.points)) if of_photos else state
+    return run, state.with_photos(initial_photo_params(run, capture.points)) if of_photos else state
+
+
+def interrupt(capture: Capture, config: TrainConfig, checkpoint: Path, step: int) -> None:
+    """Train to a step, then press Ctrl-C."""
+
+    def stop(state: State, loss: float, psnr: float) -> None:
+        if state.step >= step:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, config, checkpoint=checkpoint, on_progress=stop)
 
 
 # Job files, and an executor that only pretends to work.

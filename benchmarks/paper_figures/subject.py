@@ -25,8 +25,8 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.style_image import read_style
 
-# Many small Gaussians on the demo's objects carry the strokes.
-JOINT_TRAINING = replace(TRAINING, object_growth=10.0, object_pixels=2.5)
+# Many Gaussians on the demo's objects carry the strokes.
+JOINT_TRAINING = replace(TRAINING, object_growth=10.0)
 MARGIN = 0.25  # of the object's size that pictures show around it
 
 

@@ -11,9 +11,8 @@ from stylesplat.evaluation.consistency import (
     view_consistency,
     warped_difference,
 )
-from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 
 DEPTH, FOCAL, SIDE = 4.0, 32.0, 24
 COUNT = 1500

@@ -17,10 +17,9 @@ from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.compose import rows_unpainted
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.verbs.export import export
 
 SCENE = scene()

@@ -7,20 +7,10 @@ import torch
 from numba import get_num_threads
 
 from scenes import random_splats, two_cameras
-from stylesplat.progress import Silence, observed, say
+from stylesplat.progress import say
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.rendering.render import rasterize
-
-
-class Listener(Silence):
-    """Remembers what it is told."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def say(self, line: str) -> None:
-        self.lines.append(line)
 
 
 def render(seed: int) -> torch.Tensor:
@@ -36,10 +26,6 @@ def test_order():
     pictures = [*at_once(render, range(7))]
     assert len(pictures) == 7
     assert all(torch.equal(a, render(b)) for a, b in zip(pictures, range(7), strict=True))
-
-
-def test_nothing():
-    assert [*at_once(render, [])] == []
 
 
 def test_at_a_time():
@@ -65,10 +51,9 @@ def test_gradients_as_outside():
         assert all(at_once(enabled, range(5)))
 
 
-def test_told():
-    with observed(listener := Listener()):
-        assert [*at_once(lambda item: say(f"{item}"), range(5))] == [None] * 5
-    assert sorted(listener.lines) == [*"01234"]
+def test_listeners_hear_what_threads_say(said: list[str]):
+    assert [*at_once(lambda item: say(f"{item}"), range(5))] == [None] * 5
+    assert sorted(said) == [*"01234"] and [*at_once(say, [])] == []
 
 
 def test_failure():
@@ -81,12 +66,3 @@ def test_failure():
     assert [next(found) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="three"):
         next(found)
-
-
-def test_nobody_asks_any_more():
-    done = []
-    found = at_once(done.append, range(1000))
-    next(found)
-    next(found)
-    found.close()
-    assert len(done) < 1000

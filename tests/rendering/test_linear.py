@@ -8,8 +8,7 @@ import torch
 from scenes import leaf, random_splats, two_cameras
 from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.render import Backend, rasterize
-from stylesplat.rendering.sh import SH_C0, sh_colors
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 
 # Weights are kept as float16: 11 bits, an error of 0.0005 each. A lost entry shows more.
 TOLERANCE = 1e-3
@@ -49,12 +48,6 @@ def relative_error(found: torch.Tensor, expected: torch.Tensor) -> float:
     return float((found.double() - expected).norm() / expected.norm())
 
 
-def test_the_size_is_no_multiple_of_a_tile(half: Contributions):
-    width, height = CAMERA.size
-    assert half.background.shape == (height, width, 3)
-    assert width % 16 and height % 16
-
-
 @pytest.mark.parametrize("name", CHOICES)
 def test_image_and_coverage_match_the_reference(name: str):
     picked = CHOICES[name]
@@ -92,15 +85,6 @@ def test_gradients_match_the_reference(half: Contributions):
         assert not gradient[~HALF].any()
 
 
-def test_the_image_is_linear_in_the_colors(half: Contributions):
-    count = len(half.gaussians)
-    colors = torch.rand(2, count, 3, generator=torch.Generator().manual_seed(4))
-    one, other = (half.image(c) - half.background for c in colors)
-    both = half.image(colors[0] + 2 * colors[1]) - half.background
-    torch.testing.assert_close(both, one + 2 * other, atol=1e-5, rtol=0)  # roundings of float32
-    assert torch.equal(half.image(torch.zeros(count, 3)), half.background)
-
-
 def test_weights_are_the_sums_over_pixels(half: Contributions):
     for number in (0, 7, len(half.gaussians) - 1):
         alone = torch.zeros(len(half.gaussians), 3)
@@ -128,27 +112,11 @@ def test_fixed_bands_give_the_same_image(half: Contributions):
         splats = leaf(brighter, torch.float32)
         (view.render(splats) * weights).sum().backward()
         gradients.append(splats.sh0.grad)
-    assert relative_error(gradients[1], gradients[0].double()) < 1e-6
-
-
-def test_an_unclamped_image_is_the_references(half: Contributions):
     darker = replace(SPLATS, sh0=SPLATS.sh0 - 4.0 * HALF[:, None, None])
-    exact = leaf(darker, torch.float64)
-    dirs = exact.means - CAMERA.positions.double()
-    colors = sh_colors(exact.sh_degree, dirs, exact.sh0, exact.shN, clamp=False).detach()
-    assert (colors[half.gaussians] < 0).all(dim=1).any() and colors.min() < -1
-    fixed = half.with_fixed_bands(SPLATS)  # of the same higher bands
-    expected = half.image(colors[half.gaussians].float())
-    for view in (half, fixed):
-        image = view.render(darker, clamp=False)
-        torch.testing.assert_close(image, expected, atol=2e-6, rtol=0)  # float32
-    image, _, _ = rasterize(exact, CAMERA, clamp=False, backend="reference")
-    alone, _, _ = rasterize(exact, CAMERA, backend="reference")
-    others = contributions(darker, CAMERA, ~HALF)
-    both = fixed.render(darker, clamp=False) - fixed.background + others.render(darker, clamp=False)
-    both = both - others.background
-    assert relative_error(both, image.detach()[0]) < TOLERANCE
-    assert relative_error(both, alone.detach()[0]) > 0.1
+    images = [view.render(darker, clamp=False) for view in (half, fixed)]
+    assert images[0].min() < -0.5
+    torch.testing.assert_close(images[0], images[1], atol=2e-6, rtol=0)  # float32
+    assert relative_error(gradients[1], gradients[0].double()) < 1e-6
 
 
 @pytest.mark.parametrize("backend", ["reference", "cpu"])

@@ -10,10 +10,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.live_splats import browser_camera
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
-from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.scene import SceneObject
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.choose import find_object
 from stylesplat.studio_app.autosave import (
     AUTOSAVE,

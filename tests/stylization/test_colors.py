@@ -21,11 +21,10 @@ from balls import STRIPED_SCENE as SCENE
 from scenes import random_splats
 from stylesplat.evaluation.statistics import TOLERANCE, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
-from stylesplat.rendering.sh import SH_C0, sh0_from_rgb, sh_colors
-from stylesplat.scene.splats import Splats
+from stylesplat.rendering.reference import spherical_harmonics
+from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.colors import (
     NEAR,
-    LUMA_VARIATION,
     NOISE,
     SHADING,
     VARIATION,
@@ -119,8 +118,8 @@ def test_colors_are_mapped_from_wherever_they_are_seen():
     matrix, offset = 0.5 * torch.eye(3) + 0.05 * colors(3, 2), torch.tensor([0.1, 0.2, 0.3])
     mapped = map_colors(splats, picked, matrix, offset)
     dirs = torch.randn(100, 3, generator=torch.Generator().manual_seed(0))
-    before = sh_colors(3, dirs, splats.sh0, splats.shN)
-    after = sh_colors(3, dirs, mapped.sh0, mapped.shN)
+    before = spherical_harmonics(3, dirs, splats.sh0, splats.shN)
+    after = spherical_harmonics(3, dirs, mapped.sh0, mapped.shN)
     torch.testing.assert_close(after[picked], before[picked] @ matrix.T + offset)
     assert torch.equal(mapped.sh0[~picked], splats.sh0[~picked])
     assert torch.equal(mapped.shN[~picked], splats.shN[~picked])

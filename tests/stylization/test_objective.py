@@ -7,8 +7,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.sh import SH_C0
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import build_palette
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork

@@ -13,11 +13,10 @@ from balls import STRIPED_SCENE as SCENE
 from balls import STRIPED_TABLE as TABLE
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import compose
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import PRESETS, Precision
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.optimize import PREVIEW_STEPS, paint_steps

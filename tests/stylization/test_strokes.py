@@ -9,8 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.sh import sh0_from_rgb
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.stylization.strokes import LONG, NARROW, align_to_strokes
 
 COUNT = 24  # discs along each side of a plane

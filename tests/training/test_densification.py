@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import fake_gsplat
-from balls import CAMERAS, SPLATS
+from balls import SPLATS
 from scenes import random_splats, two_cameras
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import rasterize
@@ -19,8 +19,6 @@ from stylesplat.training.densification import (
     add_noise_cpu,
     add_noise_cuda,
     growth_preference,
-    limit_sizes,
-    object_share,
     perturb_means,
     regularizer,
     relocate,
@@ -32,11 +30,11 @@ OBJECTS = torch.arange(len(SPLATS)) >= 200  # the table comes first
 
 
 def refined(
-    splats: Splats, count: int, seed: int = 0, preference: torch.Tensor | None = None
+    splats: Splats, count: int, preference: torch.Tensor | None = None
 ) -> tuple[dict[str, torch.Tensor], Moments]:
     params = splats.tensors()
     ones = {name: torch.ones_like(t) for name, t in params.items()}
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     return relocate_and_grow(
         params, Moments(ones, ones), NAMES, count, generator, preference=preference
     )
@@ -75,26 +73,9 @@ def test_dead_gaussians_move_to_living_ones():
     assert (torch.sigmoid(params["opacities"]) > DEAD_OPACITY * 0.99).all()
     assert (rows_of(params, splats)[:10] >= 10).all()
     assert not moments.second["means"][:10].any()
-
-
-def test_nothing_to_do_changes_nothing():
-    splats = random_splats(20)
-    splats.opacities.abs_()
-    for count in (20, 10):  # fewer than there are removes none
-        params, moments = refined(splats, count)
-        assert params["means"] is splats.means
-        assert moments.first["means"].all()
-
-
-def test_preferred_gaussians_are_copied():
-    preference = torch.where(torch.arange(50) < 10, 1.0, 0.0)
-    params, _ = refined(random_splats(50), 80, preference=preference)
-    assert (rows_of(params, random_splats(50))[50:] < 10).all()
-
-
-def test_growing_follows_from_its_generator():
-    one, same, other = (refined(random_splats(30), 60, seed)[0]["means"] for seed in (0, 0, 1))
-    assert torch.equal(one, same) and not torch.equal(one, other)
+    for count in (40, 30):  # fewer than there are removes none
+        params, moments = refined(splats[10:], count)
+        assert len(params["means"]) == 40
 
 
 def test_refining_keeps_what_a_scene_looks_like():
@@ -160,14 +141,6 @@ def test_both_devices_add_the_same_noise(monkeypatch: pytest.MonkeyPatch):
     assert (one["means"] - splats.means).abs().max() > 0.1
 
 
-def test_regularizer_pulls_down_opacity_and_size():
-    params = {name: t.requires_grad_() for name, t in random_splats(9).tensors().items()}
-    regularizer(params, 1.0).backward()
-    for name in ("opacities", "scales"):
-        gradient = params[name].grad
-        assert gradient is not None and (gradient > 0).all()
-
-
 def test_noise_and_regularizer_do_not_depend_on_the_unit_of_length():
     def learned(factor: float) -> tuple[torch.Tensor, torch.Tensor]:
         params = {name: t.clone() for name, t in random_splats(40).tensors().items()}
@@ -182,28 +155,10 @@ def test_noise_and_regularizer_do_not_depend_on_the_unit_of_length():
 
 
 def test_objects_are_preferred():
-    share, preference = object_share(SPLATS), growth_preference(SPLATS, 4.0)
-    assert share is not None and (share[OBJECTS] > 0.99).all() and (share[~OBJECTS] < 0.01).all()
+    preference = growth_preference(SPLATS, 4.0)
     assert preference is not None
-    assert preference[OBJECTS].mean() == pytest.approx(4.0, abs=0.05)
-    assert preference[~OBJECTS].mean() == pytest.approx(1.0, abs=0.05)
+    assert (preference[OBJECTS] > 3.9).all() and (preference[~OBJECTS] < 1.1).all()
+    few = torch.where(torch.arange(50) < 10, 1.0, 0.0)
+    params, _ = refined(random_splats(50), 80, preference=few)
+    assert (rows_of(params, random_splats(50))[50:] < 10).all()
     assert growth_preference(replace(SPLATS, identities=None), 4.0) is None
-
-
-@pytest.mark.parametrize("pixels", [1.0, 2.0])
-def test_only_large_gaussians_of_objects_shrink(pixels: float):
-    scales = SPLATS.scales.clone()
-    scales[0] = scales[200] = 0.0
-    splats = replace(SPLATS, scales=scales.clone())
-    limit_sizes(splats, CAMERAS, pixels)
-    limit = pixels * 3.354 / 50  # the cameras' distance from the middle over their focal length
-    assert splats.scales[200].exp().tolist() == pytest.approx([limit] * 3, rel=0.1)
-    assert torch.equal(splats.scales[OBJECTS], scales[OBJECTS].minimum(splats.scales[200]))
-    assert torch.equal(splats.scales[~OBJECTS], scales[~OBJECTS])
-
-
-def test_without_objects_nothing_shrinks():
-    for splats in (replace(SPLATS, identities=None), SPLATS[~OBJECTS]):
-        large = replace(splats, scales=torch.full_like(splats.scales, 3.0))
-        limit_sizes(large, CAMERAS, 2.0)
-        assert (large.scales == 3).all()

@@ -12,7 +12,6 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import class_probabilities, render_labels
 from stylesplat.selection.pick import THRESHOLD, pick_objects
 from stylesplat.training import lifting
-from stylesplat.training.densification import object_share
 from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
@@ -115,19 +114,8 @@ def test_renaming_labels_renames_the_ids_and_nothing_else():
 
 def test_labels_of_the_whole_picture_leave_no_doubt():
     lifted = lift(PLAIN, capture([torch.full_like(labels, 9) for labels in TRUTH]))
-    share = object_share(lifted)
-    assert share is not None and (share > 0.999).float().mean() > 0.8  # the others hardly show
-
-
-@pytest.mark.parametrize("count", [17, 60, 300])
-def test_codes_of_many_classes_are_far_apart(count: int):
-    codes = class_codes(count)
-    assert torch.equal(class_codes(count), codes)
-    assert torch.allclose(codes.norm(dim=1), torch.ones(count), atol=1e-5)
-    drawn = torch.randn(count, 16, generator=torch.Generator().manual_seed(0))
-    drawn = torch.nn.functional.normalize(drawn, dim=1)
-    closest = [(c @ c.T).fill_diagonal_(-1).max() for c in (codes, drawn)]
-    assert closest[0] < closest[1] - 0.05, "chance alone leaves them closer"
+    share = 1 - class_probabilities(lifted)[:, 0]
+    assert (share > 0.999).float().mean() > 0.8  # the others hardly show
 
 
 def test_known_labels_leave_no_doubt():

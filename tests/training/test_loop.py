@@ -11,19 +11,16 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 
 import fake_gsplat
-from processes import begun
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Silence, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.signals import TAKEN
-from stylesplat.training import adam, densification, loop
+from stylesplat.training import adam, densification
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import deferred_interrupt, fit, warm_up_training
-from stylesplat.training.state import ALONE, Ranks, Run, State
-from stylesplat.training.step import train_step
-from stylesplat.training.train_config import PRESETS, TrainConfig
+from stylesplat.training.loop import deferred_interrupt, fit
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
 
 
@@ -50,12 +47,6 @@ def test_held_out_views_get_better(capture: Capture, config: TrainConfig):
     assert all(0 < loss < 3 and 5 < psnr < 60 for loss, psnr in scores)
 
 
-def test_the_paper_trains_its_first_thousand_steps_without_higher_bands(capture: Capture):
-    splats = trained(capture, PRESETS["paper"], steps=5, max_gaussians=200)
-    assert splats.sh_degree == 3 and not splats.shN.any()
-    assert trained(capture, TrainConfig(), steps=5, max_gaussians=200).shN.any()
-
-
 def test_identities_learn_the_labels(capture: Capture, config: TrainConfig):
     splats = trained(capture, config, steps=300, coarse_to_fine=False)
     assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
@@ -75,16 +66,6 @@ def test_the_seed_alone_decides(capture: Capture, config: TrainConfig):
     for name, tensor in splats[0].tensors().items():
         assert torch.equal(tensor, splats[1].tensors()[name]), name
     assert not torch.equal(splats[0].means, splats[2].means)
-
-
-def test_gaussians_grow_up_to_the_cap_and_never_beyond(capture: Capture, config: TrainConfig):
-    counts: list[int] = []
-    fit(
-        capture,
-        replace(config, steps=100, refine_every=5, max_gaussians=300),
-        on_progress=lambda state, *_: counts.append(len(state.splats)),
-    )
-    assert counts == sorted(counts) and counts[-1] == 300 and counts[0] < 200
 
 
 def test_captures_without_label_maps_or_points(capture: Capture, config: TrainConfig):
@@ -108,43 +89,6 @@ def test_photos_of_several_sizes(capture: Capture, config: TrainConfig):
     cameras = replace(capture.cameras, sizes=sizes)
     mixed = replace(capture, cameras=cameras, photos=photos, label_maps=None)
     assert len(trained(mixed, config)) == 400
-
-
-def test_objects_that_only_held_out_photos_show_are_no_classes(
-    capture: Capture, config: TrainConfig, said: list[str]
-):
-    assert capture.label_maps is not None
-    maps = [*capture.label_maps]
-    maps[8] = torch.full((64, 72), 11)
-    named = replace(capture, label_maps=maps, object_names={11: "vase"})
-    splats = trained(named, config, steps=3)
-    assert splats.classifier is not None and splats.classifier.ids == (0, 3, 7)
-    (line,) = said
-    assert "object 11 (vase)" in line and "--test-every 0" in line
-    every = trained(named, config, steps=3, test_every=0, color_correction="off")
-    assert every.classifier is not None and every.classifier.ids == (0, 3, 7, 11)
-    assert len(said) == 1
-
-
-def test_kernels_are_compiled_before_the_clock_starts(
-    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
-):
-    """They are others for other numbers of photos in a round."""
-    rounds: list[tuple[int, bool]] = []
-
-    def noted(run: Run, state: State) -> tuple[State, torch.Tensor]:
-        rounds.append((len(run.photos(state)), run.every(run.config.identity_every, state.step)))
-        return train_step(run, state)
-
-    monkeypatch.setattr(loop, "train_step", noted)
-    fit(capture, replace(config, steps=9, photos_at_once=3))
-    assert rounds[:2] == [(3, True), (3, False)], "on a copy"
-    assert rounds[2:] == [(3, True), (3, False), (3, True)]
-    rounds.clear()
-    run, state = begun(capture, config, 2, of_photos=True)
-    for ranks in (Ranks(0, 2), ALONE):  # of several processes a round has one step
-        warm_up_training(replace(run, ranks=ranks), state)
-    assert [photos for photos, _ in rounds] == [1, 1, 2, 2]
 
 
 def test_no_kernel_can_crash_where_it_is_interrupted(capture: Capture, config: TrainConfig):
@@ -224,15 +168,6 @@ def test_the_bar_counts_seconds_where_they_end_the_run(capture: Capture, config:
         state = fit(capture, replace(config, max_seconds=0.3))
     assert ("training", 0.3, "s") in listener.begun
     assert listener.done == pytest.approx(0.3) and state.seconds >= 0.3 and state.step > 0
-
-
-def test_an_interrupt_stops_after_the_step(capture: Capture, config: TrainConfig):
-    def stop(state: State, loss: float, psnr: float) -> None:
-        assert state.step == 1, "the step after the interrupt must not begin"
-        signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(capture, replace(config, photos_at_once=1), on_progress=stop)
 
 
 class Heard(Exception):

@@ -7,7 +7,7 @@ from stylesplat.scene.splats import Classifier
 from stylesplat.training.losses import (
     NEIGHBOR_WEIGHT,
     identity_loss,
-    nearest_rows,
+    nearest_neighbors,
     neighbor_loss,
     photometric_loss,
     photometric_reference,
@@ -71,15 +71,6 @@ def test_identity_loss_rewards_the_right_class_and_a_guess_costs_one():
     assert identity_loss(draw(20, 16), torch.zeros(20, dtype=torch.long), alone) == 0
 
 
-def test_identity_loss_does_not_depend_on_what_classes_are_called():
-    swap, labels = torch.tensor([2, 0, 1]), torch.arange(200) % 3
-    renamed = Classifier(CLASSIFIER.weight[swap], CLASSIFIER.bias[swap], ids=(5, 6, 7))
-    places = torch.argsort(swap)  # where each class went
-    plain = identity_loss(draw(200, 16), labels, CLASSIFIER)
-    other = identity_loss(draw(200, 16), places[labels], renamed)
-    assert other.item() == pytest.approx(plain.item(), rel=1e-5)
-
-
 def test_neighbor_loss():
     same = torch.eye(3, 16)[:, None].expand(-1, 5, -1)
     assert neighbor_loss(torch.eye(3, 16), same, CLASSIFIER).abs() < 1e-6
@@ -93,15 +84,15 @@ def test_neighbor_loss():
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
-def test_nearest_rows_are_the_nearest(device: str):
+def test_nearest_neighbors(device: str):
     means, sample = draw(200, 3), torch.tensor([3, 3, 199, 0])
     distances = (means[sample][:, None] - means).norm(dim=-1)
     distances[torch.arange(4), sample] = torch.inf
     expected = distances.argsort(dim=1)[:, :4]
-    found = nearest_rows(means.to(device), sample.to(device), 4)
+    found = nearest_neighbors(means.to(device), sample.to(device), 4)
     assert torch.equal(found.cpu(), expected)
     twins = torch.zeros(4, 3)
-    assert not (nearest_rows(twins, torch.arange(4), 2) == torch.arange(4)[:, None]).any()
+    assert not (nearest_neighbors(twins, torch.arange(4), 2) == torch.arange(4)[:, None]).any()
 
 
 @pytest.mark.parametrize(("offset", "stride"), [((0, 0), 1), ((1, 2), 3), ((4, 0), 5)])

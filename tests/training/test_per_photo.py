@@ -1,4 +1,3 @@
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from processes import begun
+from processes import begun, interrupt
 from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
@@ -16,7 +15,6 @@ from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import (
     BLOWN_OUT,
     apply_color_map,
-    blown_out_target,
     fit_color_map,
     photo_gains,
     shift_cameras,
@@ -93,13 +91,7 @@ def test_continued_is_uninterrupted_and_nothing_of_a_photo_is_in_the_splat(
 ):
     config = replace(config, steps=30, color_correction="on", refine_poses=True)
     whole, path = fit(exposed, config), tmp_path / "checkpoint.pt"
-
-    def stop(state: State, loss: float, psnr: float) -> None:
-        if state.step >= 13:
-            signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(exposed, config, checkpoint=path, on_progress=stop)
+    interrupt(exposed, config, path, 13)
     continued = fit(exposed, config, checkpoint=path)
     assert continued.step == 30
     for name, tensor in whole.params.items():
@@ -143,12 +135,6 @@ def color_map() -> Tensor:
     return 0.1 * (2 * rand(3, 4, seed=3) - 1)
 
 
-def test_a_color_map_is_an_affine_map_of_what_covers_a_pixel():
-    image, alpha, change = rand(5, 7, 3), rand(5, 7, 1, seed=1), color_map()
-    expected = image[2, 3] + change[:, :3] @ image[2, 3] + change[:, 3] * alpha[2, 3]
-    assert torch.allclose(apply_color_map(image, alpha, change)[2, 3], expected)
-
-
 def test_the_color_map_of_a_photo_is_found():
     image, alpha, change = rand(30, 40, 3), rand(30, 40, 1, seed=1), color_map()
     photo = apply_color_map(image, alpha, change).clamp(max=BLOWN_OUT - 0.01)
@@ -160,13 +146,6 @@ def test_the_color_map_of_a_photo_is_found():
     assert (photo == 1).float().mean() > 0.1
     # The prior takes a little off, less than what is blown out would
     assert (fit_color_map(image, alpha, photo) - gain).abs().max() < 0.03
-
-
-def test_what_is_blown_out_may_be_brighter():
-    target = torch.tensor([1.0, 1.0, 0.5]).expand(1, 1, 3)
-    image = torch.tensor([1.3, 0.8, 0.9]).expand(1, 1, 3)
-    expected = torch.tensor([1.3, 1.0, 0.5])
-    assert torch.equal(blown_out_target(image, target).flatten(), expected)
 
 
 def test_gains_are_found_from_points(plain: Capture, config: TrainConfig):
@@ -193,13 +172,3 @@ def test_shifts_are_of_the_world_in_units(cameras: Cameras):
     assert torch.allclose(still.viewmats, cameras.viewmats, atol=1e-6)
     inputs = shifts[:2].double().requires_grad_()
     assert torch.autograd.gradcheck(lambda s: shift_cameras(cameras[:2], s, 2.0).viewmats, inputs)
-
-
-def test_turns_are_about_axes_of_the_world(cameras: Cameras):
-    shifts = torch.zeros(len(cameras), 6)
-    shifts[:, 2] = torch.pi / 2  # x to y
-    after = shift_cameras(cameras, shifts, 1.0)
-    assert torch.allclose(after.positions, cameras.positions, atol=1e-5)
-    axes = cameras.viewmats[:, :3, :3]  # in the world, one a row
-    expected = torch.stack([-axes[..., 1], axes[..., 0], axes[..., 2]], dim=-1)
-    assert torch.allclose(after.viewmats[:, :3, :3], expected, atol=1e-5)

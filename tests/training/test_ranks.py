@@ -17,15 +17,11 @@ from capture_files import write_ball_capture
 from processes import begun
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
-from stylesplat.training.adam import AdamUpdate, adam_steps
-from stylesplat.training.densification import perturb_means
-from stylesplat.training.loop import most_at_once
-from stylesplat.training.state import ALONE, PER_PHOTO, Ranks, Run, State
+from stylesplat.training.state import ALONE, Ranks, Run, State
 from stylesplat.training.step import (
     PhotoGradients,
     average_gradients,
     compute_gradients,
-    learning_rates,
     train_step,
 )
 from stylesplat.training.train_config import TrainConfig
@@ -78,52 +74,24 @@ def at_a_time(function, processes: list[tuple[Run, State]]) -> list:
 def test_gradients_are_the_mean_of_single_ones(capture: Capture, config: TrainConfig, batch: int):
     config, photos = replace(config, refine_poses=True), 3 * batch
 
-    def told(run: Run, state: State) -> PhotoGradients:
+    def averaged(run: Run, state: State) -> PhotoGradients:
         return average_gradients(
             run, [compute_gradients(run, state, step) for step in run.photos(state)]
         )
 
-    looks = at_a_time(told, runs(capture, config, 3, batch))
-    assert all((look.photos, look.state.step) == (photos, 0) for look in looks)
+    rounds = at_a_time(averaged, runs(capture, config, 3, batch))
+    assert all((each.photos, each.state.step) == (photos, 0) for each in rounds)
     (run, state), single = runs(capture, config, 1, 1)[0], []
     for step in range(photos):
         single.append(compute_gradients(replace(run, batch=photos), state, step).state)
     for name in ("means", "quats", "scales", "opacities", "sh0", "identities", "weight"):
-        found = [look.state.params[name].grad for look in looks]
+        found = [each.state.params[name].grad for each in rounds]
         expected = torch.stack([each.params[name].grad for each in single]).sum(dim=0)
         assert all(torch.equal(each, found[0]) for each in found), name
         assert (photos * found[0] - expected).norm() <= 1e-6 * expected.norm(), name
-    rows = looks[0].state.params["pose_shifts"].grad
+    rows = rounds[0].state.params["pose_shifts"].grad
     for step, each in enumerate(single):
         assert torch.equal(rows[run.row(step)], each.params["pose_shifts"].grad[run.row(step)])
-
-
-@together
-def test_all_photos_of_a_round_have_one_step(capture: Capture, config: TrainConfig):
-    config = replace(config, color_correction="on")
-    processes = runs(capture, config, 2, 2)
-    run, state = processes[0]
-    expected, looks = state.clone(), [compute_gradients(run, state, step) for step in range(4)]
-    for name, param in expected.params.items():
-        gradients = [look.state.params[name].grad for look in looks]
-        param.grad = torch.stack([each for each in gradients if each is not None]).sum(dim=0) / 4
-    own = {name: each for name, each in expected.params.items() if name not in PER_PHOTO}
-    visible = torch.stack([look.visible for look in looks]).any(dim=0)
-    update = AdamUpdate(own, learning_rates(config, run.extent), step=4, visible=visible)
-    adam_steps(expected.moments, [update], photos=4)
-    perturb_means(expected.params, run.extent, 1.0, looks[0].noise, photos=4)
-    after, _ = at_a_time(train_step, processes)[0]
-    assert after.step == 4
-    for name in ("means", "opacities", "sh0", "identities", "weight"):
-        pairs = [(after.params[name], expected.params[name])]
-        pairs += [
-            (getattr(after.moments, which)[name], getattr(expected.moments, which)[name])
-            for which in ("first", "second")
-        ]
-        for found, wanted in pairs:
-            assert 0 < wanted.norm() and (found - wanted).norm() <= 1e-5 * wanted.norm(), name
-    stepped = after.moments.second["color_maps"].flatten(1).any(dim=1).nonzero()[:, 0]
-    assert {*stepped.tolist()} == {run.rows.index(run.row(step)) for step in range(4)}
 
 
 @together
@@ -135,7 +103,13 @@ def test_all_stay_the_same(capture: Capture, config: TrainConfig):
             state, _ = train_step(run, state)
         return state
 
-    one, other = at_a_time(train, runs(capture, config, 2, 2))
+    processes = runs(capture, config, 2, 2)
+    run = processes[0][0]
+    after, _ = at_a_time(train_step, [(run, state.clone()) for run, state in processes])[0]
+    assert after.step == 4, "all photos of a round have one step"
+    stepped = after.moments.second["color_maps"].flatten(1).any(dim=1).nonzero()[:, 0]
+    assert {*stepped.tolist()} == {run.rows.index(run.row(step)) for step in range(4)}
+    one, other = at_a_time(train, processes)
     assert one.step == other.step == 44 and len(one.splats) > 100
     for name, tensor in one.params.items():
         assert torch.equal(tensor, other.params[name]), name
@@ -146,10 +120,6 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
     (one, state), (other, _) = runs(capture, replace(config, steps=11), 2, 2)
     found = [[*run.photos(replace(state, step=step))] for step in (0, 4, 8) for run in (one, other)]
     assert found == [[0, 2], [1, 3], [4, 6], [5, 7], [8, 10], [9, 11]]
-
-
-def test_processes_on_the_cpu_look_at_four_photos_in_all_or_at_one_each():
-    assert [most_at_once(Ranks(0, count)) for count in (1, 2, 3, 4, 8)] == [4, 2, 1, 1, 1]
 
 
 def test_all_of_a_turn_learn_identities_or_none(capture: Capture, config: TrainConfig):

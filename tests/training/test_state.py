@@ -10,7 +10,9 @@ from stylesplat.training.train_config import TrainConfig
 
 
 def test_splats_come_back():
-    state = first_state(SPLATS)
+    state = first_state(replace(SPLATS, means=SPLATS.means.T.contiguous().T))
+    tensors = (state.params, state.moments.first, state.moments.second)
+    assert all(tensor.is_contiguous() for each in tensors for tensor in each.values())
     for name, tensor in SPLATS.tensors().items():
         assert torch.equal(state.splats.tensors()[name], tensor)
         assert len(state.params[name]) == len(SPLATS) and name in state.names
@@ -22,14 +24,6 @@ def test_splats_come_back():
     plain = first_state(replace(SPLATS, identities=None, classifier=None))
     assert plain.ids == () and plain.splats.classifier is None
     assert not set(CLASSIFIER) & set(plain.params)
-
-
-def test_a_first_state_is_contiguous_whatever_the_splats_are():
-    splats = random_splats(5)
-    state = first_state(replace(splats, means=splats.means.T.contiguous().T))
-    assert torch.equal(state.params["means"], splats.means)
-    tensors = (state.params, state.moments.first, state.moments.second)
-    assert all(tensor.is_contiguous() for each in tensors for tensor in each.values())
 
 
 def test_clones_share_nothing():
@@ -64,14 +58,8 @@ def test_each_photo_comes_once_per_epoch_in_an_order_that_follows_from_the_step(
     assert forth == back[::-1]
     firsts = {run(cameras, seed=seed).row(0) for seed in range(60)}
     assert firsts == set(range(1, 9))  # each is missed with a chance of (7/8)^60, 3 in 10,000
-
-
-def test_random_numbers_follow_from_seed_and_step(cameras):
-    def numbers(seed: int, step: int) -> tuple[float, ...]:
-        return tuple(torch.randn(4, generator=run(cameras, seed=seed).generator(step)).tolist())
-
-    assert numbers(1, 5) == numbers(1, 5)
-    assert len({numbers(seed, step) for seed in range(5) for step in range(5)}) == 25
+    seeds = {run(cameras, seed=s).generator(n).initial_seed() for s in range(5) for n in range(5)}
+    assert len(seeds) == 25
 
 
 def test_offsets_cover_the_stride(cameras):
@@ -79,12 +67,6 @@ def test_offsets_cover_the_stride(cameras):
     offsets = [here.offset(step) for step in range(100)]
     assert set(offsets) == {(y, x) for y in range(3) for x in range(3)}
     assert offsets[7] == here.offset(7)
-
-
-def test_progress_is_the_share_of_seconds_if_these_are_given(cameras):
-    here, state = run(cameras, steps=10, max_seconds=4.0), first_state(random_splats(5))
-    shares = [here.progress(replace(state, step=1000, seconds=s)) for s in (0.0, 1.0, 4.0, 5.0)]
-    assert shares == [0, 0.25, 1, 1]
 
 
 def test_a_round_takes_the_next_steps(cameras):
@@ -96,4 +78,6 @@ def test_a_round_takes_the_next_steps(cameras):
     assert rounds(here) == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
     timed = replace(here, config=replace(here.config, max_seconds=9.0))
     assert rounds(timed)[-1] == [8, 9, 10, 11]
+    shares = [timed.progress(replace(state, step=1000, seconds=s)) for s in (0.0, 4.5, 9.0, 10.0)]
+    assert shares == [0, 0.5, 1, 1]
     assert [here.every(2, step) for step in range(12)] == [True] * 4 + [False] * 4 + [True] * 4

@@ -10,10 +10,8 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
 from stylesplat.training.training_views import (
     Views,
-    class_type,
     learned_ids,
     split_views,
-    to_classes,
     training_views,
 )
 
@@ -51,12 +49,8 @@ def views(capture: Capture, memory: float = 1.0) -> Views:
     return training_views(capture, range(8), ids=ids, device=CPU, max_memory=memory)
 
 
-def test_every_nth_photo_is_held_out():
+def test_every_nth_photo_is_held_out_and_whole_photos_are_what_the_capture_holds():
     assert split_views(WHOLE, 3) == ([1, 2, 4, 5, 7], [0, 3, 6])
-    assert split_views(WHOLE, 8) == ([1, 2, 3, 4, 5, 6, 7], [0])
-
-
-def test_whole_photos_are_what_the_capture_holds():
     camera, photo, alpha, classes = views(WHOLE)(3, 1)
     assert camera.names == LARGE[3].names and camera.size == (96, 72)
     assert torch.equal(photo, PHOTOS[3] / 255)
@@ -87,16 +81,6 @@ def test_photos_without_alpha_and_label_map():
     assert views(some)(1, 2).classes is not None
 
 
-def test_without_ids_label_maps_are_not_read():
-    def fail() -> torch.Tensor:
-        raise AssertionError("read")
-
-    capture = object.__new__(Capture)  # as its types would be checked by reading some
-    capture.__dict__.update(vars(WHOLE) | {"label_maps": Lazy([fail] * 8)})
-    load = training_views(capture, range(8), ids=(), device=CPU, max_memory=1.0)
-    assert load(0, 1).classes is None
-
-
 def test_what_fits_is_decoded_once_in_all_sizes():
     reads = Reads(items=11)
     load = reads.views()
@@ -125,6 +109,19 @@ def test_memory_changes_no_result(items: int):
                 assert mine is not None and theirs is not None and torch.equal(mine, theirs)
 
 
+@pytest.mark.parametrize(
+    ("count", "dtype"),
+    [(1, torch.uint8), (256, torch.uint8), (257, torch.int16), (40_000, torch.int32)],
+)
+def test_classes_are_places_in_the_ids_in_the_smallest_type(count: int, dtype: torch.dtype):
+    ids = tuple(range(0, 2 * count, 2))
+    labels = torch.tensor(ids)[torch.randint(count, (8, 72, 96), generator=NOISE)]
+    capture = replace(WHOLE, label_maps=[*labels])
+    classes = training_views(capture, range(8), ids=ids, device=CPU)(3, 1).classes
+    assert classes is not None and classes.dtype == dtype
+    assert torch.equal(2 * classes.long(), labels[3])
+
+
 def labelled(capture: Capture, *maps: list[int] | None) -> Capture:
     """One row of labels per photo, photos without repeated."""
     filled = [*maps, *[None] * (len(capture) - len(maps))]
@@ -141,21 +138,3 @@ def test_ids_of_trained_photos_background_first(capture: Capture, said: list[str
     assert learned_ids(maps, [1, 3]) == (0, 2, 3, 5)
     (line,) = said
     assert "object 1, 4 (vase)" in line and "0.png, 2.png" in line and "--test-every" in line
-
-
-def test_classes_are_places_in_the_ids():
-    ids = (0, 3, 7, 300, 70_000)
-    labels = torch.tensor([[70_000, 0, 3], [7, 300, 3]])
-    classes = to_classes(labels, ids)
-    assert torch.equal(torch.tensor(ids)[classes.long()], labels)
-
-
-@pytest.mark.parametrize(
-    ("count", "dtype"),
-    [(1, torch.uint8), (256, torch.uint8), (257, torch.int16), (40_000, torch.int32)],
-)
-def test_the_smallest_type_holds_all_classes(count: int, dtype: torch.dtype):
-    assert class_type(count) == dtype
-    ids = tuple(range(0, 2 * count, 2))
-    classes = to_classes(torch.tensor([[0, ids[-1]]]), ids)
-    assert classes.dtype == dtype and classes.tolist() == [[0, count - 1]]

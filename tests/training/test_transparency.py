@@ -1,10 +1,8 @@
 """Cut-out photos train like photos before black, and nothing grows where they are transparent."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-import torch
 
 from balls import CAMERAS, enlarged
 from capture_files import write_cut_outs
@@ -13,7 +11,6 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.training.loop import fit
-from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
 from stylesplat.verbs.load import load
@@ -53,20 +50,3 @@ def test_nothing_is_where_photos_are_transparent(cut_outs: Capture, splats: Spla
         _, coverage, _ = rasterize(splats, cut_outs.cameras[row])
         assert coverage[0, ..., 0][alpha == 0].mean() < 0.05
         assert coverage[0, ..., 0][alpha > 250].mean() > 0.9
-
-
-def test_training_on_cut_outs_continues_and_repeats(cut_outs: Capture, tmp_path: Path):
-    config = replace(CONFIG, steps=30)
-    path = tmp_path / "checkpoint.pt"
-
-    def killed(state: State, loss: float, psnr: float) -> None:
-        if state.step == 20:
-            raise RuntimeError("killed")
-
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(RuntimeError):
-        patch.setattr("stylesplat.training.checkpoint.CHECKPOINT_SECONDS", 0.0)
-        fit(cut_outs, config, checkpoint=path, on_progress=killed)
-    assert path.exists()
-    continued, straight = fit(cut_outs, config, checkpoint=path), fit(cut_outs, config)
-    for name, tensor in straight.params.items():
-        assert torch.equal(tensor, continued.params[name]), name

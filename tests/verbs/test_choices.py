@@ -59,7 +59,6 @@ def test_lifting_refuses_settings_of_identities(preset: str):
     other = not PRESETS[preset].identity_geometry
     settings: dict[str, Any] = {
         "object_growth": 7.0,
-        "object_pixels": 2.5,
         "identity_every": 3,
         "identity_stride": 2,
         "classifier_rate": 1e-3,

@@ -13,10 +13,9 @@ from torch import Tensor
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import render
-from stylesplat.rendering.sh import rgb_from_sh0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.framing import centred_K
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
 if TYPE_CHECKING:
     import viser

@@ -17,8 +17,7 @@ from stylesplat.io.splats.packing import LARGEST, morton_order, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.gaussians import MIN_ALPHA
-from stylesplat.rendering.sh import rgb_from_sh0
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 
 ENTRIES = 256  # as many as a byte can name; the first is all zeros
 SAMPLE = 20_000  # rows that a palette is made from

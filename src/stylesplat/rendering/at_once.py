@@ -66,12 +66,7 @@ def at_once(
 ) -> Generator[R]:
     """The results of a function for each item, in order; several items at a time on the CPU.
 
-    At most two results per core wait to be read, as they may be large.
-
-    Args:
-        function: Calls CPU kernels, for each item alone.
-        items: Its arguments.
-        device: Where it computes.
+    The function calls CPU kernels. At most two results per core wait to be read: they may be large.
     """
     if len(items) == 0:
         return

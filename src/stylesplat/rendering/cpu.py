@@ -31,8 +31,8 @@ from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.kernels.vec import LANES, Rows
 from stylesplat.rendering.reference import Info
-from stylesplat.rendering.sh import sh_bases
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import sh_bases
 
 CHANNELS = 3, 6, 19  # colours; with some features; with identities: compiled for these alone
 PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 MB a thread
@@ -102,22 +102,21 @@ class _Project(Function):
     def backward(ctx, *v_projected):
         viewmat, *saved = ctx.saved_tensors
         geometry, projected = GeometryRows(*saved[:3]), Projected(*saved[3:])
-        known = (
+        gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
+        moves_view = ctx.needs_input_grad[1]
+        sums = np.zeros((get_num_threads(), 12 if moves_view else 0, LANES))
+        project.project_backward(
             arrays(geometry),
             arrays(ctx.view._replace(viewmat=viewmat)),
             arrays(projected),
             arrays(Projected(*v_projected)),
+            arrays(gradients),
+            sums,
         )
         v_viewmat = None
-        if ctx.needs_input_grad[1]:
-            sums = np.zeros((get_num_threads(), 12, LANES))
-            project.view_backward(*known, sums)
+        if moves_view:
             upper = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
             v_viewmat = torch.nn.functional.pad(upper, (0, 0, 0, 1))  # the last row is fixed
-        if not any(ctx.needs_input_grad[2:]):
-            return None, v_viewmat, None, None, None, None
-        gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
-        project.project_backward(*known, arrays(gradients), get_num_threads())
         return None, v_viewmat, *gradients, None
 
 
@@ -132,7 +131,7 @@ class Tiled(NamedTuple):
     """Ranks and masks by tile; blending strikes from them what other Gaussians hide."""
 
 
-class Drawing(NamedTuple):
+class Raster(NamedTuple):
     """Gaussians blended into one image, with what it takes to visit the same pixels again."""
 
     tiled: Tiled
@@ -142,7 +141,9 @@ class Drawing(NamedTuple):
     """Coverage, [H, W, 1]."""
 
 
-def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]) -> Drawing:
+def rasterize_to_pixels(
+    projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]
+) -> Raster:
     """Blend projected Gaussians, without gradients, into an image of a width and height."""
     (width, height), channels = size, colors.shape[1]
     depths, radii = _as_arrays(projected.depths, projected.radii)
@@ -156,7 +157,7 @@ def draw(projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[in
     alphas = colors.new_empty(height, width, 1)
     picture = as_picture(image, alphas)
     blend.blend(vecs.channels(channels), rows, lists, picture, get_num_threads())
-    return Drawing(Tiled(order, rows, lists), image, alphas)
+    return Raster(Tiled(order, rows, lists), image, alphas)
 
 
 def reaching(tiled: Tiled) -> Bool[np.ndarray, " R"]:
@@ -176,8 +177,8 @@ def as_picture(image: Tensor, alphas: Tensor) -> Picture:
 
 class _Blend(Function):
     @staticmethod
-    def forward(ctx, drawing, geometry_channels, opacities, colors, *projected):
-        ctx.tiled, image, alphas = drawing
+    def forward(ctx, raster, geometry_channels, opacities, colors, *projected):
+        ctx.tiled, image, alphas = raster
         ctx.geometry_channels, ctx.count = geometry_channels, len(opacities)
         ctx.save_for_backward(image, alphas)
         return image, alphas
@@ -211,7 +212,7 @@ def spherical_harmonics(
     *,
     clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+    """Colours of Gaussians seen along `dirs`; see `reference.spherical_harmonics`."""
     lowest = sh_colors.ZERO if clamp else sh_colors.UNCLAMPED
     return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 
@@ -242,8 +243,8 @@ def rasterize(
     images, projections, opacities = [], [], gaussians.opacities
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
-        drawing = draw(projected, opacities, view_colors, cameras.size)
-        images.append(_Blend.apply(drawing, geometry_channels, opacities, view_colors, *projected))
+        raster = rasterize_to_pixels(projected, opacities, view_colors, cameras.size)
+        images.append(_Blend.apply(raster, geometry_channels, opacities, view_colors, *projected))
         projections.append(projected)
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))

@@ -22,7 +22,7 @@ def spherical_harmonics(
     *,
     clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`; see `sh.sh_colors`."""
+    """Colours of Gaussians seen along `dirs`; see `reference.spherical_harmonics`."""
     sh = torch.cat([sh0, shN], dim=1)
     colors = gsplat.spherical_harmonics(degree, dirs, sh) + 0.5
     return colors.clamp(min=0) if clamp else colors

@@ -20,12 +20,11 @@ from torch.autograd.function import once_differentiable
 from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import with_matrices_of
 from stylesplat.rendering.kernels import linear_blocks, vec
-from stylesplat.rendering.kernels.linear_blocks import Kept
+from stylesplat.rendering.kernels.linear_blocks import BlockWeights
 from stylesplat.rendering.render import colors_of
-from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 
 GREY = 0.5  # the colour of zero coefficients
 
@@ -42,16 +41,21 @@ class Contributions:
     """The opaque share of the picked Gaussians in each pixel: the row sums of the weights."""
     origin: Float[Tensor, "1 3"]
     """The camera's position: colours depend on the direction."""
-    kept: Kept
+    blocks: BlockWeights
     """The weights."""
     bands: Float[Tensor, "M 3"] | None = None
     """What the higher bands add to the colours from there, if they are fixed."""
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        return self.background.shape[1], self.background.shape[0]
+
+    @property
     def nbytes(self) -> int:
         """Memory that the weights and images take."""
         images = self.background.nbytes + self.coverage.nbytes
-        return images + self.gaussians.nbytes + sum(array.nbytes for array in self.kept)
+        return images + self.gaussians.nbytes + sum(array.nbytes for array in self.blocks)
 
     def image(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
         """The image when the Gaussians have these colours, which gradients reach."""
@@ -60,17 +64,15 @@ class Contributions:
     def render(self, splats: Splats, *, clamp: bool = True) -> Float[Tensor, "H W 3"]:
         """The image with the colours of these splats, which gradients reach.
 
-        Args:
-            splats: They differ at most in the colours of the picked Gaussians.
-            clamp: Whether colours of these below 0 become 0, as everywhere else.
+        The splats differ from the scene at most in the colours of the picked Gaussians.
         """
-        shown = self.gaussians
+        visible = self.gaussians
         if self.bands is not None:
-            sh0 = splats.sh0[:, 0].index_select(0, shown)  # its gradient is quicker than that of []
+            sh0 = splats.sh0[:, 0].index_select(0, visible)  # quicker than []
             colors = sh0 * SH_C0 + self.bands
             return _Compose.apply(colors.relu() if clamp else colors, self)
-        dirs = splats.means[shown] - self.origin
-        sh = splats.sh0[shown], splats.shN[shown]
+        dirs = splats.means[visible] - self.origin
+        sh = splats.sh0[visible], splats.shN[visible]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=clamp))
 
     def with_fixed_bands(
@@ -78,13 +80,11 @@ class Contributions:
     ) -> "Contributions":
         """The same for splats that differ from these at most in `sh0`, which is quicker.
 
-        Args:
-            splats: The splats.
-            varied: Gaussians whose higher bands are not all 0; None if unknown.
+        `varied` are Gaussians whose higher bands are not all 0; None if that is unknown.
         """
-        shown, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
-        places = torch.arange(len(shown)) if varied is None else varied[shown].nonzero()[:, 0]
-        rows = shown[places]
+        visible, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
+        places = torch.arange(len(visible)) if varied is None else varied[visible].nonzero()[:, 0]
+        rows = visible[places]
         dirs = splats.means[rows] - self.origin
         sh = torch.zeros_like(splats.sh0[rows]), splats.shN[rows]
         colors = cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=False)
@@ -120,7 +120,7 @@ def contributions(
     colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
     origin = with_matrices_of(splats, camera).positions
     colors[others, :3] = colors_of(splats, near.rows[others], origin)
-    tiled, image, _ = cpu.draw(near.projected, near.opacities, colors, camera.size)
+    tiled, image, _ = cpu.rasterize_to_pixels(near.projected, near.opacities, colors, camera.size)
     drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
     background, coverage = image.split((3, 1), dim=2)
@@ -129,30 +129,25 @@ def contributions(
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
-        kept=_keep(tiled, numbers, camera.size),
+        blocks=_block_weights(tiled, numbers, camera.size),
     )
 
 
-def _keep(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> Kept:
+def _block_weights(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> BlockWeights:
     starts, firsts = np.zeros((2, len(tiled.lists.starts)), np.int64)
     linear_blocks.count_pairs(tiled.lists, numbers, starts, firsts)
     gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
     weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
-    kept = Kept(starts, firsts[:-1].copy(), gaussians, masks, weights)
+    blocks = BlockWeights(starts, firsts[:-1].copy(), gaussians, masks, weights)
     threads = get_num_threads()
-    linear_blocks.keep_weights(tiled.rows, tiled.lists, numbers, size, kept, threads)
-    return kept
-
-
-def _size(view: Contributions) -> tuple[int, int]:
-    height, width, _ = view.background.shape
-    return width, height
+    linear_blocks.store_weights(tiled.rows, tiled.lists, numbers, size, blocks, threads)
+    return blocks
 
 
 def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
     partial = cpu.partial_sums(len(view.gaussians), vec.LANES)
     flat = v_image.contiguous().view(-1).numpy()
-    linear_blocks.compose_backward(view.kept, flat, _size(view), partial.flatten(1).numpy())
+    linear_blocks.compose_backward(view.blocks, flat, view.size, partial.flatten(1).numpy())
     return partial.sum(dim=0)[:, :3]
 
 
@@ -162,11 +157,11 @@ class _Compose(Function):
         image = torch.empty_like(view.background)
         rows = torch.nn.functional.pad(colors.detach(), (0, 1)).view(-1)
         linear_blocks.render_linear(
-            view.kept,
+            view.blocks,
             rows.numpy(),
             view.background.view(-1).numpy(),
             image.view(-1).numpy(),
-            _size(view),
+            view.size,
             get_num_threads(),
         )
         ctx.view = view

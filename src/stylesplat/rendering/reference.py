@@ -22,14 +22,35 @@ from stylesplat.rendering.gaussians import (
     View,
     views_of,
 )
-from stylesplat.rendering.sh import sh_colors
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import sh_basis
 
 PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
 
 Info = dict[str, Tensor]
 
-spherical_harmonics = sh_colors
+
+def spherical_harmonics(
+    degree: int,
+    dirs: Float[Tensor, "N 3"],
+    sh0: Float[Tensor, "N 1 3"],
+    shN: Float[Tensor, "N _ 3"],
+    *,
+    clamp: bool = True,
+) -> Float[Tensor, "N 3"]:
+    """Colours of Gaussians visible along `dirs`.
+
+    Args:
+        degree: How many bands to use; `shN` may hold more.
+        dirs: From the camera to the Gaussians, any norm.
+        sh0: Constant band.
+        shN: Higher bands.
+        clamp: Whether colours below 0 become 0, as gsplat has it.
+    """
+    basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
+    sh = torch.cat([sh0, shN], dim=1)[:, : basis.shape[1]]
+    colors = torch.einsum("nk,nkc->nc", basis, sh)
+    return (colors + 0.5).clamp(min=0) if clamp else colors + 0.5
 
 
 def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
@@ -86,8 +107,8 @@ def project(gaussians: Gaussians, view: View) -> Projected:
     low, high = means2d - radii, means2d + radii
     size = means2d.new_tensor([width, height])
     on_screen = ((high > 0) & (low < size)).all(dim=-1)
-    seen = in_range & on_screen & (opacities >= MIN_ALPHA)
-    radii = torch.where(seen[:, None], radii, 0).to(torch.int32)
+    visible = in_range & on_screen & (opacities >= MIN_ALPHA)
+    radii = torch.where(visible[:, None], radii, 0).to(torch.int32)
     return Projected(means2d, conics, depths, radii)
 
 
@@ -108,8 +129,8 @@ def blend(
 ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
     """Composite one camera's projected Gaussians front to back; see `rasterize`."""
     width, height = size
-    seen = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
-    order = seen[torch.argsort(projected.depths[seen], stable=True)]
+    visible = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
+    order = visible[torch.argsort(projected.depths[visible], stable=True)]
     means2d, conics = projected.means2d[order], projected.conics[order]
     ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d) + 0.5  # [P, 2]

@@ -167,8 +167,10 @@ def render(
     colors = colors_of(
         splats, near.rows, with_matrices_of(splats, camera).positions, sh_degree, features
     )
-    drawing = cpu.draw(near.projected, near.opacities, cpu.padded(colors), camera.size)
-    image, alphas = drawing.image[..., : colors.shape[1]], drawing.alphas
+    raster = cpu.rasterize_to_pixels(
+        near.projected, near.opacities, cpu.padded(colors), camera.size
+    )
+    image, alphas = raster.image[..., : colors.shape[1]], raster.alphas
     return over_background(image, alphas, background), alphas
 
 

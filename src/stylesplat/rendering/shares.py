@@ -41,13 +41,8 @@ def contributed(
 ) -> Float[Tensor, "N L"]:
     """The contribution of each Gaussian to some sets of pixels of a view.
 
-    A render is linear in what Gaussians carry, so this is the gradient of its sums. With as many
-    sets each time, as many as identities have numbers, no kernel is compiled anew.
-
-    Args:
-        splats: The scene.
-        camera: One camera.
-        wanted: How much each pixel counts in each set.
+    `wanted` is how much each pixel counts in each set. A render is linear in what Gaussians carry,
+    so this is the gradient of its sums. With `AT_ONCE` sets no kernel is compiled anew.
     """
     carried = splats.means.new_zeros(len(splats), wanted.shape[-1]).requires_grad_()
     with torch.enable_grad():
@@ -74,7 +69,7 @@ def label_votes(
         label_maps: Rows of cameras, and the labels of their pixels.
 
     Returns:
-        The ids that occur, background first, and the votes: [N, K] in float32.
+        The ids that occur, background first, and the votes [N, K].
     """
     columns, total = {BACKGROUND: 0}, csr_array((len(splats), 1), dtype=np.float32)
     for row, labels in label_maps:
@@ -160,13 +155,7 @@ def render_shares(
 def largest_shown(
     splats: Splats, camera: Cameras, shares: csr_array
 ) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W"]]:
-    """The largest number of `render_shares` in each pixel, and its column.
-
-    Args:
-        splats: The scene.
-        camera: One camera.
-        shares: [N, K], most of them 0.
-    """
+    """The largest number of `render_shares` in each pixel, and its column; for shares [N, K]."""
     width, height = camera.size
     most, column = torch.full((height, width), -torch.inf), torch.zeros(height, width).long()
     by_column = csc_array(shares)
@@ -183,7 +172,7 @@ def coverage(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Flo
     """The opaque share of an object in each pixel of one camera; others may hide it."""
     features = picked.to(splats.means)[:, None]
     pixels = None
-    if len(splats) >= LARGE:  # others need not be looked at where it cannot show
+    if len(splats) >= LARGE:  # skip the others where it cannot be visible
         alone = without_looks(splats)[picked.nonzero()[:, 0]]
         pixels = render(alone, camera, sh_degree=0)[1][..., 0] > 0
     image, _ = render(splats, camera, features=features, sh_degree=0, pixels=pixels)

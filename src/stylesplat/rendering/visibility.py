@@ -51,32 +51,28 @@ class InView(NamedTuple):
 
 @torch.no_grad()
 def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> InView:
-    """The Gaussians that may reach the image of one camera, if there were no others.
+    """The Gaussians that may reach the image of one camera on the CPU, if there were no others.
 
-    Args:
-        splats: The scene, on the CPU.
-        camera: The camera.
-        pixels: Leave out Gaussians that cannot reach one of these; all pixels by default.
+    With `pixels`, without those that cannot reach one of these.
     """
     camera = with_matrices_of(splats, camera)
     starts = range(0, max(1, len(splats)), PART)
-    marked = None if pixels is None else _marked(pixels)
-    parts = [_part_in_view(splats, camera, start, marked) for start in starts]
+    parts = [_part_in_view(splats, camera, start, pixels) for start in starts]
     rows, opacities, *projected = parts.pop() if len(parts) == 1 else _joined(parts)
     return InView(rows, Projected(*projected), opacities)
 
 
 def _part_in_view(
-    splats: Splats, camera: Cameras, start: int, marked: "_Marked | None"
+    splats: Splats, camera: Cameras, start: int, pixels: Bool[Tensor, "H W"] | None
 ) -> tuple[Tensor, ...]:
     from stylesplat.rendering import cpu
 
     gaussians = activated(splats, slice(start, start + PART))
     projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
     rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
-    if marked is not None:
+    if pixels is not None:
         low, high = (corner.index_select(0, rows) for corner in bounds(projected))
-        rows = rows[_touching(low, high, marked)]
+        rows = rows[touching(low, high, pixels)]
     found = (gaussians.opacities, *projected)
     return start + rows, *(each.index_select(0, rows) for each in found)
 
@@ -94,34 +90,14 @@ def touching(
     low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
 ) -> Bool[Tensor, " N"]:
     """Which boxes of pixels, from and to, hold marked ones."""
-    return _touching(low, high, _marked(pixels))
-
-
-class _Marked(NamedTuple):
-    """Marked pixels, for looking up many boxes."""
-
-    sums: Int[Tensor, "_ _"]
-    """How many lie left of and above each corner of a pixel: [H + 1, W + 1]."""
-    first: Int[Tensor, " 2"]
-    """The rectangle that holds them, from; beyond the image if there are none."""
-    last: Int[Tensor, " 2"]
-    """And to."""
-
-
-def _marked(pixels: Bool[Tensor, "H W"]) -> _Marked:
-    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))
-    places = pixels.nonzero().flip(1)  # x, y
-    size = places.new_tensor([*pixels.shape[::-1]])
-    first, last = torch.aminmax(places, dim=0) if len(places) else (size + 1, size)
-    return _Marked(sums, first, last + 1)
-
-
-def _touching(low: Tensor, high: Tensor, marked: _Marked) -> Bool[Tensor, " N"]:
     touched = torch.zeros(len(low), dtype=torch.bool)
-    first, last = marked.first.to(low), marked.last.to(low)
-    rows = overlapping(low, high, first, last)  # few are near a small object
-    sums = marked.sums
-    size = low.new_tensor([side - 1 for side in reversed(sums.shape)])
+    marked = pixels.nonzero().flip(1).to(low)  # x, y
+    if not len(marked):
+        return touched
+    first, last = torch.aminmax(marked, dim=0)
+    rows = overlapping(low, high, first, last + 1)  # few are near a small object
+    sums = pad(pixels.int().cumsum(0).cumsum(1), (1, 0, 1, 0))  # left of and above each corner
+    size = low.new_tensor([*pixels.shape[::-1]])
     corners = (corner[rows].clamp(min=0).minimum(size).long() for corner in (low, high))
     (left, top), (right, bottom) = (corner.unbind(1) for corner in corners)
     counts = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
@@ -134,7 +110,7 @@ def visible(near: InView, camera: Cameras) -> InView:
     from stylesplat.rendering import cpu
 
     colors = near.opacities.new_zeros(len(near.rows), 3)
-    tiled = cpu.draw(near.projected, near.opacities, colors, camera.size).tiled
+    tiled = cpu.rasterize_to_pixels(near.projected, near.opacities, colors, camera.size).tiled
     places = np.sort(tiled.order[cpu.reaching(tiled)])
     return near.some(torch.from_numpy(places.astype(np.int64)))
 

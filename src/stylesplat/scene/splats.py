@@ -170,3 +170,18 @@ def sh_basis(degree: int, dirs: Float[Tensor, "N 3"]) -> Float[Tensor, "N K"]:
             -a * x * (x * x - 3 * y * y),
         ]
     return torch.stack(basis, dim=-1)
+
+
+def sh_bases(degree: int) -> int:
+    """The number of basis functions up to a degree: 1, 4, 9 or 16."""
+    return (degree + 1) ** 2
+
+
+def sh0_from_rgb(rgb: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
+    """The constant band that shows a colour in 0..1 from everywhere."""
+    return (rgb - 0.5) / SH_C0
+
+
+def rgb_from_sh0(sh0: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
+    """The mean colour of a constant band, in 0..1 unless it is out of range."""
+    return 0.5 + SH_C0 * sh0

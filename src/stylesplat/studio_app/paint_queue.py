@@ -13,12 +13,11 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Silence, observed
-from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.studio_app.history import (
     StudioState,
     display_of,

@@ -18,11 +18,10 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
     LENGTH,
     POOLED,

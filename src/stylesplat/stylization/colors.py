@@ -11,8 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA, distinct, lab_from_rgb, nearest_colors, thinned
-from stylesplat.rendering.sh import SH_C0
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted

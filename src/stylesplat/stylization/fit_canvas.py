@@ -17,10 +17,9 @@ from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.gaussians import activated, views_of, with_matrices_of
 from stylesplat.rendering.render import rasterize, render
-from stylesplat.rendering.sh import SH_C0, sh0_from_rgb
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import drawn, evenly
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.canvas import Canvas
 from stylesplat.stylization.views import Box, crop_to_box, typical_length
 from stylesplat.training.adam import Moments, adam_step

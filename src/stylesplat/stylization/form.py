@@ -16,8 +16,7 @@ from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.sh import SH_C0
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import HIDDEN, STRIDE, blur, smooth
 from stylesplat.stylization.views import ObjectView, with_fixed_bands
 

@@ -8,10 +8,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.rendering.sh import sh0_from_rgb
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.sampling import drawn, evenly
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.stylization.colors import (
     DARKEST,
     Palette,

@@ -15,12 +15,11 @@ from stylesplat.progress import say, track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.sh import SH_C0
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.config import Stage
 from stylesplat.stylization.features.network import Cells
 from stylesplat.stylization.target import PaintContext, PaintTarget

@@ -6,7 +6,7 @@ Rows whose Gaussian is invisible in a step keep their value and moments, as in g
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -29,11 +29,9 @@ class Moments:
 
     @classmethod
     def zeros(cls, params: dict[str, Tensor]) -> "Moments":
-        """The state before the first step."""
         return cls(*({k: torch.zeros_like(v) for k, v in params.items()} for _ in range(2)))
 
     def clone(self) -> "Moments":
-        """A copy that shares no tensors."""
         first, second = ({k: v.clone() for k, v in t.items()} for t in (self.first, self.second))
         return Moments(first, second)
 
@@ -76,16 +74,11 @@ def adam_step(
 
 @torch.no_grad()
 def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int = 1) -> None:
-    """Take several steps, one after the other, in one pass through memory.
+    """Take several steps, one after the other, in one pass through memory, in place.
 
-    A step for several photos at once, by the mean of their gradients, takes the rate times the
-    square root of their number, and moments that fade as in as many steps (Zhao et al. 2024, "On
-    Scaling Up 3D Gaussian Splatting Training").
-
-    Args:
-        moments: State of the tensors, updated in place.
-        updates: The steps.
-        photos: The gradients of each are the mean over so many photos.
+    If the gradients are means over several photos, the rate is multiplied by the square root of
+    their number, and moments fade as in as many steps (Zhao et al. 2024, "On Scaling Up 3D Gaussian
+    Splatting Training").
     """
     kept = BETA1**photos, BETA2**photos
     for name, stepped in updates[0].params.items():
@@ -104,14 +97,12 @@ def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int =
 
 
 class AdamTurn(NamedTuple):
-    """What differs between one step of a tensor and the next."""
+    """One step of one tensor. The moments are divided by the corrections: they started at 0."""
 
     grad: Tensor
     visible: Bool[Tensor, " N"]
-    """The rows to step; others stay as they are."""
     rate: float
     corrections: tuple[float, float]
-    """Both moments are divided by these, because they started at 0."""
 
 
 def adam_cuda(
@@ -171,7 +162,6 @@ def _rows(tensor: Tensor) -> np.ndarray:
     return tensor.contiguous().view(len(tensor), -1).numpy()
 
 
-@no_type_check
 @kernel
 def _adam(arrays, kept, grads, chosen, factors):
     param, first, second = arrays

@@ -27,22 +27,19 @@ CHECKPOINT_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The file of a run, and what it has to contain for the run to continue."""
+    """The file of a run, and what it has to contain for the run to continue.
+
+    `capture` is the fingerprint of the capture; `photos` is how many are trained on.
+    """
 
     path: Path
     config: TrainConfig
     capture: str
-    """Fingerprint of the capture."""
     photos: int = 0
-    """How many photos are trained on."""
 
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
-    """Write everything that `load_checkpoint` needs; whole or not at all.
-
-    Raises:
-        StyleSplatError: If the disk is full or the place cannot be written to.
-    """
+    """Write everything that `load_checkpoint` needs; whole or not at all."""
     content = {
         "params": {name: t.detach() for name, t in state.params.items()},
         "first": state.moments.first,
@@ -54,7 +51,14 @@ def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
         "capture": checkpoint.capture,
     }
     with atomic_path(checkpoint.path) as temporary:
-        _write(content, temporary)
+        try:
+            with temporary.open("wb") as file:
+                torch.save(content, file)
+        except RuntimeError as error:  # of its zip writer, after whatever stopped it
+            cause: BaseException | None = error
+            while cause is not None and not isinstance(cause, OSError):
+                cause = cause.__context__
+            raise cause or OSError(reason(error)) from error
 
 
 def require_checkpoint(path: Path | None) -> None:
@@ -67,13 +71,10 @@ def require_checkpoint(path: Path | None) -> None:
 
 
 def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: bool = False) -> State:
-    """The state that `save_checkpoint` wrote; the file stays as it is.
+    """The state that `save_checkpoint` wrote.
 
-    Args:
-        checkpoint: What it has to contain. The length of the run may differ if the steps taken
-            suffice for the length wanted.
-        device: Where to load it.
-        finish: Whether the steps taken suffice in any case.
+    The length of the run may differ from that in `checkpoint.config` if the steps taken suffice for
+    it; with `finish` they always do.
 
     Raises:
         StyleSplatError: If the file is damaged, or its run had other settings or another capture.
@@ -91,18 +92,6 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: boo
     if state is None:
         raise StyleSplatError(f"Cannot continue from {path}: it is of {changed}. {REMEDY}")
     return state
-
-
-def _write(content: dict[str, Any], path: Path) -> None:
-    """`torch.save`, which raises OSErrors only if it cannot write."""
-    try:
-        with path.open("wb") as file:
-            torch.save(content, file)
-    except RuntimeError as error:  # of its zip writer, after whatever stopped it
-        cause: BaseException | None = error
-        while cause is not None and not isinstance(cause, OSError):
-            cause = cause.__context__
-        raise cause or OSError(reason(error)) from error
 
 
 def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool) -> str:
@@ -144,28 +133,26 @@ class Checkpointer:
         self._checkpoint = checkpoint
         self._saved_step = state.step  # of the file, if there is one
         self._written = time.monotonic()
-        self._fails = False
+        self._has_failed = False
 
     def after_step(self, state: State) -> None:
-        """Write a checkpoint if it is time; say when writing fails, and when it works again."""
-        if time.monotonic() - self._written <= CHECKPOINT_SECONDS:
-            return
-        error = self._save(state)
-        if error is not None and not self._fails:
-            say(f"{error} Training goes on without a checkpoint.")
-        elif error is None and self._fails:
-            say("Checkpoints can be written again.")
-        self._fails = error is not None
+        """Write a checkpoint if it is time; say so the first time that it cannot be written."""
+        if time.monotonic() - self._written > CHECKPOINT_SECONDS:
+            error = self._save(state)
+            if error is not None and not self._has_failed:
+                self._has_failed = True
+                say(f"{error} Training goes on without a checkpoint.")
 
     def at_end(self, state: State, *, interrupted: bool) -> None:
         """Write the last checkpoint; say so if an interrupted run cannot be saved."""
         error = self._save(state)
-        if self._checkpoint is None or error is None or (self._fails and not interrupted):
+        if error is None or (self._has_failed and not interrupted):
             return
-        there = "There is no checkpoint"
-        if self._checkpoint.path.exists():
-            there = f"The last checkpoint is of step {self._saved_step:,}"
-        say(f"{error} {there}, and the run was at step {state.step:,}.")
+        if self._checkpoint is not None:
+            there = "There is no checkpoint"
+            if self._checkpoint.path.exists():
+                there = f"The last checkpoint is of step {self._saved_step:,}"
+            say(f"{error} {there}, and the run was at step {state.step:,}.")
 
     def _save(self, state: State) -> StyleSplatError | None:
         try:

@@ -6,7 +6,6 @@ copies look as it did; noise in proportion to transparency lets Gaussians explor
 
 from functools import cache
 from math import comb, exp
-from typing import no_type_check
 
 import numba
 import torch
@@ -14,7 +13,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import kernel
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments
 
@@ -26,7 +24,6 @@ NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
 OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
-CERTAIN = 0.95  # probability of an object; a hole in the background would show
 
 Params = dict[str, Tensor]
 
@@ -46,16 +43,10 @@ def perturb_means(
     *,
     photos: int = 1,
 ) -> None:
-    """Move the means at random, along their own covariance, the fainter the more.
+    """Add noise to the means, in place, along each Gaussian's covariance, more to fainter ones.
 
-    Covariances are squares of lengths: over the extent, the same scene in other units moves alike.
-
-    Args:
-        params: Trained tensors; the means change in place.
-        extent: Unit of length of the scene.
-        decay: Factor that becomes smaller as training goes on.
-        noise: Standard normal.
-        photos: Photos of the step; the variances of their noises add up.
+    `noise` is standard normal; `decay` falls in the course of training; the variances of the
+    photos' noises add up. Covariances are squares of lengths, hence the division by the extent.
     """
     rate = NOISE_RATE * decay * photos**0.5 / extent
     add_noise = add_noise_cuda if noise.is_cuda else add_noise_cpu
@@ -81,7 +72,6 @@ def add_noise_cpu(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> N
     _add_noise(tuple(t.numpy() for t in (*(params[name] for name in names), noise)), rate)
 
 
-@no_type_check
 @kernel
 def _add_noise(arrays, rate):
     means, quats, scales, opacities, noise = arrays
@@ -112,18 +102,10 @@ def relocate_and_grow(
     *,
     preference: Float[Tensor, " N"] | None = None,
 ) -> tuple[Params, Moments]:
-    """Move the dead Gaussians and add others, up to `count` in all.
+    """Move the dead Gaussians to living ones, and add copies until there are `count` Gaussians.
 
-    Args:
-        params: Trained tensors.
-        moments: Their optimiser state.
-        names: Which of them have one row per Gaussian.
-        count: Gaussians wanted; fewer than there are moves the dead ones only.
-        generator: Source of randomness, on their device.
-        preference: Factors on the opacities, which are the chances of being copied.
-
-    Returns:
-        The new tensors and state; rows that were moved or copied start from zero moments.
+    `names` are the tensors with one row per Gaussian. The chance of being copied is the opacity
+    times the preference. Rows that were moved or copied start from zero moments.
     """
     opacities = torch.sigmoid(params["opacities"])
     alive = (opacities > DEAD_OPACITY).nonzero()[:, 0]
@@ -190,34 +172,13 @@ def _spread_terms() -> Float[Tensor, "n k"]:
 
 
 @torch.no_grad()
-def object_share(splats: Splats) -> Float[Tensor, " N"] | None:
-    """Probability of each Gaussian to belong to any object; None without identities."""
+def growth_preference(splats: Splats, object_growth: float) -> Float[Tensor, " N"] | None:
+    """Factors on the chances of being copied: `object_growth` for objects, 1 for the background.
+
+    None without identities.
+    """
     if splats.identities is None or splats.classifier is None:
         return None
     scores = splats.classifier.some_at_a_time(splats.identities)
-    return torch.cat([1 - some.softmax(dim=-1)[:, 0] for _, some in scores])
-
-
-@torch.no_grad()
-def growth_preference(splats: Splats, object_growth: float) -> Float[Tensor, " N"] | None:
-    """Factors on the chances of being copied: `object_growth` for objects, else 1."""
-    share = object_share(splats)
-    return None if share is None else 1 + (object_growth - 1) * share
-
-
-@torch.no_grad()
-def limit_sizes(splats: Splats, cameras: Cameras, pixels: float) -> None:
-    """Shrink an object's Gaussians that are too large for detailed painting, in place.
-
-    Args:
-        splats: Gaussians, of which `scales` change.
-        cameras: Those of the photos, at the size trained at.
-        pixels: Largest standard deviation, seen from the cameras' median distance.
-    """
-    share = object_share(splats)
-    if share is None or not (inside := share > CERTAIN).any():
-        return
-    middle = splats.means[inside].median(dim=0).values
-    distance = (cameras.positions.to(middle) - middle).norm(dim=-1).median()
-    limit = pixels * distance / cameras.Ks[:, 0, 0].median().to(middle)
-    splats.scales[inside] = splats.scales[inside].clamp(max=float(limit.log()))
+    background = torch.cat([some.softmax(dim=-1)[:, 0] for _, some in scores])
+    return 1 + (object_growth - 1) * (1 - background)

@@ -10,11 +10,10 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import shown
-from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
+from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
 
 OPACITY = 0.1  # of every first Gaussian (official)
 NEIGHBORS = 3  # their mean distance is the first radius (official)
@@ -32,13 +31,8 @@ def first_splats(
 ) -> Splats:
     """One small round Gaussian per point of the capture, or per random point if it has none.
 
-    Args:
-        capture: With points, or cameras that look at the same things.
-        sh_degree: Bands of colour, all 0 beyond the first.
-        max_gaussians: Of more points some are taken at random.
-        generator: Source of randomness.
-        ids: Label ids, background first, for which the Gaussians get random identities and an
-            untrained classifier; without any they get none.
+    Of more than `max_gaussians` points some are taken at random. With label ids, background first,
+    the Gaussians get random identities and an untrained classifier.
 
     Raises:
         StyleSplatError: If there are no points and no space that several cameras see.
@@ -56,7 +50,16 @@ def first_splats(
         sh0=sh0_from_rgb(colors.float() / 255)[:, None],
         shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
     )
-    return _with_identities(splats, ids, generator) if ids else splats
+    if not ids:
+        return splats
+    bound = IDENTITY_SIZE**-0.5  # torch.nn.Linear's
+    classifier = Classifier(
+        weight=bound * (2 * torch.rand(len(ids), IDENTITY_SIZE, generator=generator) - 1),
+        bias=torch.zeros(len(ids)),
+        ids=ids,
+    )
+    identities = torch.randn(n, IDENTITY_SIZE, generator=generator)
+    return replace(splats, identities=identities, classifier=classifier)
 
 
 def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
@@ -77,11 +80,12 @@ def scene_extent(cameras: Cameras) -> float:
 
 
 def _points(capture: Capture, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    colors = None
     if capture.points is not None and len(capture.points) > NEIGHBORS:
-        grey = torch.full((len(capture.points), 3), 128, dtype=torch.uint8)
-        return capture.points.float(), grey if (c := capture.point_colors) is None else c
-    points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
-    return points, torch.full((len(points), 3), 128, dtype=torch.uint8)
+        points, colors = capture.points.float(), capture.point_colors
+    else:
+        points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
+    return points, torch.full_like(points, 128, dtype=torch.uint8) if colors is None else colors
 
 
 def commonly_visible_points(
@@ -99,21 +103,10 @@ def commonly_visible_points(
     views = torch.zeros(len(points))
     for camera in cameras:
         views += shown(points, camera)
-    seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
-    if len(seen) < 100:
+    common = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
+    if len(common) < 100:
         raise StyleSplatError(
             "Cannot start training: the capture has no sparse points, and its cameras look at no "
             "common space. Check the poses, or add points (`ply_file_path` in transforms.json)."
         )
-    return seen[:count]
-
-
-def _with_identities(splats: Splats, ids: tuple[int, ...], generator: torch.Generator) -> Splats:
-    bound = IDENTITY_SIZE**-0.5  # torch.nn.Linear's
-    classifier = Classifier(
-        weight=bound * (2 * torch.rand(len(ids), IDENTITY_SIZE, generator=generator) - 1),
-        bias=torch.zeros(len(ids)),
-        ids=ids,
-    )
-    identities = torch.randn(len(splats), IDENTITY_SIZE, generator=generator)
-    return replace(splats, identities=identities, classifier=classifier)
+    return common[:count]

@@ -54,22 +54,19 @@ def lift(
             "cameras share a world frame."
         )
     codes, classifier = _decoder(ids)
-    seen = votes.sum(axis=1)
-    confidence = votes.max(axis=1).toarray() / np.maximum(seen, PRIOR)
+    weight = votes.sum(axis=1)
+    confidence = votes.max(axis=1).toarray() / np.maximum(weight, PRIOR)
     coded = votes @ codes.numpy() + PRIOR * codes[ids.index(BACKGROUND)].numpy()
-    identities = coded / (seen + PRIOR)[:, None]
-    return _labelled(splats, classifier, *map(torch.from_numpy, (identities, confidence)))
+    identities = coded / (weight + PRIOR)[:, None]
+    return _with_identities(splats, classifier, *map(torch.from_numpy, (identities, confidence)))
 
 
 @torch.no_grad()
 def with_labels_of(splats: Splats, newer: Splats, renamed: Mapping[int, int]) -> Splats:
-    """The labels that splats have, and on top of them those that were lifted onto them anew.
+    """The labels of splats, and over them the labels of the same Gaussians in `newer`.
 
-    Args:
-        splats: With identities.
-        newer: The same Gaussians, with other identities.
-        renamed: By id of the newer labels, background aside, what they are to have. Those that are
-            ids of the earlier labels replace these.
+    `renamed` gives the new id of each newer label but the background. An earlier label of the same
+    id is replaced.
     """
     assert splats.classifier is not None and newer.classifier is not None
     assert splats.identities is not None and newer.identities is not None
@@ -90,25 +87,24 @@ def with_labels_of(splats: Splats, newer: Splats, renamed: Mapping[int, int]) ->
     confidence = newer.confidence
     if confidence is not None and splats.confidence is not None:
         confidence = torch.where(left > 0.5, splats.confidence, confidence)
-    return _labelled(splats, classifier, identities, confidence)
+    return _with_identities(splats, classifier, identities, confidence)
 
 
-def _labelled(
+def _with_identities(
     splats: Splats,
     classifier: Classifier,
     identities: Float[Tensor, "N 16"],
     confidence: Float[Tensor, " N"] | None,
 ) -> Splats:
-    """Splats with identities, beside their tensors."""
     found = replace(splats, identities=identities, classifier=classifier, confidence=confidence)
     return found.to(splats.device)
 
 
 def _decoder(ids: tuple[int, ...]) -> tuple[Float[Tensor, "K 16"], Classifier]:
-    """The codes of classes, and what tells from an identity how much of each there is in it.
+    """The codes of classes, and the classifier that decodes identities made of them.
 
-    The closer the codes, the sharper: beside a thousand others a Gaussian of one label alone would
-    be as likely any of them.
+    Its logits are larger where codes are close to each other, so that a Gaussian of one label alone
+    is likely that label, however many there are.
     """
     codes = class_codes(len(ids))
     closest = float((codes @ codes.T).fill_diagonal_(-1).max())
@@ -118,14 +114,7 @@ def _decoder(ids: tuple[int, ...]) -> tuple[Float[Tensor, "K 16"], Classifier]:
 
 @torch.no_grad()
 def labelled(splats: Splats, labels: Int[Tensor, " N"]) -> Splats:
-    """Give every Gaussian a label that is known, as if it had been lifted.
-
-    Args:
-        splats: The scene.
-        labels: Their label ids; 0 is what belongs to no object.
-
-    Returns:
-        The splats with identities and a classifier, and without `confidence`.
+    """Give every Gaussian a known label id, 0 for the background, as if it had been lifted.
 
     Raises:
         StyleSplatError: If there are more or fewer labels than Gaussians, none but 0, negative
@@ -142,7 +131,7 @@ def labelled(splats: Splats, labels: Int[Tensor, " N"]) -> Splats:
             f"Label 1 to {MANY - 1:,} objects with 1 to {MAX_ID}, and all else with 0."
         )
     codes, classifier = _decoder(tuple(ids.tolist()))
-    return _labelled(splats, classifier, codes[classes[1:]], None)
+    return _with_identities(splats, classifier, codes[classes[1:]], None)
 
 
 def class_codes(count: int) -> Float[Tensor, "K 16"]:

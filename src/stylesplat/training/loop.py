@@ -4,7 +4,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from stylesplat.training.checkpoint import (
     require_checkpoint,
 )
 from stylesplat.training.initialize import first_splats, scene_extent
-from stylesplat.training.per_photo import first_of_photos
+from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
@@ -103,7 +103,12 @@ def fit(
     try:
         warm_up_training(run, state)
         checkpointer = Checkpointer(saved if run.ranks.number == 0 else None, state)
-        with _progress_bar(config, state) as bar, deferred_interrupt() as interrupted:
+        bar = (
+            task("training", config.steps, unit="step", done=state.step)
+            if config.max_seconds is None
+            else task("training", config.max_seconds, unit="s", done=state.seconds)
+        )
+        with bar as bar, deferred_interrupt() as interrupted:
             meter = ProgressMeter(config, state, bar, on_progress)
             state, stopped = _agree(run, state, interrupted=interrupted())
             while run.progress(state) < 1 and not stopped:
@@ -112,11 +117,11 @@ def fit(
                 means = meter.add(scores, after.step)
                 state = replace(after, seconds=state.seconds + time.perf_counter() - start)
                 if means is not None:
-                    meter.report(state, *means)
+                    meter.report(state, means)
                 checkpointer.after_step(state)
                 state, stopped = _agree(run, state, interrupted=interrupted())
-            if meter.sums is not None:
-                meter.report(state, *meter.means())
+            if meter.scores:
+                meter.report(state, meter.means())
             checkpointer.at_end(state, interrupted=stopped)
         if stopped:  # and the program's own handler has let it pass
             raise KeyboardInterrupt
@@ -132,7 +137,6 @@ def _begin(
     device: torch.device,
     continued: State | None,
 ) -> tuple[Run, State]:
-    """What stays the same in the course of a run, and the state that it starts or continues at."""
     state = continued or first_state(
         first_splats(
             capture,
@@ -143,7 +147,7 @@ def _begin(
         ).to(device)
     )
     ranks = Ranks.here()
-    most = most_at_once(ranks)
+    most = max(1, MOST_AT_ONCE // ranks.count)
     pool = RenderPool(config.photos_at_once or most, device)
     # Processes on the CPU send their gradients once a round, so each has as many photos in it
     same = ranks.count > 1 and device.type == "cpu"
@@ -161,13 +165,8 @@ def _begin(
         pool=pool,
     )
     if continued is None:
-        state = state.with_photos(first_of_photos(run, capture.points))
+        state = state.with_photos(initial_photo_params(run, capture.points))
     return run, state
-
-
-def most_at_once(ranks: Ranks) -> int:
-    """Photos of a round of one process at most, unless the settings say otherwise."""
-    return max(1, MOST_AT_ONCE // ranks.count)
 
 
 def warm_up_training(run: Run, state: State) -> None:
@@ -188,12 +187,6 @@ def _agree(run: Run, state: State, *, interrupted: bool) -> tuple[State, bool]:
     return replace(state, seconds=seconds), bool(stopped)
 
 
-def _progress_bar(config: TrainConfig, state: State) -> AbstractContextManager[Task]:
-    if config.max_seconds is None:
-        return task("training", config.steps, unit="step", done=state.step)
-    return task("training", config.max_seconds, unit="s", done=state.seconds)
-
-
 class ProgressMeter:
     """Averages loss and PSNR on the device; shows them, and passes them to `on_progress`."""
 
@@ -202,42 +195,33 @@ class ProgressMeter:
     ) -> None:
         self._limit, self._bar, self._on_progress = config.max_seconds, bar, on_progress
         self._done = state.step if self._limit is None else state.seconds
-        self._step = state.step
-        self._smooth: tuple[float, float] | None = None
-        self._restart()
+        self._step, self._since = state.step, time.monotonic()
+        self.scores: list[Float[Tensor, 2]] = []
+        self._smooth: Float[Tensor, 2] | None = None
 
-    def _restart(self) -> None:
-        self.sums: Float[Tensor, 2] | None = None
-        self._rounds, self._since = 0, time.monotonic()
-
-    def add(self, scores: Float[Tensor, "2"], step: int) -> tuple[float, float] | None:
-        """Add the scores of a round; the means if it is time for a report."""
-        self.sums = scores if self.sums is None else self.sums + scores
-        self._rounds += 1
+    def add(self, scores: Float[Tensor, "2"], step: int) -> Float[Tensor, "2"] | None:
+        """Add the scores of a round; their means if it is time for a report."""
+        self.scores.append(scores)
         waits = scores.is_cuda and step % GPU_STEPS != 0
         due = not waits or time.monotonic() - self._since > GPU_SECONDS
         return self.means() if due else None
 
-    def means(self) -> tuple[float, float]:
+    def means(self) -> Float[Tensor, "2"]:
         """Means of loss and PSNR since the last report; waits for the device."""
-        assert self.sums is not None
-        loss, psnr = (self.sums / self._rounds).tolist()
-        return loss, psnr
+        return torch.stack(self.scores).mean(dim=0).cpu()
 
-    def report(self, state: State, loss: float, psnr: float) -> None:
+    def report(self, state: State, means: Float[Tensor, "2"]) -> None:
         """Show the progress and smoothed means, and start new means."""
         kept = SMOOTHING ** (state.step - self._step)
-        old_loss, old_psnr = self._smooth or (loss, psnr)
-        smooth = kept * old_loss + (1 - kept) * loss, kept * old_psnr + (1 - kept) * psnr
-        self._smooth = smooth
-        count = len(state.params["means"])
-        self._bar.note(f"loss {smooth[0]:.4f}, PSNR {smooth[1]:.2f} dB, {count:,} Gaussians")
+        self._smooth = means if self._smooth is None else self._smooth.lerp(means, 1 - kept)
+        loss, psnr = self._smooth.tolist()
+        self._bar.note(f"loss {loss:.4f}, PSNR {psnr:.2f} dB, {len(state.splats):,} Gaussians")
         done = state.step if self._limit is None else min(state.seconds, self._limit)
         self._bar.advance(done - self._done)
-        self._done, self._step = done, state.step
-        self._restart()
+        self._done, self._step, self._since = done, state.step, time.monotonic()
+        self.scores.clear()
         if self._on_progress is not None:
-            self._on_progress(state, loss, psnr)
+            self._on_progress(state, *means.tolist())
 
 
 @contextmanager

@@ -40,12 +40,10 @@ DARK, BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
 FEWEST = 30  # points by which a photo's gain is estimated
 
 
-def first_of_photos(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
+def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
     """The `PER_PHOTO` tensors that a run learns, as it begins; one row per training photo.
 
-    Args:
-        run: Settings and photos.
-        points: Sparse points in the world, which give first exposures.
+    Sparse points in the world give the first exposures.
     """
     first = dict[str, Tensor]()
     if run.config.refine_poses:
@@ -76,11 +74,9 @@ def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, 
 
 
 def step_photo(run: Run, state: State) -> None:
-    """Adam for the `PER_PHOTO` rows of a step's photo, in place; each photo has its own clock.
+    """Adam for the `PER_PHOTO` rows of a step's photo, in place; each photo counts its own steps.
 
-    Args:
-        run: Settings and photos.
-        state: Before the step, with gradients.
+    The state is that before the step, with gradients.
     """
     names = [name for name in PER_PHOTO if name in state.params]
     if not names:
@@ -106,18 +102,14 @@ def step_photo(run: Run, state: State) -> None:
 def photo_gains(points: Float[Tensor, "M 3"], run: Run) -> Float[Tensor, "R 3"]:
     """The logarithms of each photo's gain per channel of sRGB, whose mean over photos is 0.
 
-    Photos are looked at as small as training begins with. Medians ignore points that are hidden in
-    a photo, or shine.
-
-    Args:
-        points: Sparse points in the world.
-        run: Settings and photos.
+    Photos have the size that training begins with. Medians ignore points that are hidden in a
+    photo, or shine.
     """
     some = points[evenly(range(len(points)), POINTS)].cpu()
     colors = []
     for row in track(run.rows, "comparing exposures"):
-        view = run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
-        colors.append(_log_colors(some, view))
+        factor = run.config.photo_downscale(0.0, run.cameras[row].size)
+        colors.append(_log_colors(some, run.views(row, factor)))
     logs = torch.stack(colors)  # [R, P, 3]
     counts = (~logs.isnan()).all(dim=-1).sum(dim=1)  # [R]
     gains = torch.zeros(len(logs), 3)
@@ -144,12 +136,9 @@ def _log_colors(points: Float[Tensor, "P 3"], view: TrainingView) -> Float[Tenso
 def apply_color_map(
     image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], change: Float[Tensor, "3 4"]
 ) -> Float[Tensor, "H W 3"]:
-    """A render in the colours of a photo.
+    """A render over black in the colours of a photo; a change of 0 leaves it as it is.
 
-    Args:
-        image: Rendered over black.
-        alpha: Its coverage, which scales the offset: black behind everything stays black.
-        change: What is added to the colours, per colour and coverage; 0 changes nothing.
+    The coverage scales the offset: black behind everything stays black.
     """
     return image + torch.cat([image, alpha], dim=-1) @ change.mT
 
@@ -157,14 +146,9 @@ def apply_color_map(
 def fit_color_map(
     image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], photo: Float[Tensor, "H W 3"]
 ) -> Float[Tensor, "3 4"]:
-    """The change with which a render is closest to a photo, by ridge regression.
+    """The change with which a render over black is closest to a photo, by ridge regression.
 
     Pixels that are blown out in the photo do not count.
-
-    Args:
-        image: Rendered over black.
-        alpha: Its coverage.
-        photo: In 0..1, over black.
     """
     inputs = torch.cat([image, alpha], dim=-1).flatten(0, 1).double()
     missing = (photo - image).flatten(0, 1).double()
@@ -185,10 +169,7 @@ def blown_out_target(
 def shift_cameras(cameras: Cameras, shifts: Float[Tensor, "C 6"], unit: float) -> Cameras:
     """Cameras turned about their centres and shifted; differentiable by the shifts.
 
-    Args:
-        cameras: The given ones.
-        shifts: Axis times angle in the world, in radians, and shift in units.
-        unit: Of length.
+    A row of shifts is axis times angle in the world, in radians, and the shift in units of length.
     """
     viewmats = cameras.viewmats.to(shifts)
     axes, basis = shifts[:, :3], torch.eye(3).to(shifts).expand(len(shifts), 3, 3)
@@ -201,13 +182,7 @@ def shift_cameras(cameras: Cameras, shifts: Float[Tensor, "C 6"], unit: float) -
 
 
 def with_refined_cameras(capture: Capture, state: State, rows: Sequence[int]) -> Capture:
-    """The capture with the cameras that training refined; unchanged if it refined none.
-
-    Args:
-        capture: The given one.
-        state: After training.
-        rows: Photos that were trained on; the others' cameras stay.
-    """
+    """The capture with refined cameras of the rows trained on; unchanged if none were refined."""
     shifts = state.params.get("pose_shifts")
     if shifts is None:
         return capture

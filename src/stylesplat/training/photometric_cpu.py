@@ -6,7 +6,7 @@ be read anywhere. Tested against `losses.photometric_reference`.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -28,21 +28,12 @@ FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vector
 
 
 class Pair(NamedTuple):
-    """Two images in their frames, and what they are filtered with."""
+    """SSIM's window; the render and the photo in their frames, flat; the length of their rows."""
 
     window: np.ndarray
-    """SSIM's."""
     x: np.ndarray
-    """The render, flat."""
     y: np.ndarray
-    """The photo, flat."""
     stride: int
-    """Length of their rows."""
-
-
-def stride_of(numbers: int) -> int:
-    """Length of a framed row: whole vectors and the frame at both ends."""
-    return -(-numbers // vec.LANES) * vec.LANES + FRAME
 
 
 def framed(image: Tensor, stride: int) -> np.ndarray:
@@ -52,7 +43,6 @@ def framed(image: Tensor, stride: int) -> np.ndarray:
     return pad(rows, (MARGIN, behind, HALF, HALF)).view(-1).numpy()
 
 
-@no_type_check
 @inner
 def products_down(window, x, y, row, stride, out):
     """Filter x, y, x x, y y and x y along y at one row, into the five rows of `out`."""
@@ -73,7 +63,6 @@ def products_down(window, x, y, row, stride, out):
         vec.store(out, 4 * stride + j, xy)
 
 
-@no_type_check
 @inner
 def down(window, framed, row, stride, out):
     """Filter a framed image along y at one row."""
@@ -85,7 +74,6 @@ def down(window, framed, row, stride, out):
         vec.store(out, j, total)
 
 
-@no_type_check
 @inner
 def across(window, row, start):
     """Filter 16 numbers of a framed row along x."""
@@ -96,7 +84,6 @@ def across(window, row, start):
     return total
 
 
-@no_type_check
 @inner
 def similarity(mean_x, mean_y, xx, yy, xy):
     """SSIM from blurred x, y and products; its gradients by blurred x, x x and x y."""
@@ -112,7 +99,6 @@ def similarity(mean_x, mean_y, xx, yy, xy):
     return value, v_mean - 2 * mean_x * v_xx - mean_y * v_xy, v_xx, v_xy
 
 
-@no_type_check
 @kernel
 def forward(pair, inside, v_maps, totals):
     """Add up each thread's SSIM, absolute and squared error (of x clamped to 0..1) in `totals`.
@@ -152,7 +138,6 @@ def forward(pair, inside, v_maps, totals):
                 totals[thread, k // vec.LANES] += lanes[k]
 
 
-@no_type_check
 @kernel
 def backward(pair, v_maps, factors, v_x, threads):
     """Fill the gradient [H, 3W] of the first image: the filter is its own adjoint."""
@@ -184,7 +169,7 @@ class Photometric(Function):
     @staticmethod
     def forward(ctx, image, target, dssim_weight):
         height, n = len(image), image[0].numel()
-        stride = stride_of(n)
+        stride = -(-n // vec.LANES) * vec.LANES + FRAME  # whole vectors, and the frame
         x, y = framed(image, stride), framed(target, stride)
         inside = np.zeros(stride, np.float32)
         inside[:n] = 1

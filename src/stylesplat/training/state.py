@@ -42,7 +42,6 @@ class State:
         return tuple(name for name in self.params if name not in CLASSIFIER + PER_PHOTO)
 
     def clone(self) -> "State":
-        """A copy that shares no tensors."""
         params = {name: t.detach().clone().requires_grad_() for name, t in self.params.items()}
         return replace(self, params=params, moments=self.moments.clone())
 
@@ -146,7 +145,6 @@ class Run:
     """The threads that compute gradients."""
 
     def progress(self, state: State) -> float:
-        """The share of the run that is done."""
         return self.config.progress(state.step, state.seconds)
 
     def photos(self, state: State) -> range:
@@ -157,11 +155,7 @@ class Run:
         return range(state.step + number, state.step + own * count, count)
 
     def every(self, rounds: int, step: int) -> bool:
-        """Whether a step belongs to the first of so many rounds.
-
-        All steps of a round do, or none, if the run has had the same rounds from its start. In any
-        case the processes agree step by step, as they send each other the same tensors.
-        """
+        """Whether a step is in every n-th round; all processes agree on it."""
         first = step - self.ranks.number  # the same step of the first process
         return first // (self.batch * self.ranks.count) % rounds == 0
 
@@ -172,17 +166,12 @@ class Run:
         return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
 
     def generator(self, step: int, purpose: int = NUMBERS) -> torch.Generator:
-        """Randomness of one step, on the device.
-
-        It follows from seed and step alone, so a run continues without a saved generator.
-        """
+        """Randomness of one step, on the device; it follows from seed and step alone."""
         return _generator(self.config.seed, purpose, step, self.device)
 
     def offset(self, step: int) -> tuple[int, int]:
-        """The first row and column of the pixels whose identities a step samples.
-
-        The CPU draws it, so that nothing waits for the device.
-        """
+        """The first row and column of the pixels whose identities a step samples."""
+        # The CPU draws it, so that nothing waits for the device
         draw = _generator(self.config.seed, OFFSETS, step, torch.device("cpu"))
         y, x = torch.randint(self.config.identity_stride, (2,), generator=draw).tolist()
         return y, x

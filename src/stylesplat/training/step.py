@@ -15,7 +15,7 @@ from stylesplat.training import densification, per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.losses import (
     identity_loss,
-    nearest_rows,
+    nearest_neighbors,
     neighbor_loss,
     photometric_loss,
     split_render,
@@ -54,14 +54,11 @@ class PhotoGradients(NamedTuple):
 def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
     """Train on the photos of one more round.
 
-    Threads compute the photos' gradients together. Then each photo has its step of Adam in turn:
-    the gradients of the later ones are as old as the round. That costs nothing that can be measured
-    for a few photos (Langford, Smola and Zinkevich 2009, "Slow learners are fast"), and unlike one
-    step for all needs no other rates, as Adam's moments are those of single photos. Then noise
-    moves the means, once per photo.
-
-    Several processes compute the gradients of photos of their own and take one step for the whole
-    round, by the mean of all gradients, so that these are sent once.
+    Threads compute the photos' gradients in parallel. Then Adam takes one step per photo, with
+    gradients that are as old as the round. For a few photos this costs no measurable quality
+    (Langford, Smola and Zinkevich 2009, "Slow learners are fast") and needs no other rates. Noise
+    then moves the means. Several processes take one step for the whole round, by the mean of all
+    their gradients, which are sent once.
 
     Returns:
         The next state, in the same tensors unless Gaussians were moved or added; and the means of
@@ -145,7 +142,7 @@ def _identity_losses(
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
         sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
-        neighbors = nearest_rows(means, sample, NEIGHBORS)
+        neighbors = nearest_neighbors(means, sample, NEIGHBORS)
         own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss
@@ -159,9 +156,9 @@ def take_rows(
 
 
 def average_gradients(run: Run, photos: Sequence[PhotoGradients]) -> PhotoGradients:
-    """The mean gradients of a round over all processes, sent once; uses up those of the photos.
+    """The mean gradients of a round over all processes, sent once; changes those of the photos.
 
-    `PER_PHOTO` tensors have sums, as each row has the gradient of its photo alone.
+    `PER_PHOTO` tensors get sums, because each row has the gradient of its photo alone.
     """
     first, count = photos[0], run.ranks.count * len(photos)
     learned = any(run.every(run.config.identity_every, each.state.step) for each in photos)
@@ -208,8 +205,6 @@ def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
 
 def _refine(run: Run, state: State) -> State:
     config, progress = run.config, run.progress(state)
-    if config.object_pixels is not None:
-        densification.limit_sizes(state.splats.detach(), run.cameras, config.object_pixels)
     if progress >= config.refine_end:
         return state
     params, moments = densification.relocate_and_grow(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import cv2
 import torch
-from jaxtyping import Float, Int, Integer, UInt8
+from jaxtyping import Float, Integer, UInt8
 from torch import Tensor
 
 from stylesplat.errors import some
@@ -38,14 +38,11 @@ Views = Callable[[int, int], TrainingView]
 
 
 class Pixels(NamedTuple):
-    """The same as it is kept."""
+    """The same as it is kept, in bytes: 255 is white, and opaque."""
 
     photo: UInt8[Tensor, "H W 3"]
-    """Over black."""
     alpha: UInt8[Tensor, "H W"] | None
-    """255 is opaque."""
     classes: Integer[Tensor, "H W"] | None
-    """In the smallest type."""
 
 
 def split_views(capture: Capture, test_every: int) -> tuple[list[int], list[int]]:
@@ -63,16 +60,10 @@ def training_views(
     device: torch.device,
     max_memory: float | None = None,
 ) -> Views:
-    """A loader that keeps what fits, of one size at a time.
+    """A loader of some rows' views that keeps what fits, of one size at a time, in main memory.
 
     If all photos fit at full size they are decoded once, and smaller ones made of what is kept.
-
-    Args:
-        capture: Photos, and label maps if there are ids.
-        rows: Those that will be asked for.
-        ids: Label id of each class.
-        device: Where views are wanted; what is kept stays in the computer's memory.
-        max_memory: GiB; None is as `TrainConfig` says.
+    `ids` are the label ids of the classes; `max_memory` is that of `TrainConfig`.
     """
     room = int((KEPT[device.type] if max_memory is None else max_memory) * GIB)
     cache: Cache[tuple[int, int]] = Cache(room)
@@ -80,13 +71,13 @@ def training_views(
     latest, lock = [1], Lock()
 
     def kept(row: int, factor: int) -> Pixels:
-        if factor == 1:
-            return cache.get((row, 1), lambda: _read(capture, row, ids))
-        size = capture.cameras[row].downscale(factor).size
-        return cache.get((row, factor), lambda: _resized(whole(row), size))
+        def make() -> Pixels:
+            if factor == 1:
+                return _read(capture, row, ids)
+            whole = kept(row, 1) if all_fit else _read(capture, row, ids)
+            return _resized(whole, capture.cameras[row].downscale(factor).size)
 
-    def whole(row: int) -> Pixels:
-        return kept(row, 1) if all_fit else _read(capture, row, ids)
+        return cache.get((row, factor), make)
 
     def view(row: int, factor: int) -> TrainingView:
         with lock:  # the threads of a round ask at the same time
@@ -108,7 +99,10 @@ def _bytes(capture: Capture, row: int, ids: tuple[int, ...]) -> int:
 
 def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> Pixels:
     labels = capture.labels(row) if ids else None
-    classes = None if labels is None else to_classes(labels, ids)
+    classes = None
+    if labels is not None:  # all of them are among the ids, which ascend
+        known = torch.tensor(ids, dtype=torch.int32)
+        classes = torch.searchsorted(known, labels.int(), out_int32=True).to(class_type(len(ids)))
     return Pixels(capture.photos[row], capture.alpha(row), classes)
 
 
@@ -127,32 +121,23 @@ def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
 
 
 def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
-    photo, alpha, classes = (None if t is None else _upload(t, device) for t in pixels)
+    """The pixels on the device, where they become floats; nothing waits for it."""
+
+    def upload(tensor: Tensor) -> Tensor:
+        own = tensor.pin_memory() if device.type == "cuda" else tensor
+        return own.to(device, non_blocking=True)
+
+    photo, alpha, classes = (None if t is None else upload(t) for t in pixels)
     assert photo is not None
-    return TrainingView(
-        camera=camera,
-        photo=photo.float().div_(255),
-        alpha=None if alpha is None else alpha[..., None].float().div_(255),
-        classes=classes,
-    )
-
-
-def _upload(tensor: Tensor, device: torch.device) -> Tensor:
-    """Onto the device, in bytes and without waiting for it."""
-    if device.type != "cuda":
-        return tensor.to(device)
-    return tensor.pin_memory().to(device, non_blocking=True)
+    alpha = None if alpha is None else alpha[..., None].float().div_(255)
+    return TrainingView(camera, photo.float().div_(255), alpha, classes)
 
 
 def learned_ids(capture: Capture, rows: Sequence[int]) -> tuple[int, ...]:
-    """The label ids that training learns, background first; none without label maps.
+    """The label ids of the photos trained on (`rows`), background first; none without label maps.
 
     Reads all label maps, one at a time. Says in one line which objects are not learned because
     only held-out photos show them.
-
-    Args:
-        capture: With label maps or without.
-        rows: The photos that are trained on; the others are held out.
     """
     if capture.label_maps is None:
         return ()
@@ -171,13 +156,6 @@ def learned_ids(capture: Capture, rows: Sequence[int]) -> tuple[int, ...]:
             "others."
         )
     return tuple(sorted(trained)) if labelled else ()
-
-
-def to_classes(labels: Int[Tensor, "H W"], ids: tuple[int, ...]) -> Integer[Tensor, "H W"]:
-    """Indices into `ids`, which are sorted and hold all labels, in the smallest type."""
-    known = torch.tensor(ids, dtype=torch.int32)
-    classes = torch.searchsorted(known, labels.int(), out_int32=True)
-    return classes.to(class_type(len(ids)))
 
 
 def class_type(count: int) -> torch.dtype:

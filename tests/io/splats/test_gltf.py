@@ -19,9 +19,8 @@ from scenes import (
     random_splats,
 )
 from stylesplat.io.splats.splat_files import read_splats, write_splats
-from stylesplat.rendering.sh import rgb_from_sh0
 from stylesplat.scene.frames import Frame, move_splats
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 
 COUNT = 40
 HALF_TURN = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))

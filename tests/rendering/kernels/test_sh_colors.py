@@ -1,10 +1,11 @@
-"""The kernels of spherical harmonics against `sh.sh_colors` and its gradients."""
+"""The kernels of spherical harmonics against `reference.spherical_harmonics` and its gradients."""
 
 import pytest
 import torch
 
 from stylesplat.rendering import cpu
-from stylesplat.rendering.sh import sh_bases, sh_colors
+from stylesplat.rendering.reference import spherical_harmonics
+from stylesplat.scene.splats import sh_bases
 
 
 def inputs_of(count: int, bands: int, dtype: torch.dtype) -> list[torch.Tensor]:
@@ -18,7 +19,7 @@ def inputs_of(count: int, bands: int, dtype: torch.dtype) -> list[torch.Tensor]:
 @pytest.mark.parametrize("degree, bands", [(0, 0), (0, 3), (1, 1), (1, 2), (2, 2), (2, 3), (3, 3)])
 def test_colors_and_gradients_are_the_references(count: int, degree: int, bands: int):
     mine, theirs = (inputs_of(count, bands, t) for t in (torch.float32, torch.float64))
-    colors, expected = cpu.spherical_harmonics(degree, *mine), sh_colors(degree, *theirs)
+    colors, expected = cpu.spherical_harmonics(degree, *mine), spherical_harmonics(degree, *theirs)
     torch.testing.assert_close(colors.double(), expected, atol=1e-5, rtol=0)  # float32
     weights = torch.randn(colors.shape, generator=torch.Generator().manual_seed(9))
     (colors * weights).sum().backward()
@@ -29,19 +30,3 @@ def test_colors_and_gradients_are_the_references(count: int, degree: int, bands:
         torch.testing.assert_close(found.grad.double(), gradient, atol=2e-5, rtol=1e-4)  # float32
     if count > 1:
         assert (expected == 0).any()  # some are clamped, and have no gradient
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_a_color_depends_on_the_direction_alone(degree: int):
-    dirs, sh0, shN = (t.detach() for t in inputs_of(30, 3, torch.float32))
-    near, far = (cpu.spherical_harmonics(degree, f * dirs, sh0, shN) for f in (0.01, 100.0))
-    torch.testing.assert_close(near, far, atol=1e-5, rtol=0)  # float32
-
-
-def test_no_gradient_where_none_arrives():
-    dirs, sh0, shN = inputs_of(30, 3, torch.float32)
-    weights = (torch.arange(30) % 2 == 0)[:, None]
-    (cpu.spherical_harmonics(3, dirs, sh0, shN) * weights).sum().backward()
-    for tensor in (dirs, sh0, shN):
-        assert tensor.grad is not None
-        assert not tensor.grad[1::2].any() and tensor.grad[::2].any()

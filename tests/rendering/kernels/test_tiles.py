@@ -10,7 +10,6 @@ from scenes import random_splats, two_cameras
 from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import MIN_ALPHA, activated, views_of
 from stylesplat.rendering.kernels import tiles
-from stylesplat.rendering.kernels.project import span
 from stylesplat.rendering.kernels.tiles import Ellipses
 from stylesplat.rendering.kernels.vec import Rows
 
@@ -44,19 +43,6 @@ def test_depth_order_is_a_stable_sort_of_what_is_seen(count: int):
     expected = seen[torch.argsort(depths[seen], stable=True)]
     found = tiles.depth_order(depths.numpy(), radii.numpy())
     assert found.tolist() == expected.tolist()
-
-
-def test_rows_hold_what_blending_reads(packed):
-    order, rows, _, ellipses = packed
-    table = torch.from_numpy(rows.flat).view(-1, rows.stride)
-    assert torch.equal(table[:, :2], ellipses.means2d[order])
-    a, b, c = ellipses.conics[order].unbind(dim=1)
-    assert torch.equal(table[:, 2:5], torch.stack([-a / 16, -b / 8, -c / 16], dim=1))
-    assert torch.equal(table[:, 6], ellipses.opacities[order])
-    assert torch.equal(table[:, 8:11], ellipses.colors[order])
-    # at the threshold alpha is MIN_ALPHA; float32 logarithm
-    at_threshold = table[:, 6] * torch.exp(8 * table[:, 5])
-    torch.testing.assert_close(at_threshold, torch.full_like(at_threshold, MIN_ALPHA))
 
 
 def visible(ellipses: Ellipses, order: np.ndarray) -> torch.Tensor:
@@ -115,13 +101,3 @@ def test_lists_are_front_to_back_whatever_the_threads(packed, chunks: int):
     assert len(starts) == 21 and starts[0] == 0 and starts[-1] == len(ranks) == len(masks)
     for first, last in pairwise(starts):
         assert (np.diff(ranks[first:last]) > 0).all()
-
-
-@pytest.mark.parametrize("rows", [0, 1, 15, 16, 17, 1000])
-@pytest.mark.parametrize("threads", [1, 2, 7])
-def test_threads_share_all_rows_by_whole_vectors(rows: int, threads: int):
-    own = span.py_func  # pyright: ignore[reportFunctionMemberAccess]
-    spans = [own(rows, thread, threads) for thread in range(threads)]
-    covered = [row for low, high in spans for row in range(low, high)]
-    assert covered == list(range(rows))
-    assert all(low % 16 == 0 for low, high in spans if low < high)

@@ -1,6 +1,4 @@
 """The vector layer computes what numpy computes."""
-# pyright: reportCallIssue=false
-# (numba supplies the first argument of intrinsics)
 
 import numba
 import numpy as np

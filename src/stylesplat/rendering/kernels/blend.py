@@ -5,7 +5,7 @@ finished (or lies outside the image), which stops the blending; what is left of 
 minus the coverage.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -37,7 +37,7 @@ class Patch(NamedTuple):
     rows: int
 
 
-class Crossing(NamedTuple):
+class Composite(NamedTuple):
     """What one Gaussian does to the light of some pixels, a vector or mask each."""
 
     raw: object
@@ -54,7 +54,6 @@ class Crossing(NamedTuple):
     """Where the pixel is unfinished."""
 
 
-@no_type_check
 @inner
 def aligned(length):
     """An empty float32 array that starts at a cache line: vectors across two lines are slow."""
@@ -63,7 +62,6 @@ def aligned(length):
     return array[start : start + length]
 
 
-@no_type_check
 @inner
 def prefetch_row(rows, number):
     """Ask for all cache lines of a row."""
@@ -72,10 +70,9 @@ def prefetch_row(rows, number):
         vec.prefetch(rows.flat, line)
 
 
-@no_type_check
 @inner
-def cross(row, dx, dy, transmittance):
-    """Send the light of some pixels through the Gaussian of a packed row; see `Crossing`.
+def composite(row, dx, dy, transmittance):
+    """Send the light of some pixels through the Gaussian of a packed row; see `Composite`.
 
     `dx` and `dy` are the pixels' places from its centre.
     """
@@ -88,10 +85,9 @@ def cross(row, dx, dy, transmittance):
     after = transmittance - weight
     live = vec.greater(after, MIN_TRANSMITTANCE)
     weight = vec.select(live, weight, 0)
-    return Crossing(raw, alpha, weight, vec.select(live, after, 0), counts, live)
+    return Composite(raw, alpha, weight, vec.select(live, after, 0), counts, live)
 
 
-@no_type_check
 @inner
 def list_blocks(lists, tile, rows, entries, counts):
     """Sort a tile's entries by block: `entries` [BLOCKS, room], `counts` [BLOCKS].
@@ -110,7 +106,6 @@ def list_blocks(lists, tile, rows, entries, counts):
             counts[block] += 1
 
 
-@no_type_check
 @inner
 def tile_corner(tile, width):
     """Left column and upper row of a tile of an image of this width."""
@@ -118,14 +113,12 @@ def tile_corner(tile, width):
     return TILE * (tile % tiles_x), TILE * (tile // tiles_x)
 
 
-@no_type_check
 @inner
 def block_corner(corner, block):
     """Left column and upper row of a block, from those of its tile."""
     return corner[0] + BLOCK * (block & 3), corner[1] + BLOCK * (block >> 2)
 
 
-@no_type_check
 @inner
 def block_pixels(x, y):
     """The centres of the pixels of a block."""
@@ -133,36 +126,32 @@ def block_pixels(x, y):
     return vec.columns() + left, vec.rows() + top
 
 
-@no_type_check
 @inner
 def blend_block(channels, rows, ranks, entries, pixels, state):
     """Composite the entries over one block, front to back, until its pixels are finished.
 
-    `state` holds the pixels' transmittance, and takes their coverage and colours.
-
-    Returns:
-        How many entries were looked at.
+    `state` holds the pixels' transmittance, and takes their coverage and colours. Returns how many
+    entries were visited.
     """
     transmittance, coverage = vec.load(state, 0), vec.zero()
     sums = vecs.zeros(channels)
     pixel_x, pixel_y = pixels
-    looked_at = 0
+    visited = 0
     for entry in entries:
-        looked_at += 1
+        visited += 1
         row = RowPlace(rows.flat, ranks[entry] * rows.stride)
         dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
-        crossing = cross(row, dx, dy, transmittance)
-        transmittance = crossing.after
-        coverage = coverage + crossing.weight
-        sums = vecs.add_scaled_row(sums, crossing.weight, row.flat, row.first + ROW_COLORS)
-        if vec.bits(crossing.live) == 0:
+        step = composite(row, dx, dy, transmittance)
+        transmittance = step.after
+        coverage = coverage + step.weight
+        sums = vecs.add_scaled_row(sums, step.weight, row.flat, row.first + ROW_COLORS)
+        if vec.bits(step.live) == 0:
             break
     vec.store(state, 0, coverage)
     vecs.store_vecs(state, PIXELS, sums)
-    return looked_at
+    return visited
 
 
-@no_type_check
 @inner
 def open_block(state, columns, rows):
     """Transmittance 1 in the columns and rows inside the image, 0 outside."""
@@ -170,7 +159,6 @@ def open_block(state, columns, rows):
         state[lane] = 1 if (lane & 3) < columns and (lane >> 2) < rows else 0
 
 
-@no_type_check
 @inner
 def close_block(channels, state, block, picture):
     """Write a block's coverage and colours to the picture."""
@@ -183,7 +171,6 @@ def close_block(channels, state, block, picture):
                 image[pixel * len(channels) + c] = state[lane + (c + 1) * PIXELS]
 
 
-@no_type_check
 @kernel
 def blend(channels, rows, lists, picture, threads):
     """Fill the picture.

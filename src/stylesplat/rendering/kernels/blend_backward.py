@@ -1,6 +1,6 @@
 """Gradients of everything that goes into blending, front to back once more."""
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -12,7 +12,7 @@ from stylesplat.rendering.kernels.blend import (
     PIXELS,
     Patch,
     aligned,
-    cross,
+    composite,
     prefetch_row,
     tile_corner,
 )
@@ -45,7 +45,7 @@ class Totals(NamedTuple):
     channels: object
 
 
-class Desk(NamedTuple):
+class TileBuffers(NamedTuple):
     """What a thread works on: one tile."""
 
     state: np.ndarray
@@ -62,35 +62,31 @@ def split_channels(count: int, geometry: int) -> Channels:
     return Channels(*(vecs.channels(n) for n in (head, count - head, geometry)))
 
 
-@no_type_check
 @serial_kernel
 def gradient_stride(channels):
     """Length of a row of gradients: a multiple of 16 floats."""
     return -(-(MOMENTS + channels) // vec.LANES) * vec.LANES
 
 
-@no_type_check
 @inner
 def block_stride(channels):
-    """Length of what `Desk.state` holds of a block."""
+    """Length of what `TileBuffers.state` holds of a block."""
     return PIXELS * (len(channels.head) + len(channels.tail) + 2)
 
 
-@no_type_check
 @inner
-def open_desk(channels):
+def tile_buffers(channels):
     """Room for a tile's numbers."""
     corners = aligned(2 * BLOCKS)
     for block in range(BLOCKS):
         corners[block] = BLOCK * (block & 3)
         corners[block + BLOCKS] = BLOCK * (block >> 2)
-    return Desk(aligned(BLOCKS * block_stride(channels)), aligned(BLOCKS * PIXELS), corners)
+    return TileBuffers(aligned(BLOCKS * block_stride(channels)), aligned(BLOCKS * PIXELS), corners)
 
 
-@no_type_check
 @inner
 def open_gradients(channels, state, tile, picture, v_picture):
-    """Fill `Desk.state` for a tile, with 0 outside the image."""
+    """Fill `TileBuffers.state` for a tile, with 0 outside the image."""
     image, alphas, width, _ = picture
     v_image, v_alphas, _, _ = v_picture
     stride, depth = block_stride(channels), len(channels.head) + len(channels.tail)
@@ -109,7 +105,6 @@ def open_gradients(channels, state, tile, picture, v_picture):
             state[place], state[place + PIXELS] = np.float32(1), rest
 
 
-@no_type_check
 @inlined
 def block_gradients(geometry, row, pixels, block, totals):
     """Add one block's share to a Gaussian's gradients, and take its light from the block.
@@ -120,32 +115,29 @@ def block_gradients(geometry, row, pixels, block, totals):
         What the Gaussian contributes to the pixels, and the new totals.
     """
     state, first = block
-    crossing = cross(row, pixels[0], pixels[1], vec.load(state, first))
-    weight = crossing.weight
+    step = composite(row, pixels[0], pixels[1], vec.load(state, first))
+    weight = step.weight
     gradients = vecs.load_vecs(state, first + 2 * PIXELS, geometry)
     gain = weight * vecs.dot_row(gradients, row.flat, row.first + ROW_COLORS)
     rest = vec.load(state, first + PIXELS) - gain
     v_colors = vecs.load_vecs(state, first + 2 * PIXELS, totals.channels)
     sums = vecs.add_products(totals.channels, weight, v_colors)
-    vec.store(state, first, crossing.after)
+    vec.store(state, first, step.after)
     vec.store(state, first + PIXELS, rest)
-    follows = vec.both(
-        vec.both(crossing.counts, crossing.live), vec.greater_equal(MAX_ALPHA, crossing.raw)
-    )
-    behind = crossing.alpha * rest * vec.reciprocal(1 - crossing.alpha)
+    follows = vec.both(vec.both(step.counts, step.live), vec.greater_equal(MAX_ALPHA, step.raw))
+    behind = step.alpha * rest * vec.reciprocal(1 - step.alpha)
     v_s = vec.select(follows, gain - behind, 0)
     return weight, Totals(vecs.add_moments(totals.moments, v_s, pixels[0], pixels[1]), sums)
 
 
-@no_type_check
 @inlined
-def entry_gradients(channels, row, blocks, origin, desk, out):
+def entry_gradients(channels, row, blocks, origin, buffers, out):
     """Add a tile's share to a Gaussian's gradients, from the place `out` on; see `blend_backward`.
 
     Two passes over the blocks, with as many sums as fit the registers in each.
     """
     head, tail, geometry = channels
-    state, weights, corners = desk
+    state, weights, corners = buffers
     stride = block_stride(channels)
     totals = Totals(vecs.zeros(MOMENT_CHANNELS), vecs.zeros(head))
     first_dx = (vec.columns() + origin[0]) - spread_row(row, 0)
@@ -172,7 +164,6 @@ def entry_gradients(channels, row, blocks, origin, desk, out):
         vecs.add_lane_sums(out.flat, out.first + vec.LANES, vecs.zeros(NONE), rest)
 
 
-@no_type_check
 @kernel
 def blend_backward(channels, rows, lists, picture, v_picture, out):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
@@ -187,12 +178,12 @@ def blend_backward(channels, rows, lists, picture, v_picture, out):
     out_stride = gradient_stride(len(head) + len(tail))
     for thread in numba.prange(out.shape[0]):
         parts = Channels(head, tail, geometry)  # prange takes flat tuples only
-        desk = open_desk(parts)
+        buffers = tile_buffers(parts)
         mine = Rows(out[thread], out_stride)
         for tile in range(thread, starts.shape[0] - 1, out.shape[0]):
             x, y = tile_corner(tile, width)
             patch = Patch(y * width + x, min(TILE, width - x), min(TILE, height - y))
-            open_gradients(parts, desk.state, patch, picture, v_picture)
+            open_gradients(parts, buffers.state, patch, picture, v_picture)
             origin = x + np.float32(0.5), y + np.float32(0.5)
             for entry in range(starts[tile], starts[tile + 1]):
                 ahead = ranks[min(entry + AHEAD, ranks.shape[0] - 1)]
@@ -202,10 +193,9 @@ def blend_backward(channels, rows, lists, picture, v_picture, out):
                     continue
                 row = RowPlace(rows.flat, ranks[entry] * rows.stride)
                 place = RowPlace(mine.flat, ranks[entry] * mine.stride)
-                entry_gradients(parts, row, np.int64(masks[entry]), origin, desk, place)
+                entry_gradients(parts, row, np.int64(masks[entry]), origin, buffers, place)
 
 
-@no_type_check
 @kernel
 def collect_gradients(order, rows, partial, v_ellipses):
     """Sum the threads' rows [threads, M, stride] into the gradients of the Gaussians drawn."""

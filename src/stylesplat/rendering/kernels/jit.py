@@ -17,6 +17,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
+from inspect import unwrap
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,7 @@ def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with numba's cache on disk, or without where it finds no folder to write to."""
 
     def decorate(function: Callable[..., Any]) -> Any:
+        function = unwrap(function)  # tests wrap every function to check types
         delete_stale_caches(Path(function.__code__.co_filename).parent)
         try:
             return numba.njit(cache=True, **options)(function)

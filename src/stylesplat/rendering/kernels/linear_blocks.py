@@ -1,11 +1,11 @@
-"""What each Gaussian contributes to each pixel, kept, and images made from it.
+"""What each Gaussian contributes to each pixel, stored, and images made from it.
 
 With geometry and opacities frozen an image is linear in the colours. The weights of the picked
-Gaussians are kept for the 16 pixels of each block that they touch, as float16, tile by tile and
+Gaussians are stored for the 16 pixels of each block that they touch, as float16, tile by tile and
 front to back.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -17,7 +17,7 @@ from stylesplat.rendering.kernels.blend import (
     aligned,
     block_corner,
     block_pixels,
-    cross,
+    composite,
     open_block,
     tile_corner,
 )
@@ -28,7 +28,7 @@ COLORS = vecs.channels(3)
 NONE = vecs.channels(0)
 
 
-class Kept(NamedTuple):
+class BlockWeights(NamedTuple):
     """The weights of some Gaussians in one image."""
 
     starts: np.ndarray
@@ -43,7 +43,6 @@ class Kept(NamedTuple):
     """Float16 as uint16, 16 a block."""
 
 
-@no_type_check
 @serial_kernel
 def count_pairs(lists, picked, entries, pairs):
     """Count entries and (entry, block) pairs of picked ranks up, tile by tile [tiles + 1].
@@ -62,61 +61,43 @@ def count_pairs(lists, picked, entries, pairs):
                     pairs[tile + 1] += 1
 
 
-@no_type_check
-@inner
-def pass_block(row, corner, block):
-    """Take from a block the light that a Gaussian blocks; what it adds to the pixels."""
-    pixel_x, pixel_y = block_pixels(corner[0], corner[1])
-    before = vec.load(block.flat, block.first)
-    crossing = cross(row, pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1), before)
-    vec.store(block.flat, block.first, crossing.after)
-    return crossing.weight
-
-
-@no_type_check
-@inner
-def open_tile(light, corner, size):
-    """Transmittance 1 in the blocks of a tile, 0 outside the image."""
-    width, height = size
-    for block in range(BLOCKS):
-        x, y = block_corner(corner, block)
-        open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
-
-
-@no_type_check
 @kernel
-def keep_weights(rows, lists, picked, size, kept, threads):
-    """Fill `kept` from lists that `blend` has cut.
+def store_weights(rows, lists, picked, size, blocks, threads):
+    """Fill `blocks` from lists that `blend` has cut.
 
     `picked` gives the number of a rank among the picked Gaussians, or -1.
     """
     starts, ranks, masks = lists
-    kept_starts, firsts, gaussians, kept_masks, weights = kept
+    block_starts, firsts, gaussians, block_masks, weights = blocks
     width, height = size
     for thread in numba.prange(threads):
         light = aligned(BLOCKS * PIXELS)
         for tile in range(thread, starts.shape[0] - 1, threads):
             corner = tile_corner(tile, width)
-            open_tile(light, corner, (width, height))
-            place, pair = kept_starts[tile], firsts[tile]
+            for block in range(BLOCKS):
+                x, y = block_corner(corner, block)
+                open_block(light[block * PIXELS : (block + 1) * PIXELS], width - x, height - y)
+            place, pair = block_starts[tile], firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 rank, todo = ranks[entry], np.int64(masks[entry])
                 mine = picked[rank] >= 0 and todo != 0
                 if mine:
-                    gaussians[place], kept_masks[place] = picked[rank], masks[entry]
+                    gaussians[place], block_masks[place] = picked[rank], masks[entry]
                     place += 1
                 row = RowPlace(rows.flat, rank * rows.stride)
                 while todo != 0:
                     block = vec.lowest_bit(todo)
                     todo &= todo - 1
-                    light_of_block = RowPlace(light, block * PIXELS)
-                    weight = pass_block(row, block_corner(corner, block), light_of_block)
+                    x, y = block_corner(corner, block)
+                    pixel_x, pixel_y = block_pixels(x, y)
+                    dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
+                    step = composite(row, dx, dy, vec.load(light, block * PIXELS))
+                    vec.store(light, block * PIXELS, step.after)
                     if mine:
-                        vec.store_halves(weights, pair * PIXELS, weight)
+                        vec.store_halves(weights, pair * PIXELS, step.weight)
                         pair += 1
 
 
-@no_type_check
 @inner
 def read_tile(state, image, corner, size):
     """Three channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
@@ -131,7 +112,6 @@ def read_tile(state, image, corner, size):
                 state[(block * 3 + c) * PIXELS + lane] = value
 
 
-@no_type_check
 @inner
 def write_tile(state, image, corner, size):
     """The reverse of `read_tile`."""
@@ -145,11 +125,10 @@ def write_tile(state, image, corner, size):
                     image[(y * width + x) * 3 + c] = state[(block * 3 + c) * PIXELS + lane]
 
 
-@no_type_check
 @kernel
-def render_linear(kept, colors, background, image, size, threads):
+def render_linear(blocks, colors, background, image, size, threads):
     """Fill a flat image with the background and what Gaussians of flat `colors` [M*4] add."""
-    starts, firsts, gaussians, masks, weights = kept
+    starts, firsts, gaussians, masks, weights = blocks
     for thread in numba.prange(threads):
         state = aligned(3 * BLOCKS * PIXELS)
         for tile in range(thread, firsts.shape[0], threads):
@@ -169,11 +148,10 @@ def render_linear(kept, colors, background, image, size, threads):
             write_tile(state, image, corner, size)
 
 
-@no_type_check
 @kernel
-def compose_backward(kept, v_image, size, out):
+def compose_backward(blocks, v_image, size, out):
     """Add each thread's gradients of the colours to its own flat rows `out` [threads, M*16]."""
-    starts, firsts, gaussians, masks, weights = kept
+    starts, firsts, gaussians, masks, weights = blocks
     for thread in numba.prange(out.shape[0]):
         state = aligned(3 * BLOCKS * PIXELS)
         mine = out[thread]

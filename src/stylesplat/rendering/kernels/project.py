@@ -6,7 +6,7 @@ those of `rendering/gaussians.py`, with arrays.
 """
 
 from math import log, sqrt
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -59,7 +59,6 @@ class Lanes(NamedTuple):
     """Room for a vector."""
 
 
-@no_type_check
 @inner
 def span(rows, thread, threads):
     """First row of a thread's share and the one after its last; shares are whole vectors."""
@@ -68,50 +67,23 @@ def span(rows, thread, threads):
     return low * vec.LANES, min(high * vec.LANES, rows)
 
 
-@no_type_check
 @inner
 def read_columns(array, first, count, columns, buffer):
-    """Copy the first columns of up to 16 rows into `buffer`, one after the other."""
+    """Four vectors: the first columns of up to 16 rows; those beyond `columns` mean nothing."""
     for lane in range(count):
         for column in range(columns):
             buffer[column * vec.LANES + lane] = array[first + lane, column]
-
-
-@no_type_check
-@inner
-def read_two(array, first, count, buffer):
-    """Two columns of up to 16 rows from `first` on; `buffer` has room for four."""
-    read_columns(array, first, count, 2, buffer)
-    return vec.load(buffer, 0), vec.load(buffer, vec.LANES)
-
-
-@no_type_check
-@inner
-def read_three(array, first, count, buffer):
-    """Three columns; see `read_two`."""
-    read_columns(array, first, count, 3, buffer)
-    return vec.load(buffer, 0), vec.load(buffer, vec.LANES), vec.load(buffer, 2 * vec.LANES)
-
-
-@no_type_check
-@inner
-def read_four(array, first, count, buffer):
-    """Four columns; see `read_two`."""
-    read_columns(array, first, count, 4, buffer)
     x, y = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
     return x, y, vec.load(buffer, 2 * vec.LANES), vec.load(buffer, 3 * vec.LANES)
 
 
-@no_type_check
 @inner
 def read_gaussian(means, quats, scales, first, count, buffer):
-    """Up to 16 Gaussians; see `read_two`."""
-    mean = read_three(means, first, count, buffer)
-    quat = read_four(quats, first, count, buffer)
-    return Gaussian(mean, quat, read_three(scales, first, count, buffer))
+    mean = read_columns(means, first, count, 3, buffer)[:3]
+    quat = read_columns(quats, first, count, 4, buffer)
+    return Gaussian(mean, quat, read_columns(scales, first, count, 3, buffer)[:3])
 
 
-@no_type_check
 @inner
 def write_column(array, column, lanes, value):
     """Write a column of up to 16 rows."""
@@ -121,7 +93,6 @@ def write_column(array, column, lanes, value):
         array[first + lane, column] = buffer[lane]
 
 
-@no_type_check
 @inner
 def write_three(array, lanes, values):
     """Write the first three columns of up to 16 rows."""
@@ -130,37 +101,31 @@ def write_three(array, lanes, values):
     write_column(array, 2, lanes, values[2])
 
 
-@no_type_check
 @inner
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@no_type_check
 @inner
 def cross_product(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@no_type_check
 @inner
 def scaled(a, weight):
     return a[0] * weight, a[1] * weight, a[2] * weight
 
 
-@no_type_check
 @inner
 def plus(a, b):
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@no_type_check
 @inner
 def times(a, b):
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
-@no_type_check
 @inner
 def combine(weights, r0, r1, r2):
     """The sum of three rows, weighted: a row vector times a matrix."""
@@ -168,7 +133,6 @@ def combine(weights, r0, r1, r2):
     return plus(pair, scaled(r2, weights[2]))
 
 
-@no_type_check
 @inner
 def rotation(w, x, y, z):
     """Rows of the rotation matrix of a unit quaternion."""
@@ -179,7 +143,6 @@ def rotation(w, x, y, z):
     )
 
 
-@no_type_check
 @inner
 def unit_quaternion(quat):
     """w, x, y, z of norm 1, and the inverse of the norm that they had."""
@@ -188,7 +151,6 @@ def unit_quaternion(quat):
     return w * inverse, x * inverse, y * inverse, z * inverse, inverse
 
 
-@no_type_check
 @inner
 def camera_space(mean, viewmat):
     """A world point in camera coordinates."""
@@ -199,7 +161,6 @@ def camera_space(mean, viewmat):
     )
 
 
-@no_type_check
 @inner
 def camera_axes(rows, scale, viewmat):
     """Rows of the matrix whose columns are a Gaussian's scaled axes in the camera."""
@@ -211,7 +172,6 @@ def camera_axes(rows, scale, viewmat):
     )
 
 
-@no_type_check
 @inner
 def clamped_slope(slope, focal, centre, size):
     """The slope at which the Jacobian is taken: held constant far outside the image."""
@@ -220,14 +180,12 @@ def clamped_slope(slope, focal, centre, size):
     return vec.minimum(vec.maximum(slope, least), most)
 
 
-@no_type_check
 @inner
 def image_axes(gaussian, view):
-    """A Gaussian's axes in pixels: the perspective Jacobian times `camera_axes`; and their origin.
+    """A Gaussian's axes in pixels, two rows: the perspective Jacobian times `camera_axes`.
 
-    Returns:
-        The two rows, and the slopes in x and y at which the Jacobian was taken; the mean and axes
-        in the camera, the unit quaternion and the rows of its rotation matrix.
+    Then the slopes in x and y at which the Jacobian was taken; the mean and axes in the camera; the
+    unit quaternion and the rows of its rotation matrix.
     """
     viewmat, K, width, height = view
     p = camera_space(gaussian.mean, viewmat)
@@ -243,7 +201,6 @@ def image_axes(gaussian, view):
     return a0, a1, (slope_x, slope_y), p, (m0, m1, m2), unit, rows
 
 
-@no_type_check
 @inner
 def ellipse(a0, a1):
     """The standard deviations in x and y of an ellipse with these axes, and its conic."""
@@ -254,24 +211,21 @@ def ellipse(a0, a1):
     return vec.sqrt(cov_xx), vec.sqrt(cov_yy), (cov_yy / det, 0 - cov_xy / det, cov_xx / det)
 
 
-@no_type_check
 @inner
 def read_extents(opacities, first, count, buffer):
-    """How many standard deviations out 16 Gaussians are seen; negative for invisible ones."""
+    """How many standard deviations out 16 Gaussians are visible; negative for faint ones."""
     for lane in range(count):
         fade = 2 * log(max(opacities[first + lane], 1e-30) / MIN_ALPHA)
         buffer[lane] = min(MAX_EXTENT, sqrt(fade)) if fade >= 0 else -1
     return vec.load(buffer, 0)
 
 
-@no_type_check
 @inner
 def between(low, value, high):
     """Lanes in which a value lies strictly between two others."""
     return vec.both(vec.greater(value, low), vec.greater(high, value))
 
 
-@no_type_check
 @kernel
 def project(gaussians, view, out, threads):
     """Fill `out` (depths as [N,1]) with what one camera sees: 0 for Gaussians that it does not."""
@@ -295,8 +249,8 @@ def project(gaussians, view, out, threads):
                 between(0 - radius_y, v, height + radius_y),
             )
             deep = between(NEAR_PLANE, p[2], FAR_PLANE)
-            seen = vec.both(vec.both(inside, deep), vec.greater_equal(extent, 0))
-            lanes = Lanes(first, count, seen, buffer)
+            visible = vec.both(vec.both(inside, deep), vec.greater_equal(extent, 0))
+            lanes = Lanes(first, count, visible, buffer)
             write_column(means2d, 0, lanes, u)
             write_column(means2d, 1, lanes, v)
             write_three(conics, lanes, conic)
@@ -305,7 +259,6 @@ def project(gaussians, view, out, threads):
             write_column(radii, 1, lanes, radius_y)
 
 
-@no_type_check
 @inner
 def covariance_gradient(conic, v_conic):
     """Gradient of the 2D covariance (xx, xy, yy) from that of its inverse: -X V X."""
@@ -316,7 +269,6 @@ def covariance_gradient(conic, v_conic):
     return 0 - (xx * a + xy * b), 0 - (xx * b + xy * c), 0 - (yx * b + yy * c)
 
 
-@no_type_check
 @inner
 def jacobian_backward(p, K, slopes, v_rows, axes):
     """Gradient of the camera-space mean through the perspective Jacobian."""
@@ -333,7 +285,6 @@ def jacobian_backward(p, K, slopes, v_rows, axes):
     return v_x, v_y, v_z - v_x * slope_x - v_y * slope_y
 
 
-@no_type_check
 @inner
 def rotation_backward(quat, v_rows):
     """Gradient of a unit quaternion from that of the rows of its matrix."""
@@ -350,7 +301,6 @@ def rotation_backward(quat, v_rows):
     )
 
 
-@no_type_check
 @inner
 def axes_backward(v_axes, unit, rows, scale, viewmat):
     """Gradients of scale and quaternion from that of `camera_axes`."""
@@ -373,14 +323,9 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
     return v_scale, v_quat
 
 
-@no_type_check
 @inner
 def camera_gradients(gaussian, view, conic, v_ellipse):
-    """Gradients of the rows of `camera_axes` and of the mean in camera coordinates.
-
-    Returns:
-        Both, then the unit quaternion and the rows of its rotation matrix.
-    """
+    """Gradients of `camera_axes` and of the mean in the camera; unit quaternion and rotation."""
     _, K, _, _ = view
     a0, a1, slopes, p, axes, unit, rows = image_axes(gaussian, view)
     g_xx, g_xy, g_yy = covariance_gradient(conic, v_ellipse.conic)
@@ -401,39 +346,47 @@ def camera_gradients(gaussian, view, conic, v_ellipse):
     return v_axes, (v_x + v_u, v_y + v_v, v_z), unit, rows
 
 
-@no_type_check
 @inner
-def read_gradients(geometry, projected, v_projected, first, end, buffer):
-    """Sixteen Gaussians, or those before `end`, with their conics and gradients; who is visible."""
-    means, quats, scales = geometry
-    _, conics, _, radii = projected
-    v_means2d, v_conics, _, _ = v_projected
-    count = min(vec.LANES, end - first)
-    radius, _ = read_two(radii, first, count, buffer)
-    gaussian = read_gaussian(means, quats, scales, first, count, buffer)
-    conic = read_three(conics, first, count, buffer)
-    v_ellipse = Ellipse(
-        read_two(v_means2d, first, count, buffer), read_three(v_conics, first, count, buffer)
-    )
-    return gaussian, conic, v_ellipse, Lanes(first, count, vec.greater(radius, 0), buffer)
+def add_view_gradient(sums, row, lanes, v_p, v_axes, mean, world_axes):
+    """Add to the gradient of one row of the world-to-camera matrix, lane by lane."""
+    _, count, mask, buffer = lanes
+    for column in range(4):
+        value = v_p
+        if column < 3:
+            value = v_p * mean[column] + dot(v_axes, world_axes[column])
+        vec.store(buffer, 0, vec.select(mask, value, 0))
+        for lane in range(count):
+            sums[4 * row + column, lane] += buffer[lane]
 
 
-@no_type_check
 @kernel
-def project_backward(geometry, view, projected, v_projected, out, threads):
+def project_backward(geometry, view, projected, v_projected, out, v_view):
     """Fill the gradients of the Gaussians that one camera sees, and 0 for the others.
 
     Of `v_projected` only means2d and conics count: depths and radii are not differentiated.
+
+    `v_view` [threads, 12, 16] holds float64 zeros. It takes the gradient of the first three rows of
+    the world-to-camera matrix, unless it is [threads, 0, 16]. Threads and lanes add up apart: what
+    single Gaussians add cancels to a large part, and the order of the sums must not vary.
     """
-    means, _, _ = geometry
+    means, quats, scales = geometry
+    _, conics, _, radii = projected
+    v_means2d, v_conics, _, _ = v_projected
     v_means, v_quats, v_scales = out
     viewmat, _, _, _ = view
+    threads = v_view.shape[0]
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
         low, high = span(means.shape[0], thread, threads)
         for first in range(low, high, vec.LANES):
-            gaussian, conic, v_ellipse, lanes = read_gradients(
-                geometry, projected, v_projected, first, high, buffer
+            count = min(vec.LANES, high - first)
+            radius = read_columns(radii, first, count, 1, buffer)[0]
+            lanes = Lanes(first, count, vec.greater(radius, 0), buffer)
+            gaussian = read_gaussian(means, quats, scales, first, count, buffer)
+            conic = read_columns(conics, first, count, 3, buffer)[:3]
+            v_ellipse = Ellipse(
+                read_columns(v_means2d, first, count, 2, buffer)[:2],
+                read_columns(v_conics, first, count, 3, buffer)[:3],
             )
             v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
             v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
@@ -442,54 +395,9 @@ def project_backward(geometry, view, projected, v_projected, out, threads):
             write_three(v_scales, lanes, v_scale)
             write_three(v_quats, lanes, v_quat)
             write_column(v_quats, 3, lanes, v_quat[3])
-
-
-@no_type_check
-@inner
-def add_lanes(sums, index, lanes, value):
-    """Add a vector to a row of sums, lane by lane."""
-    _, count, mask, buffer = lanes
-    vec.store(buffer, 0, vec.select(mask, value, 0))
-    for lane in range(count):
-        sums[index, lane] += buffer[lane]
-
-
-@no_type_check
-@inner
-def add_row(sums, row, lanes, v_p, v_axes, mean, world_axes):
-    """Add to the gradient of one row of the matrix: of its rotation, then of its translation."""
-    e0, e1, e2 = world_axes
-    add_lanes(sums, 4 * row, lanes, v_p * mean[0] + dot(v_axes, e0))
-    add_lanes(sums, 4 * row + 1, lanes, v_p * mean[1] + dot(v_axes, e1))
-    add_lanes(sums, 4 * row + 2, lanes, v_p * mean[2] + dot(v_axes, e2))
-    add_lanes(sums, 4 * row + 3, lanes, v_p)
-
-
-@no_type_check
-@kernel
-def view_backward(geometry, view, projected, v_projected, sums):
-    """Add up the gradient of the first three rows of the world-to-camera matrix.
-
-    Args:
-        geometry: As `project_backward` takes it, like all but the last.
-        view: The camera.
-        projected: What it sees.
-        v_projected: The gradients of that.
-        sums: Zeros, [T,12,16] in float64: threads and lanes add up apart, since what single
-            Gaussians pull cancels to a large part, and the order must not vary.
-    """
-    means, _, _ = geometry
-    threads = sums.shape[0]
-    for thread in numba.prange(threads):
-        buffer = np.zeros(4 * vec.LANES, np.float32)
-        low, high = span(means.shape[0], thread, threads)
-        for first in range(low, high, vec.LANES):
-            gaussian, conic, v_ellipse, lanes = read_gradients(
-                geometry, projected, v_projected, first, high, buffer
-            )
-            v_axes, v_p, _, rows = camera_gradients(gaussian, view, conic, v_ellipse)
-            mean, scale = gaussian.mean, gaussian.scale
-            world_axes = times(rows[0], scale), times(rows[1], scale), times(rows[2], scale)
-            add_row(sums[thread], 0, lanes, v_p[0], v_axes[0], mean, world_axes)
-            add_row(sums[thread], 1, lanes, v_p[1], v_axes[1], mean, world_axes)
-            add_row(sums[thread], 2, lanes, v_p[2], v_axes[2], mean, world_axes)
+            if v_view.shape[1] > 0:
+                mean, scale = gaussian.mean, gaussian.scale
+                world = times(rows[0], scale), times(rows[1], scale), times(rows[2], scale)
+                add_view_gradient(v_view[thread], 0, lanes, v_p[0], v_axes[0], mean, world)
+                add_view_gradient(v_view[thread], 1, lanes, v_p[1], v_axes[1], mean, world)
+                add_view_gradient(v_view[thread], 2, lanes, v_p[2], v_axes[2], mean, world)

@@ -4,7 +4,7 @@ The basis is `scene.splats`'s: same order, same signs.
 """
 
 from math import sqrt
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -28,7 +28,6 @@ class Harmonics(NamedTuple):
     shN: Tensor
 
 
-@no_type_check
 @inner
 def basis(x, y, z):
     """The 16 basis functions at a unit direction."""
@@ -53,7 +52,6 @@ def basis(x, y, z):
     )
 
 
-@no_type_check
 @inner
 def basis_gradient(x, y, z, s):
     """The gradient by direction of the sum of `s[k]` times basis function k.
@@ -73,7 +71,6 @@ def basis_gradient(x, y, z, s):
     return v_x, v_y, v_z
 
 
-@no_type_check
 @inner
 def unit(direction):
     """A direction of norm 1, and the inverse of the norm that it had."""
@@ -82,7 +79,6 @@ def unit(direction):
     return x * inverse, y * inverse, z * inverse, inverse
 
 
-@no_type_check
 @kernel
 def colors(bases, harmonics, lowest, out):
     """Fill `out` [N,3] with the colours, clamped at `lowest`; `bases` is 1, 4, 9 or 16."""
@@ -104,7 +100,6 @@ def colors(bases, harmonics, lowest, out):
         )
 
 
-@no_type_check
 @kernel
 def colors_backward(bases, harmonics, lowest, out, v_out, v_harmonics, threads):
     """Fill the gradients of directions and coefficients; `out` are the colours."""

@@ -6,7 +6,7 @@ never look at the others.
 """
 
 from math import ceil, floor, log
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -32,13 +32,6 @@ class Ellipses(NamedTuple):
     conics: Tensor
     opacities: Tensor
     colors: Tensor
-
-
-class Grid(NamedTuple):
-    """How many tiles an image has in x and y."""
-
-    columns: int
-    rows: int
 
 
 class Entries(NamedTuple):
@@ -69,14 +62,9 @@ def depth_order(depths: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return order[: sort_by_depth(depths, radii, order)]
 
 
-@no_type_check
 @serial_kernel
 def sort_by_depth(depths, radii, order):
-    """Put what `depth_order` returns into the head of `order`: a stable radix sort.
-
-    Returns:
-        How many have a radius.
-    """
+    """Put what `depth_order` returns into the head of `order`, by radix sort; return the number."""
     found, count = np.empty(order.shape[0], np.int32), 0
     for i in range(depths.shape[0]):
         if radii[i, 0] > 0:
@@ -100,7 +88,6 @@ def sort_by_depth(depths, radii, order):
     return count
 
 
-@no_type_check
 @kernel
 def pack_rows(order, ellipses, rows):
     """Gather what blending reads of a Gaussian into one row, in depth order.
@@ -121,7 +108,6 @@ def pack_rows(order, ellipses, rows):
             flat[row + ROW_COLORS + c] = colors[i, c]
 
 
-@no_type_check
 @inner
 def side_slopes(row):
     """Slopes of the lines on which a packed row's exponent is greatest, over x and over y.
@@ -133,7 +119,6 @@ def side_slopes(row):
     return lean / row.flat[row.first + 2], lean / row.flat[row.first + 4]
 
 
-@no_type_check
 @inner
 def block_mask(row, slopes, left, top):
     """Bit b is set if the ellipse of a packed row reaches a pixel centre's box in block b.
@@ -156,7 +141,6 @@ def block_mask(row, slopes, left, top):
     return vec.bits(vec.greater_equal(vec.maximum(side_x, side_y), threshold))
 
 
-@no_type_check
 @inner
 def tile_span(center, radius, tiles):
     """First tile and the one after the last that an interval of pixels touches."""
@@ -164,7 +148,6 @@ def tile_span(center, radius, tiles):
     return first, min(ceil((center + radius) / TILE), tiles)
 
 
-@no_type_check
 @kernel
 def list_entries(order, rows, radii, grid, starts, entries, counts, written):
     """List the entries chunk by chunk; count those of each chunk and tile, [chunks, tiles].
@@ -196,30 +179,21 @@ def list_entries(order, rows, radii, grid, starts, entries, counts, written):
         written[chunk] = entry - starts[chunk]
 
 
-@no_type_check
-@inner
-def grid_of(size):
-    """The tiles of an image of a width and height."""
-    width, height = size
-    return Grid(-(-width // TILE), -(-height // TILE))
-
-
-@no_type_check
 @serial_kernel
 def entry_bounds(order, rows, radii, size, starts):
     """Fill where each chunk may start to write its entries: the tiles under the bounding boxes."""
-    n, chunks, total, grid = order.shape[0], starts.shape[0] - 1, 0, grid_of(size)
+    n, chunks, total = order.shape[0], starts.shape[0] - 1, 0
+    columns, lines = -(-size[0] // TILE), -(-size[1] // TILE)
     starts[0] = 0
     for chunk in range(chunks):
         for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             row, i = rank * rows.stride, order[rank]
-            first_x, last_x = tile_span(rows.flat[row], radii[i, 0], grid.columns)
-            first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], grid.rows)
+            first_x, last_x = tile_span(rows.flat[row], radii[i, 0], columns)
+            first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], lines)
             total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
         starts[chunk + 1] = total
 
 
-@no_type_check
 @kernel
 def scatter_entries(entries, starts, written, places, lists):
     """Move the chunks' entries to their tiles; chunks are in depth order, so lists are too.
@@ -235,46 +209,25 @@ def scatter_entries(entries, starts, written, places, lists):
             places[chunk, tiles[entry]] = place + 1
 
 
-@no_type_check
-@inner
-def count_up(counts, starts):
-    """Fill where each tile's list begins [tiles + 1].
-
-    Returns:
-        Where each chunk's part of it begins, [chunks, tiles].
-    """
-    chunks, tiles = counts.shape
-    places = np.empty_like(counts)
-    place = 0
-    for tile in range(tiles):
-        starts[tile] = place
+@serial_kernel
+def list_tiles(order, rows, radii, size, starts, lists):
+    """Fill the lists of all tiles; each chunk has the room between `starts`. Return the number."""
+    room, chunks = starts[-1], starts.shape[0] - 1
+    grid = -(-size[0] // TILE), -(-size[1] // TILE)
+    tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
+    entries = Entries(tiles, ranks, np.empty(room, np.uint16))
+    counts = np.zeros((chunks, grid[0] * grid[1]), np.int64)
+    written = np.zeros(chunks, np.int64)
+    list_entries(order, rows, radii, grid, starts, entries, counts, written)
+    places, place = np.empty_like(counts), 0
+    for tile in range(counts.shape[1]):
+        lists.starts[tile] = place
         for chunk in range(chunks):
             places[chunk, tile] = place
             place += counts[chunk, tile]
-    starts[tiles] = place
-    return places
-
-
-@no_type_check
-@serial_kernel
-def list_tiles(order, rows, radii, size, starts, lists):
-    """Fill the lists of all tiles, whose chunks have the room between `starts` for their entries.
-
-    Returns:
-        How many entries there are.
-    """
-    room, grid = starts[-1], grid_of(size)
-    tiles, ranks = np.empty(room, np.int32), np.empty(room, np.int32)
-    entries = Entries(tiles, ranks, np.empty(room, np.uint16))
-    chunks = starts.shape[0] - 1
-    counts, written = (
-        np.zeros((chunks, grid.columns * grid.rows), np.int64),
-        np.zeros(chunks, np.int64),
-    )
-    list_entries(order, rows, radii, grid, starts, entries, counts, written)
-    places = count_up(counts, lists.starts)
+    lists.starts[-1] = place
     scatter_entries(entries, starts, written, places, lists)
-    return lists.starts[-1]
+    return place
 
 
 def tile_lists(

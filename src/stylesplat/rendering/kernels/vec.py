@@ -8,14 +8,17 @@ kernel that others import, delete `__pycache__` in this folder and in `training/
 """
 
 import operator
-from typing import NamedTuple, no_type_check
+from collections.abc import Callable
+from inspect import unwrap
+from typing import Any, NamedTuple, no_type_check
 
+import numba.extending
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_jitable, register_model
+from numba.extending import lower_builtin, models, register_jitable, register_model
 
 LANES = 16
 F32 = ir.FloatType()
@@ -67,6 +70,11 @@ class _VecModel(models.PrimitiveModel):
 class _MaskModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
         super().__init__(dmm, fe_type, MASK)
+
+
+def intrinsic(function: Callable[..., Any]) -> Any:
+    """numba's `intrinsic`, without what tests wrap every function in to check types."""
+    return numba.extending.intrinsic(unwrap(function))
 
 
 def emit_broadcast(builder, scalar):
@@ -126,10 +134,10 @@ def _lane_op(arity, emit, result=vec):
         return result(*operands), codegen
 
     if arity == 1:
-        return intrinsic(no_type_check(lambda typingctx, a: typed(a)))
+        return intrinsic(lambda typingctx, a: typed(a))
     if arity == 2:
-        return intrinsic(no_type_check(lambda typingctx, a, b: typed(a, b)))
-    return intrinsic(no_type_check(lambda typingctx, a, b, c: typed(a, b, c)))
+        return intrinsic(lambda typingctx, a, b: typed(a, b))
+    return intrinsic(lambda typingctx, a, b, c: typed(a, b, c))
 
 
 def _overload_operator(symbol, name):
@@ -177,7 +185,6 @@ reciprocal = _lane_op(
 
 
 @intrinsic
-@no_type_check
 def load(typingctx, array, index):
     """The 16 numbers of a flat float32 array that start at `index`."""
 
@@ -188,7 +195,6 @@ def load(typingctx, array, index):
 
 
 @intrinsic
-@no_type_check
 def spread(typingctx, array, index):
     """All lanes set to one number of a flat float32 array; the index must not be negative."""
 
@@ -200,7 +206,6 @@ def spread(typingctx, array, index):
 
 
 @intrinsic
-@no_type_check
 def spread_row(typingctx, place, column):
     """All lanes set to one number of the row at a place; see `spread`."""
 
@@ -214,7 +219,6 @@ def spread_row(typingctx, place, column):
 
 
 @intrinsic
-@no_type_check
 def store(typingctx, array, index, value):
     """Write 16 numbers to a flat float32 array, starting at `index`."""
 
@@ -226,7 +230,6 @@ def store(typingctx, array, index, value):
 
 
 @intrinsic
-@no_type_check
 def load_halves(typingctx, array, index):
     """16 numbers of a flat array of float16, kept as uint16, that start at `index`."""
 
@@ -239,7 +242,6 @@ def load_halves(typingctx, array, index):
 
 
 @intrinsic
-@no_type_check
 def store_halves(typingctx, array, index, value):
     """Write 16 numbers, rounded to float16, to a flat array of uint16."""
 
@@ -253,7 +255,6 @@ def store_halves(typingctx, array, index, value):
 
 
 @intrinsic
-@no_type_check
 def prefetch(typingctx, array, index):
     """Ask for the cache line of `array[index]`."""
 
@@ -269,7 +270,6 @@ def prefetch(typingctx, array, index):
 
 
 @intrinsic
-@no_type_check
 def bits(typingctx, lanes):
     """A mask as an integer, lane 0 in the lowest bit."""
 
@@ -280,7 +280,6 @@ def bits(typingctx, lanes):
 
 
 @intrinsic
-@no_type_check
 def lowest_bit(typingctx, integer):
     """Position of the lowest set bit of an integer that is not 0."""
 
@@ -294,7 +293,6 @@ def _constant(numbers):
     """An intrinsic without operands: a constant vector."""
 
     @intrinsic
-    @no_type_check
     def constant(typingctx):
         return vec(), lambda context, builder, signature, args: ir.Constant(VEC, numbers)
 

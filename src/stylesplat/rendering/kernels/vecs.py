@@ -7,11 +7,9 @@ tuple's elements mean nothing: `channels` makes one.
 # pyright: reportCallIssue=false
 # (it cannot count the arguments of starred lists)
 
-from typing import no_type_check
-
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, models, register_model
+from numba.extending import models, register_model
 
 from stylesplat.rendering.kernels.vec import (
     I32,
@@ -22,6 +20,7 @@ from stylesplat.rendering.kernels.vec import (
     emit_fma,
     emit_load,
     emit_store,
+    intrinsic,
     vec,
 )
 
@@ -61,7 +60,6 @@ def _pack(builder, values):
 
 
 @intrinsic
-@no_type_check
 def zeros(typingctx, like):
     """`Vecs` of zeros, as many as `channels`."""
 
@@ -72,7 +70,6 @@ def zeros(typingctx, like):
 
 
 @intrinsic
-@no_type_check
 def load_vecs(typingctx, array, index, like):
     """`Vecs` from consecutive memory, as many as the `Vecs` or `channels` that it is to be like."""
 
@@ -85,7 +82,6 @@ def load_vecs(typingctx, array, index, like):
 
 
 @intrinsic
-@no_type_check
 def store_vecs(typingctx, array, index, vecs):
     """Write `Vecs` to consecutive memory."""
 
@@ -104,7 +100,6 @@ def _scalars(context, builder, array_type, array, index, count):
 
 
 @intrinsic
-@no_type_check
 def add_scaled_row(typingctx, vecs, weight, array, index):
     """`vecs[i] + weight * array[index + i]` for every i."""
 
@@ -120,7 +115,6 @@ def add_scaled_row(typingctx, vecs, weight, array, index):
 
 
 @intrinsic
-@no_type_check
 def dot_row(typingctx, vecs, array, index):
     """The sum over i of `vecs[i] * array[index + i]`."""
 
@@ -135,7 +129,6 @@ def dot_row(typingctx, vecs, array, index):
 
 
 @intrinsic
-@no_type_check
 def add_products(typingctx, vecs, weight, others):
     """`vecs[i] + weight * others[i]` for every i."""
 
@@ -147,7 +140,6 @@ def add_products(typingctx, vecs, weight, others):
 
 
 @intrinsic
-@no_type_check
 def add_moments(typingctx, moments, weight, x, y):
     """`Vecs` of six plus the weight times 1, x, y, x x, x y and y y."""
 
@@ -181,7 +173,6 @@ def _shuffle(builder, a, b, lanes):
 
 
 @intrinsic
-@no_type_check
 def add_lane_sums(typingctx, array, index, moments, vecs):
     """Add the sum over the lanes of each of `moments` and then `vecs` to consecutive numbers.
 
