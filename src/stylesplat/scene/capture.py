@@ -45,11 +45,8 @@ class Capture:
     """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
 
     def __post_init__(self) -> None:
-        for what, items in (
-            ("photos", self.photos),
-            ("label maps", self.label_maps),
-            ("alphas", self.alphas),
-        ):
+        given = {"photos": self.photos, "label maps": self.label_maps, "alphas": self.alphas}
+        for what, items in given.items():
             if items is not None and len(items) != len(self.cameras):
                 raise StyleSplatError(
                     f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
@@ -98,22 +95,15 @@ class Capture:
         return None if self.alphas is None else self.alphas[row]
 
 
-PHOTOS = 5  # that a fingerprint reads; who exchanges photos exchanges all, or renames them
+PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rename them
 DIGEST = 8  # bytes of each part
 
 
 def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
-    """Digests of a capture's parts: equal for equal captures, wherever they lie.
+    """Digests of a capture's parts, `PART=DIGEST` separated by spaces; see `differences`.
 
-    All label maps are read, once and one at a time, but only a few photos: about 0.6 s for 50
+    All label maps are read, once and one at a time, but only so many photos: about 0.6 s for 50
     captured at 1080x1920, and 3 s for 300 at 1600x1066.
-
-    Args:
-        capture: At the size that it is used at.
-        photos: How many of them to look at, evenly chosen.
-
-    Returns:
-        `PART=DIGEST`, separated by spaces; see `differences`.
     """
     rows = evenly(range(len(capture)), photos)
     cameras = capture.cameras
@@ -173,10 +163,9 @@ Size = Sequence[int]  # height and width
 
 
 def at_most(capture: Capture, length: int) -> Capture:
-    """The same capture with photos whose sides have at most so many pixels.
+    """The capture with photos, label maps and cameras whose sides have at most so many pixels.
 
-    Label maps and cameras become smaller with the photos. Smaller photos are made on first access
-    and kept; a capture that is small already is returned as it is.
+    Smaller photos are made on first access and cached.
     """
     cameras = capture.cameras.at_most(length)
     if cameras is capture.cameras:
@@ -207,7 +196,7 @@ def at_most(capture: Capture, length: int) -> Capture:
 
 
 def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w *D"]:
-    """A picture in which every pixel averages what it covers."""
+    """Resize a picture by averaging."""
     import cv2  # which commands without photos need not load
 
     return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))

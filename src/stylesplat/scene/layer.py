@@ -106,13 +106,10 @@ def without_identities(splats: Splats) -> Splats:
 def taken(
     layer: Layer, places: Int[Tensor, " N"], canvas: Int[Tensor, " K"] | None = None
 ) -> Layer:
-    """What is left of a layer on some rows of its base.
+    """The part of a layer on some rows of its base, and on some of its canvas (by default all).
 
-    Args:
-        layer: On the whole base.
-        places: Where each row of the base is now; -1 if it is gone.
-        canvas: The Gaussians of the canvas that are left; None for all. They belong to some row of
-            the layer if their parent is gone.
+    `places` are the new rows of the base's rows, -1 where they are removed. Gaussians of the canvas
+    whose parent is removed get any row of the layer as parent.
     """
     kept = places[layer.rows] >= 0
     rows = places[layer.rows][kept]
