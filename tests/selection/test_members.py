@@ -6,10 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from balls import SPLATS
+from balls import SPLATS, class_probabilities
 from stylesplat.scene import splats as nouns
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import class_probabilities
 from stylesplat.selection.members import MIN_POINTS, inliers, likeliest, members
 from stylesplat.selection.pick import pick
 

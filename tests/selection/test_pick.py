@@ -4,11 +4,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SHARPNESS, SPLATS
+from balls import CAMERAS, SHARPNESS, SPLATS, class_probabilities
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import class_probabilities, object_ids, render_labels
+from stylesplat.selection.identities import object_ids, render_labels
 from stylesplat.selection.pick import pick, resolve_ids
 
 

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 import torch
 
-from balls import BALLS, CAMERAS, SPLATS
+from balls import BALLS, CAMERAS, SPLATS, class_probabilities
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
-from stylesplat.selection.identities import class_probabilities
 from stylesplat.selection.pick import pick
 from stylesplat.training.lifting import MANY, labelled
 from stylesplat.verbs.evaluate import evaluate

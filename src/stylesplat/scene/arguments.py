@@ -40,6 +40,15 @@ def check_box(
     return inside
 
 
+def check_point(point: tuple[float, float], size: tuple[int, int], name: str) -> None:
+    """Refuse a point outside its photo."""
+    if not all(0 <= value < length for value, length in zip(point, size, strict=True)):
+        raise StyleSplatError(
+            f"Point {point[0]:g},{point[1]:g} is outside {name}, which is {size[0]}x{size[1]} "
+            "pixels. Coordinates are those of the photo at full size."
+        )
+
+
 def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any], ...]:
     """Separate the views' names and their numbers: 2 of a point, 4 of a box.
 

@@ -49,8 +49,9 @@ class Cameras:
         return (self[row] for row in range(len(self)))
 
     def __add__(self, other: "Cameras") -> "Cameras":
-        pairs = ((self.viewmats, other.viewmats), (self.Ks, other.Ks), (self.sizes, other.sizes))
-        return Cameras(*map(torch.cat, pairs), self.names + other.names)
+        viewmats = torch.cat([self.viewmats, other.viewmats])
+        Ks, sizes = torch.cat([self.Ks, other.Ks]), torch.cat([self.sizes, other.sizes])
+        return Cameras(viewmats, Ks, sizes, self.names + other.names)
 
     @property
     def size(self) -> tuple[int, int]:

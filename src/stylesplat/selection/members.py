@@ -26,7 +26,7 @@ FEW = 0.5  # share of the classes, up to which it pays to compare with the backg
 
 @dataclass(frozen=True)
 class Members:
-    """The Gaussians that identities give to some label ids."""
+    """The Gaussians of some label ids by their identities alone."""
 
     splats: Splats
     likely: Mapping[int, Int[Tensor, " _"]]
@@ -51,16 +51,7 @@ class Members:
 
 @torch.no_grad()
 def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
-    """Find the Gaussians of some objects in one pass.
-
-    Args:
-        splats: Gaussians with identities.
-        ids: Label ids that their classifier knows.
-        threshold: Probability above which a Gaussian is likely an object's.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
+    """Find the Gaussians of some known label ids whose probability exceeds a threshold."""
     _, classifier = require_identities(splats)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
     rows, numbers, confirmed = [], [], []
@@ -80,17 +71,13 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
 
 @torch.no_grad()
 def likeliest(splats: Splats) -> Int[Tensor, " N"]:
-    """The most likely label id of each Gaussian.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
+    """The most likely label id of each Gaussian."""
     identities, classifier = require_identities(splats)
     return classifier.likeliest(identities.detach())
 
 
 def _possible(splats: Splats, columns: Int[Tensor, " L"], threshold: float) -> Int[Tensor, " M"]:
-    """The Gaussians that may be of some classes: not those that are too likely background.
+    """The Gaussians that may be of some classes, by comparison with the background alone.
 
     A class is at most as likely as if there were only itself and the background.
     """
@@ -126,14 +113,9 @@ def fill_gaps(
     picked: Bool[Tensor, " N"],
     doubtful: Callable[[Int[Tensor, " M"]], Bool[Tensor, " M"]],
 ) -> Bool[Tensor, " N"]:
-    """Gaussians that are not picked, but most of whose neighbours are.
+    """Doubtful Gaussians most of whose neighbours are picked.
 
     Measured on the demo: they are 15 % of what shows of the vase, and 0.6 % of it lies beside it.
-
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians so far.
-        doubtful: Returns which of some others may be the object's.
     """
     nobody = torch.zeros_like(picked)
     means, own = splats.means, picked.nonzero()[:, 0]

@@ -119,7 +119,7 @@ def _closeness(
     views: Cameras,
     boxes: Sequence[Box],
 ) -> dict[str, float]:
-    """Measure how close an object is to its style; empty if the style or its network is missing."""
+    """Measure how close an object is to its style, if the style and its network are at hand."""
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
@@ -135,11 +135,7 @@ def _closeness(
 
 
 def _style_of(layer: Layer) -> Style:
-    """Read the style of a layer.
-
-    Raises:
-        StyleSplatError: If its pictures are missing or have changed.
-    """
+    """The style of a layer; refuses pictures that are missing or have changed."""
     pictures = list[Path]()
     for source in layer.styles:
         if source.path is None:

@@ -95,11 +95,7 @@ def render(
 
 
 def cameras_of(scene: Scene, views: Which | Names | Cameras, frames: int | None = None) -> Cameras:
-    """The cameras that `render` takes.
-
-    Raises:
-        StyleSplatError: If the scene has no such views.
-    """
+    """The cameras of `render`'s argument `views`."""
     if isinstance(views, Cameras):
         return views
     if views == "orbit":
@@ -138,9 +134,8 @@ def orbit(
     count = FRAMES if frames is None else frames
     picked = None if around is None else find_object(scene, around)
     if has_no_photos(scene):
-        splats, views = scene.splats, scene.cameras
-        content = content_of(splats, picked)
-        return orbit_around(content, views if size is None else views.resize(*size), count)
+        views = scene.cameras if size is None else scene.cameras.resize(*size)
+        return orbit_around(content_of(scene.splats, picked), views, count)
     content = None if picked is None else content_of(scene.splats, picked)
     path = orbit_cameras(scene.cameras, count, content and content.extent.centre)
     path = path if size is None else path.resize(*size)
