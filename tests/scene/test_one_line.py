@@ -10,7 +10,6 @@ from scenes import plain_layer
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import SceneObject
-from stylesplat.stylization.style import Recipe, StyledObject
 
 VASE = torch.arange(len(SPLATS)) < 20
 
@@ -53,8 +52,3 @@ def test_scenes_and_what_is_in_them():
     )
     expected = "8 views (1 held out), objects: vase, painted: vase, garden-wave"
     assert repr(scene) == f"Scene({count}, {expected})"
-
-
-def test_it_is_one_line_whatever_names_hold():
-    recipe = Recipe((StyledObject("a\nb" + 200 * "c", ss.Style("night\x1b.jpg")),))
-    assert repr(recipe).isprintable()

@@ -60,14 +60,6 @@ def test_with_photos_and_label_maps(capture: Capture, splat: Path, tmp_path: Pat
     assert again["psnr"] == pytest.approx(metrics["psnr"])
 
 
-def test_splats_that_are_in_memory(capture: Capture, splat: Path):
-    one, other = (import_(each, capture, device="cpu") for each in (PLAIN, splat))
-    for name, tensor in one.splats.tensors().items():
-        if name != "shN":  # a file has all bands
-            assert torch.equal(tensor, other.splats.tensors()[name]), name
-    assert one.info["splat"] is None
-
-
 def test_without_photos(splat: Path, said: list[str]):
     scene = import_(splat, up="z", device="cpu")
     assert scene.metrics.keys() == {"gaussians", "seconds"}

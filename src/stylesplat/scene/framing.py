@@ -15,13 +15,15 @@ from stylesplat.scene.content import Content, content_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
-FILLED = 0.92  # of the picture's width or height; the rest is room around
-CLEAR = 0.5  # of the content's radius, between its nearest point and the camera
-NEAREST = 0.1  # world units from the camera; nothing nearer than 0.01 is drawn
-WIDEST = 0.5  # focal length over the picture's width: 90 degrees
-HIDDEN = 0.1  # share of its middle that something else may hide
-MIDDLE = 0.6  # of its radius, which its middle reaches to
-BEFORE = 0.95  # of the way to what would hide it, where the camera stands
+# The model: the content is a convex hull that fills the picture, and other Gaussians are discs that
+# hide part of its middle. A camera stands as far away as it needs, or before the first of these.
+FILLED = 0.92  # share of the picture's width or height
+CLEAR = 0.5  # least distance of the camera from the content's nearest point, in its radii
+NEAREST = 0.1  # least distance of the camera in world units; the near plane is at 0.01
+WIDEST = 0.5  # least focal length over the picture's width: 90 degrees
+HIDDEN = 0.1  # share of the content's middle that other Gaussians may hide
+MIDDLE = 0.6  # radius of the middle, in the content's radii
+BEFORE = 0.95  # share of the distance to what would hide the content, where the camera stands
 TINY = 1e-9
 
 
@@ -105,13 +107,12 @@ def _free_distance(content: Content, sight: Sight, radius: float) -> float:
 
 
 VIEWS = 36
-SIZE = (960, 720)  # pixels; upright for what is taller than wide
-TALL = 1.2  # times as tall as wide, from which that is so
+SIZE = (960, 720)  # pixels
 FOCAL = 960.0  # pixels, where there is room enough
 ELEVATIONS = (10.0, 35.0)  # degrees, by turns
-EACH = 4  # one view in so many is a close-up
-PARTS = 3  # of the content along its longest axis, which close-ups show by turns
-ZOOM = 2.0  # times larger than in the other views, at least, is what they show
+EACH = 4  # one view in four is a close-up
+PARTS = 3  # of the content along its longest axis, one in each close-up
+ZOOM = 2.0  # least magnification of close-ups
 NAMES = tuple(f"view_{row:03d}.png" for row in range(VIEWS))
 
 
@@ -121,9 +122,6 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
     parts = [content.outline_of(part) for part in _parts_along(content.points)]
     up = torch.nn.functional.normalize(up.double(), dim=0)
     side, ahead = level_axes(up)
-    outline = content.outline @ torch.stack([side, ahead, up], dim=1)
-    lengths = outline.amax(dim=0) - outline.amin(dim=0)
-    size = (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
     viewmats, focals = [], []
     for row in range(VIEWS):
         turn = 2 * math.pi * row / VIEWS
@@ -132,7 +130,7 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
         tilt = math.radians(ELEVATIONS[(round if close else place) % len(ELEVATIONS)])
         level = math.cos(turn) * side + math.sin(turn) * ahead
         outward = math.cos(tilt) * level + math.sin(tilt) * up
-        sight = Sight(content.extent.centre, outward, up, size)
+        sight = Sight(content.extent.centre, outward, up, SIZE)
         distance = fitting_distance(content, [sight], FOCAL)
         focal = focal_at(content.outline, sight, distance)
         if close:
@@ -143,8 +141,8 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
         focals.append(focal)
     return Cameras(
         viewmats=torch.stack(viewmats).float(),
-        Ks=torch.stack([centred_K(focal, size) for focal in focals]),
-        sizes=torch.tensor(size).expand(VIEWS, 2).clone(),
+        Ks=torch.stack([centred_K(focal, SIZE) for focal in focals]),
+        sizes=torch.tensor(SIZE).repeat(VIEWS, 1),
         names=NAMES,
     )
 

@@ -20,8 +20,6 @@ from stylesplat.selection.identities import require_identities
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 CONFIRMED = 0.9  # probability above which label maps confirm a Gaussian's label
 AT_ONCE = 1 << 20  # Gaussians whose identities are gathered: 64 MB
-ROUNDING = 1e-2  # of scores, generously
-FEW = 0.5  # share of the classes, up to which it pays to compare with the background first
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,8 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     _, classifier = require_identities(splats)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
     rows, numbers, confirmed = [], [], []
-    for some, probabilities in _probabilities(splats, _possible(splats, columns, threshold)):
+    every = torch.arange(len(splats), device=splats.device)
+    for some, probabilities in _probabilities(splats, every):
         likely = probabilities.index_select(1, columns)
         row, number = (likely > threshold).nonzero(as_tuple=True)
         rows.append(some[row])
@@ -74,24 +73,6 @@ def likeliest(splats: Splats) -> Int[Tensor, " N"]:
     """The most likely label id of each Gaussian."""
     identities, classifier = require_identities(splats)
     return classifier.likeliest(identities.detach())
-
-
-def _possible(splats: Splats, columns: Int[Tensor, " L"], threshold: float) -> Int[Tensor, " M"]:
-    """The Gaussians that may be of some classes, by comparison with the background alone.
-
-    A class is at most as likely as if there were only itself and the background.
-    """
-    identities, classifier = require_identities(splats)
-    every = torch.arange(len(splats), device=splats.device)
-    known = classifier.ids
-    behind = known.index(BACKGROUND) if BACKGROUND in known else None
-    if behind is None or behind in columns or len(columns) > FEW * len(known):
-        return every
-    weight = classifier.weight[columns] - classifier.weight[behind]
-    bias = classifier.bias[columns] - classifier.bias[behind]
-    least = torch.logit(torch.tensor(threshold)).item() - ROUNDING
-    parts = zip(every.split(AT_ONCE), identities.split(AT_ONCE), strict=True)
-    return torch.cat([rows[((p @ weight.T + bias) > least).any(dim=1)] for rows, p in parts])
 
 
 def _probabilities(
