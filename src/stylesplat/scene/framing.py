@@ -107,7 +107,8 @@ def _free_distance(content: Content, sight: Sight, radius: float) -> float:
 
 
 VIEWS = 36
-SIZE = (960, 720)  # pixels
+SIZE = (960, 720)  # pixels; upright for tall content
+TALL = 1.2  # least height of tall content, in its widths
 FOCAL = 960.0  # pixels, where there is room enough
 ELEVATIONS = (10.0, 35.0)  # degrees, by turns
 EACH = 4  # one view in four is a close-up
@@ -122,6 +123,9 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
     parts = [content.outline_of(part) for part in _parts_along(content.points)]
     up = torch.nn.functional.normalize(up.double(), dim=0)
     side, ahead = level_axes(up)
+    outline = content.outline @ torch.stack([side, ahead, up], dim=1)
+    lengths = outline.amax(dim=0) - outline.amin(dim=0)
+    size = (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
     viewmats, focals = [], []
     for row in range(VIEWS):
         turn = 2 * math.pi * row / VIEWS
@@ -130,7 +134,7 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
         tilt = math.radians(ELEVATIONS[(round if close else place) % len(ELEVATIONS)])
         level = math.cos(turn) * side + math.sin(turn) * ahead
         outward = math.cos(tilt) * level + math.sin(tilt) * up
-        sight = Sight(content.extent.centre, outward, up, SIZE)
+        sight = Sight(content.extent.centre, outward, up, size)
         distance = fitting_distance(content, [sight], FOCAL)
         focal = focal_at(content.outline, sight, distance)
         if close:
@@ -141,8 +145,8 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
         focals.append(focal)
     return Cameras(
         viewmats=torch.stack(viewmats).float(),
-        Ks=torch.stack([centred_K(focal, SIZE) for focal in focals]),
-        sizes=torch.tensor(SIZE).repeat(VIEWS, 1),
+        Ks=torch.stack([centred_K(focal, size) for focal in focals]),
+        sizes=torch.tensor(size).repeat(VIEWS, 1),
         names=NAMES,
     )
 
