@@ -26,11 +26,6 @@ def test_background_is_no_object():
     assert object_ids(SPLATS) == (3, 7, 300)
 
 
-def test_by_id_finds_the_ball():
-    picked = pick(SPLATS, object_id=300, remove_outliers=False)
-    assert torch.equal(picked, own_class(SPLATS, 3))
-
-
 def test_a_floater_is_removed_unless_asked():
     means = SPLATS.means.clone()
     row = int(own_class(SPLATS, 1).nonzero()[0])

@@ -1,6 +1,6 @@
 """Votes of scripted boxes; then of a detector of colours, and of real architectures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,6 @@ from torch import Tensor
 from balls import CAMERAS, SPLATS
 from capture_files import NOTHING, ColorDetector
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import far_apart
 from stylesplat.selection.text import (
     Detections,
@@ -96,19 +95,8 @@ def test_nothing_fits():
         clear_winner({}, "owl", folder=Path("my garden"))
 
 
-def ring(angles: Sequence[float]) -> Cameras:
-    """Cameras on a circle; where they look does not matter."""
-    viewmats = torch.eye(4).repeat(len(angles), 1, 1)
-    turns = torch.tensor(angles).deg2rad()
-    viewmats[:, 0, 3], viewmats[:, 1, 3] = turns.cos(), turns.sin()
-    names = tuple(map(str, angles))
-    return Cameras(
-        viewmats, torch.eye(3).repeat(len(angles), 1, 1), torch.ones(len(angles), 2).int(), names
-    )
-
-
 def test_no_view_is_taken_twice():
-    same_place = ring([0.0] * 5)
+    same_place = CAMERAS[[0] * 5]
     assert sorted(far_apart(same_place, 5)) == [0, 1, 2, 3, 4]
     assert len(far_apart(same_place, 8)) == 5
     assert len(set(far_apart(CAMERAS, 3))) == 3

@@ -5,14 +5,13 @@ import numpy as np
 import pytest
 import torch
 
-from balls import BALLS, CAMERAS, SPLATS, class_probabilities
+from balls import BALLS, CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
 from stylesplat.selection.pick import pick
-from stylesplat.training.lifting import MANY, labelled
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import import_
@@ -146,14 +145,3 @@ def test_labels_of_another_splat_or_of_nothing(file: Path):
     for bad in (0 * LABELS, -LABELS, LABELS + 2**24):
         with pytest.raises(StyleSplatError, match=r"There are \d objects in labels from "):
             import_(SPLATS, labels=bad)
-
-
-@pytest.mark.parametrize("count", [2, 17, 700])
-def test_every_label_is_told_from_all_others(count: int):
-    splats = SPLATS[torch.arange(count) % len(SPLATS)]
-    found = labelled(splats, 10 * torch.arange(count))
-    assert found.classifier is not None
-    assert found.classifier.ids == tuple(range(0, 10 * count, 10))
-    assert (class_probabilities(found).diagonal() > 0.98).all()
-    with pytest.raises(StyleSplatError, match=r"There are 2,048 objects.* Label 1 to 2,047"):
-        labelled(SPLATS[torch.arange(MANY + 1) % len(SPLATS)], torch.arange(MANY + 1))

@@ -85,16 +85,6 @@ def test_several_shapes_are_united():
     assert scene.objects["balls"].how["sphere"] == tuple(("", each) for each in spheres)
     assert scene.objects["red"].how["sphere"] == ("", spheres[0]), "one is written as it was"
 
-    def around(id: int) -> tuple[float, ...]:
-        (x, y, z), *_ = BALLS[id]
-        return (x - 0.3, y - 0.3, z - 0.3, x + 0.3, y + 0.3, z + 0.3)
-
-    scene = select(scene, "boxes", box3d=[around(3), list(around(7))])
-    scene = select(scene, "box", box3d=around(3))
-    assert picked(scene, "boxes")[picked(scene, "box")].all()
-    assert picked(scene, "boxes").sum() > picked(scene, "box").sum() > 0
-    assert scene.objects["box"].how["box3d"] == around(3)
-
 
 @pytest.mark.parametrize(
     ("choice", "message"),
