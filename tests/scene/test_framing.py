@@ -9,7 +9,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos, ring_cameras
-from stylesplat.scene.projection import project, shown
+from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
@@ -48,7 +48,7 @@ def test_close_ups_show_every_part_of_what_is_long():
     cameras = ring_cameras(splats, UP)
     seen = torch.zeros(len(splats), dtype=torch.bool)
     for row in close_ups(cameras):
-        here = shown(splats.means.double(), cameras[row])
+        here = is_in_image(splats.means.double(), cameras[row])
         assert 0 < here.float().mean() < 1
         seen |= here
     assert seen.float().mean() > 0.999

@@ -10,7 +10,7 @@ from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.summary import flat
-from stylesplat.scene.frames import Frame, seen_from
+from stylesplat.scene.frames import Frame, move_cameras
 from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.compare import compare
 from stylesplat.verbs.load import load
@@ -57,7 +57,7 @@ def test_what_cannot_be_measured_is_looked_at(folder: Path):
 
 def test_the_frame_of_the_world_is_immaterial():
     turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    moved = replace(SCENE, cameras=seen_from(CAMERAS, Frame(turn, 2.0, torch.ones(3))))
+    moved = replace(SCENE, cameras=move_cameras(CAMERAS, Frame(turn, 2.0, torch.ones(3))))
     assert shared_views({"a": SCENE, "b": moved}) == CAMERAS.names[:2]
 
 

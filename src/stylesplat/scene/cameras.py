@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.scene.one_line import counted, one_line, pixels
 
-UP_RIDGE = 0.01  # weight of the cameras' mean up against 'no camera is rolled'
+UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
 PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
 ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
 REMEDY = "To render, choose --views all; to train, give sparse points."
@@ -82,7 +82,7 @@ class Cameras:
         Raises:
             StyleSplatError: If no camera, or more than one, has that name.
         """
-        return row_called(name, self.names)
+        return find_name(name, self.names)
 
     def downscale(self, factor: float | int) -> "Cameras":
         """The same cameras for images `factor` times smaller, sizes rounded to whole pixels.
@@ -122,8 +122,8 @@ class Cameras:
         return replace(self, viewmats=self.viewmats.to(device), Ks=self.Ks.to(device))
 
 
-def row_called(name: str, names: Sequence[str], *, told: Sequence[str] | None = None) -> int:
-    """The row of a photo's name, as `Cameras.index` finds it; `told` are the names in messages."""
+def find_name(name: str, names: Sequence[str], *, shown_names: Sequence[str] | None = None) -> int:
+    """The row of a photo's name as in `Cameras.index`; messages contain the `shown_names`."""
     if name in names:
         return names.index(name)
     stems = [n.rsplit(".", 1)[0] for n in names]
@@ -132,10 +132,10 @@ def row_called(name: str, names: Sequence[str], *, told: Sequence[str] | None = 
         for stem in (name, name.rsplit(".", 1)[0]):
             if known.count(stem) == 1:
                 return known.index(stem)
-    told = names if told is None else told
+    known = names if shown_names is None else shown_names
     raise StyleSplatError(
-        f"No view is called {name!r}. Views: {', '.join(told[:8])}"
-        f"{', ...' if len(told) > 8 else '.'}"
+        f"No view is called {name!r}. Views: {', '.join(known[:8])}"
+        f"{', ...' if len(known) > 8 else '.'}"
     )
 
 

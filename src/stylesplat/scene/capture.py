@@ -36,13 +36,13 @@ class Capture:
     path: Path | None = None
     """The folder that this was read from."""
     object_names: Mapping[int, str] = field(default_factory=dict)
-    """What objects are called, by label id; most have no name."""
+    """Names of objects by label id; most objects have none."""
     full: Cameras | None = None
     """The cameras at the photos' full size, if the photos are smaller here."""
     downscale: float = 1.0
-    """How many times smaller they are."""
+    """The factor by which the photos are smaller than at full size."""
     alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
-    """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
+    """Opacities of the pixels of cut-out photos, 255 = opaque; None for a photo without alpha."""
 
     def __post_init__(self) -> None:
         given = {"photos": self.photos, "label maps": self.label_maps, "alphas": self.alphas}
@@ -91,7 +91,7 @@ class Capture:
         return None if self.label_maps is None else self.label_maps[row]
 
     def alpha(self, row: int) -> UInt8[Tensor, "_ _"] | None:
-        """How opaque the pixels of a photo are; None if they all are."""
+        """The opacities of a photo's pixels; None if all are opaque."""
         return None if self.alphas is None else self.alphas[row]
 
 
@@ -129,7 +129,7 @@ DIFFERENCES = {
     "objects": "other names of objects",
     "photos": "photos with other content",
 }
-CAUSES = ("names", "size")  # which change nearly everything after them
+CAUSES = ("names", "size")  # if these differ, nearly all others do
 
 
 def differences(one: str, other: str) -> list[str]:
@@ -157,7 +157,7 @@ def _digest(parts: Iterable[Tensor | str | None]) -> str:
     return digest.hexdigest()
 
 
-KEPT = 2 * GIB  # for what is made smaller: 4,000 photos of 480 pixels
+KEPT = 2 * GIB  # 4,000 photos of 480 pixels
 
 Size = Sequence[int]  # height and width
 
@@ -197,6 +197,6 @@ def at_most(capture: Capture, length: int) -> Capture:
 
 def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w *D"]:
     """Resize a picture by averaging."""
-    import cv2  # which commands without photos need not load
+    import cv2  # here, as commands without photos do not need it
 
     return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))

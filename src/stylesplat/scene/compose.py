@@ -55,7 +55,7 @@ def with_layers(scene: Scene, layers: Sequence[Layer]) -> Scene:
     """
     base = scene.unpainted
     rows = _rows_before(scene, layers)
-    objects = {name: taken_rows(each, rows) for name, each in scene.objects.items()}
+    objects = {name: object_subset(each, rows) for name, each in scene.objects.items()}
     kept = {
         name: each
         for name, each in objects.items()
@@ -137,7 +137,7 @@ def spans(scene: Scene) -> list[tuple[Layer, int, int]]:
     return [*zip(shown, ends, ends[1:], strict=False)]
 
 
-def new_ones_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
+def canvases_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
     """The splats of a scene with the canvases of some objects last, and their families."""
     parts = sorted(spans(scene), key=lambda part: part[0].object in names)
     order = [torch.arange(first, end) for _, first, end in parts]
@@ -145,14 +145,14 @@ def new_ones_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Ten
     return scene.splats[rows], family(scene)[rows]
 
 
-def rows_unpainted(scene: Scene) -> Splats:
+def splats_without_paint(scene: Scene) -> Splats:
     """All Gaussians of a scene without paint; those of canvases are transparent."""
     canvases = scene.splats[len(scene.unpainted) :]
     hidden = torch.full_like(canvases.opacities, UNSEEN)
     return Splats.cat([scene.unpainted, replace(canvases, opacities=hidden)])
 
 
-def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
+def object_subset(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
     """An object among the Gaussians of some rows."""
     picked = each.picked[rows]
     count = {"gaussians": int(picked.sum())} if "gaussians" in each.how else {}

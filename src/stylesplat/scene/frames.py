@@ -38,7 +38,7 @@ class Frame:
 SAME = Frame(torch.eye(3))
 
 
-def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
+def move_cameras(cameras: Cameras, frame: Frame) -> Cameras:
     """The same cameras in another world frame."""
     rotation = frame.rotation.to(cameras.viewmats)
     positions = frame.place(cameras.positions)
@@ -48,7 +48,7 @@ def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
     return replace(cameras, viewmats=viewmats)
 
 
-def posed_as(capture: Capture, cameras: Cameras) -> Capture:
+def with_poses_of(capture: Capture, cameras: Cameras) -> Capture:
     """A capture with the poses of other cameras of the same names, which may differ in size."""
     posed = cameras[[cameras.index(name) for name in capture.cameras.names]]
     Ks = posed.Ks.clone()
@@ -73,7 +73,7 @@ def known_frames(cameras: Cameras) -> dict[str, Frame]:
 
 
 def _normalized(cameras: Cameras, before: Frame) -> Frame:
-    turned = seen_from(cameras, before)
+    turned = move_cameras(cameras, before)
     up = -turned.viewmats[:, 1, :3].mean(dim=0)
     upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], up[None].double().cpu())[0]
     rotation = torch.from_numpy(upright.as_matrix()).to(up)

@@ -28,7 +28,7 @@ def project(
     return (points_c @ K.T)[:, :2] / depths[:, None], depths
 
 
-def shown(points: Float[Tensor, "P 3"], camera: Cameras) -> Tensor:
+def is_in_image(points: Float[Tensor, "P 3"], camera: Cameras) -> Tensor:
     """Which points lie in a camera's image, hidden or not."""
     places, depths = project(points, camera)
     size = torch.tensor(camera.size).to(places)
@@ -71,7 +71,7 @@ def crop(
 def share_in_images(points: Float[Tensor, "M 3"], cameras: Cameras) -> Float[Tensor, " C"]:
     """The share of points that lies in each image, hidden or not."""
     some = points[:: max(1, len(points) // IN_IMAGES)].to(cameras.viewmats)
-    return torch.stack([shown(some, camera).float().mean() for camera in cameras])
+    return torch.stack([is_in_image(some, camera).float().mean() for camera in cameras])
 
 
 def overlapping(

@@ -27,12 +27,12 @@ UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 @dataclass(frozen=True)
 class SceneObject:
-    """Gaussians that have a name."""
+    """A named object."""
 
     picked: Bool[Tensor, " N"]
-    """Which they are."""
+    """Its Gaussians."""
     how: Mapping[str, Any] = field(default_factory=dict)
-    """How they were chosen, as plain values: `ids`, `threshold`, `gaussians` and so on."""
+    """How they were selected, as plain values: `ids`, `threshold`, `gaussians` and so on."""
 
     def __repr__(self) -> str:
         named = " ".join(map(str, self.how.get("ids", ())))
@@ -52,11 +52,11 @@ class Scene:
     cameras: Cameras
     """All cameras of the capture, at the photos' full size."""
     held_out: tuple[str, ...] = ()
-    """Names of the cameras whose photos were not trained on."""
+    """Names of the photos that are not trained on but measured."""
     downscale: float = 1.0
-    """How many times smaller than the photos the views are that it was made from."""
+    """The factor by which the training views are smaller than the photos."""
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
-    """The objects that have a name."""
+    """The named objects."""
     base: Splats | None = None
     """The splat beneath all layers; None if there are no layers."""
     layers: tuple[Layer, ...] = ()
@@ -64,11 +64,11 @@ class Scene:
     path: Path | None = None
     """The folder that it was opened from."""
     capture: Path | None = None
-    """The folder of the photos: where they were then, or if moved with the scene, are now."""
+    """The folder of the photos, also after it was moved together with the scene."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """How it was made, as plain values: settings, versions of libraries."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    """What was measured, as plain values."""
+    """Measured numbers, as plain values."""
 
     def __repr__(self) -> str:
         held_out = f" ({len(self.held_out)} held out)" if self.held_out else ""

@@ -8,8 +8,8 @@ from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.compose import spans, taken_rows
-from stylesplat.scene.layer import Layer, taken
+from stylesplat.scene.compose import object_subset, spans
+from stylesplat.scene.layer import Layer, layer_subset
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import no_objects, picks_of
@@ -58,7 +58,7 @@ def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
     `rows` are in ascending order.
     """
     objects = {
-        name: taken_rows(each, rows)
+        name: object_subset(each, rows)
         for name, each in scene.objects.items()
         if each.picked[rows].any()
     }
@@ -68,7 +68,7 @@ def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
     places[own] = torch.arange(len(own))
     for layer, first, end in spans(scene) if len(own) else ():
         canvas = rows[(rows >= first) & (rows < end)] - first
-        part = taken(layer, places, canvas)
+        part = layer_subset(layer, places, canvas)
         if len(part.rows) or len(canvas):
             layers.append(part)
     return replace(

@@ -13,10 +13,10 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
-from stylesplat.scene.compose import compose, mask_of, spans, taken_rows
-from stylesplat.scene.frames import SAME, Frame, move_splats, seen_from
+from stylesplat.scene.compose import compose, mask_of, object_subset, spans
+from stylesplat.scene.frames import SAME, Frame, move_cameras, move_splats
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.layer import Layer, taken
+from stylesplat.scene.layer import Layer, layer_subset
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 
@@ -58,7 +58,7 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
         splats=_with_identities(splats, scene.splats, rows.clamp(min=0), here),
         base=None,
         layers=(),
-        cameras=scene.cameras if frame is SAME else seen_from(scene.cameras, frame),
+        cameras=scene.cameras if frame is SAME else move_cameras(scene.cameras, frame),
         objects=_objects(scene, rows.clamp(min=0), here),
         path=None,
     )
@@ -212,7 +212,7 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
         paint = of_degree(replace(known[layer.rows], sh0=layer.sh0, shN=layer.shN), DEGREE)
         canvas = move_splats(of_degree(layer.canvas, DEGREE), frame)
         layer = replace(layer, shN=move_splats(paint, frame).shN, canvas=canvas)
-        part = taken(layer, places, rows[new] - first if layer.is_shown else None)
+        part = layer_subset(layer, places, rows[new] - first if layer.is_shown else None)
         if layer.is_shown:
             order.append(new)
             shapes = {n: getattr(found.splats, n)[new] for n in ("means", "quats", "scales")}
@@ -225,6 +225,6 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
     before = of_degree(move_splats(known[base_rows[hidden]], frame), DEGREE)
     looks = {n: getattr(before, n) for n in ("sh0", "shN", "opacities")}
     base = found.splats[mine].with_rows(hidden, looks)
-    objects = {name: taken_rows(each, torch.cat(order)) for name, each in found.objects.items()}
+    objects = {name: object_subset(each, torch.cat(order)) for name, each in found.objects.items()}
     splats = compose(base, layers)
     return replace(found, splats=splats, base=base, layers=tuple(layers), objects=objects)

@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.sh import sh0_from_rgb, sh_bases
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.projection import shown
+from stylesplat.scene.projection import is_in_image
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 OPACITY = 0.1  # of every first Gaussian (official)
@@ -98,7 +98,7 @@ def commonly_visible_points(
     points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
     views = torch.zeros(len(points))
     for camera in cameras:
-        views += shown(points, camera)
+        views += is_in_image(points, camera)
     seen = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
     if len(seen) < 100:
         raise StyleSplatError(

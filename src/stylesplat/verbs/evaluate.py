@@ -18,7 +18,7 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import mask_of, without_layers
-from stylesplat.scene.frames import posed_as
+from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -75,7 +75,7 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
     rows = [row for row, name in enumerate(capture.cameras.names) if name in known]
     if rows and len(rows) < len(capture):  # some were left out when it was trained
         capture = capture.only(rows)
-    capture = posed_as(capture, scene.cameras)
+    capture = with_poses_of(capture, scene.cameras)
     if "splat" in scene.info:
         rows = measured_rows(capture)
     else:

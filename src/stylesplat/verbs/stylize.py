@@ -15,8 +15,8 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.compose import (
     beneath,
+    canvases_last,
     family,
-    new_ones_last,
     with_layers,
     with_strengths,
     without_layers,
@@ -214,7 +214,7 @@ def _measure(
     before = without_layers(scene, names)
     rows = family(before)
     context = contexts.of(before.splats, tasks[0])
-    splats, after = new_ones_last(scene, names)
+    splats, after = canvases_last(scene, names)
     _, held_out = scene.working_views()
     return flat_metrics(
         measure_painted(
