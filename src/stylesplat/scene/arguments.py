@@ -1,6 +1,6 @@
-"""What users give and paste: boxes and points in photos, strengths, commands. Loads no torch.
+"""Arguments of users: boxes and points in photos, strengths; commands to paste. Loads no torch.
 
-Pixels are those of the photo at its full size, whatever size it is worked on at.
+Pixels are those of the photo at its full size, at whatever size it is processed.
 """
 
 import shlex
@@ -12,32 +12,23 @@ from stylesplat.errors import StyleSplatError
 Places = Sequence[Any]
 """A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
 
-OVERSHOOT = 0.05  # of a side, that a box may reach beyond: `sfm` cuts photos as it undistorts them
-
-
-def cut_to_picture(
-    box: Sequence[float | int], size: tuple[int, int]
-) -> tuple[float, float, float, float] | None:
-    """The part of x0, y0, x1, y1 inside a picture; None if it is empty or reaches far outside."""
-    (x0, y0, x1, y1), (width, height) = map(float, box), map(float, size)
-    right, below = OVERSHOOT * width, OVERSHOOT * height
-    if not (-right <= x0 and x1 <= width + right and -below <= y0 and y1 <= height + below):
-        return None
-    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)
-    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+OVERSHOOT = 0.05  # of a side, by which boxes may exceed a photo: `sfm` crops while undistorting
 
 
 def check_box(
     box: Sequence[float | int], size: tuple[int, int], name: str
 ) -> tuple[float, float, float, float]:
     """Returns the part of a box inside its photo; refuses an empty box and one far outside."""
-    inside = cut_to_picture(box, size)
-    if inside is None:
+    (x0, y0, x1, y1), (width, height) = map(float, box), map(float, size)
+    right, below = OVERSHOOT * width, OVERSHOOT * height
+    near = -right <= x0 and x1 <= width + right and -below <= y0 and y1 <= height + below
+    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)
+    if not (near and x0 < x1 and y0 < y1):
         raise StyleSplatError(
             f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
             f"which is {size[0]}x{size[1]} pixels. Give x0,y0,x1,y1 in pixels of the photo."
         )
-    return inside
+    return x0, y0, x1, y1
 
 
 def check_point(point: tuple[float, float], size: tuple[int, int], name: str) -> None:
