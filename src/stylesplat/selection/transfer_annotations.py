@@ -1,13 +1,13 @@
 """`import --like`: the objects and layers of a scene for a splat that was edited elsewhere."""
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -64,13 +64,17 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
     )
     if scene.layers and not _is_edited(scene, splats, rows):
         found = _with_layers(scene, found, frame, rows)
-    cosine = float((frame.rotation.diagonal().sum() - 1) / 2)
-    degrees = round(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))), 3)
     matched = int(here.sum())
-    motion = {"gaussians": matched, "scale": round(frame.scale, 6), "degrees": degrees}
-    metrics: dict[str, Any] = {"gaussians": len(splats), "matched": matched}
-    metrics |= {"new_gaussians": len(splats) - matched, "moved": [] if frame is SAME else [motion]}
-    return replace(found, metrics={**metrics, "lost_gaussians": len(scene.splats) - matched})
+    degrees = float(np.degrees(Rotation.from_matrix(frame.rotation.numpy()).magnitude()))
+    motion = {"gaussians": matched, "scale": round(frame.scale, 6), "degrees": round(degrees, 3)}
+    metrics = {
+        "gaussians": len(splats),
+        "matched": matched,
+        "new_gaussians": len(splats) - matched,
+        "lost_gaussians": len(scene.splats) - matched,
+        "moved": [] if frame is SAME else [motion],
+    }
+    return replace(found, metrics=metrics)
 
 
 def match_gaussians(found: Splats, known: Splats) -> tuple[Frame, Int[Tensor, " M"]]:
